@@ -229,15 +229,15 @@ TABLE = [
         "test_cells_lie_side_by_side",
     ),
     Mutation(
-        "fields/grids/wall_shapes.py", "normal = self._sign * (vectors * radial)",
+        "fields/grids/walls.py", "normal = self._sign * (vectors * radial)",
         "normal = -self._sign * (vectors * radial)", "test_hydrostatic_pressure_in_a_cylinder",
     ),
     Mutation(
-        "fields/grids/wall_shapes.py", "(np.hypot(x, y) + self.radius)\n        with",
+        "fields/grids/walls.py", "(np.hypot(x, y) + self.radius)\n        with",
         "(np.hypot(x, y) - self.radius)\n        with", "test_the_accessible_fraction_near_walls_equals_brute_force",
     ),
     Mutation(
-        "fields/grids/surface.py", "rows[:, ::-1] if flip else rows", "rows if flip else rows[:, ::-1]",
+        "fields/grids/walls.py", "rows[:, ::-1] if flip else rows", "rows if flip else rows[:, ::-1]",
         "test_distances_from_triangles_equal_those_of_brute_force test_surfaces_are_read_from_files",
     ),
     # --- fields/formulas ---
@@ -437,7 +437,7 @@ TABLE = [
         "test_temporal_vtkhdf_equals_vtp",
     ),
     Mutation(
-        "writers/netcdf.py", "at = min(len(view), self._end - place)", "at = 0",
+        "writers/formats.py", "at = min(len(view), self._end - place)", "at = 0",
         "test_a_file_comes_to_the_state_after_the_last_task",
     ),
     Mutation(

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import re
 import subprocess
 import sys
 from typing import get_args
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 
 import xcg
 from tests import ROOT, shared_data
+from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
@@ -353,6 +355,40 @@ def test_a_dry_run_lists_all_fields(tmp_path):
     said = xcg_run("run", tmp_path / "job.toml", "--dry-run")
     assert "\ndensity, " in said
     assert "temperature_Kamrin" in said
+
+
+def test_a_dry_run_says_what_exists(tmp_path):
+    xcg.datasets.random_scene(50).cg.save(tmp_path / "scene.nc")
+    text = '[scene]\nparticles = "scene.nc"\n[fields]\nfields = "density"\n'
+    (tmp_path / "job.toml").write_text(text)
+    assert "exists" not in xcg_run("run", tmp_path / "job.toml", "--dry-run")
+    xcg_run("run", tmp_path / "job.toml", "-q")
+    assert "fields.nc exists; --overwrite replaces it" in xcg_run("run", tmp_path / "job.toml", "--dry-run")
+
+
+def test_files_open_with_the_options_of_the_scene_of_a_job(tmp_path):
+    particles, contacts = write_series(tmp_path)
+    files = (particles, "-c", contacts)
+    said = xcg_run("info", *files, "--box", "x=0:8,y=-1:9", "--units", "reduced", "--allow-unknown")
+    box = {"x": (0, 8), "y": (-1, 9)}
+    assert said.strip() == repr(
+        xcg.open_scene(particles, contacts=contacts, box=box, units="reduced", allow_unknown=True).cg
+    )
+    assert "is not of the form x=0:0.1,z=0:0.2" in xcg_run("chains", *files, "--box", "x=0", code=2)
+
+
+def test_messages_name_commands_in_place_of_python(tmp_path):
+    xcg.datasets.random_scene(50).cg.save(tmp_path / "scene.nc")
+    for options, expected in (
+        ('fields = "densty"', "Others are listed by 'xcg fields', variables of the scene by 'xcg info'"),
+        (
+            'fields = "density"\nerrors = true',
+            "errors = true: .* of xcg.time_average in Python",
+        ),
+    ):
+        (tmp_path / "job.toml").write_text(f'[scene]\nparticles = "scene.nc"\n[fields]\n{options}\n')
+        said = " ".join(xcg_run("run", tmp_path / "job.toml", code=1).split())
+        assert re.search(expected, said), said
 
 
 def test_usage_errors_exit_with_2(tmp_path):

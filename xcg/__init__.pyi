@@ -22,8 +22,7 @@ from .fields.formulas.averages import profile, time_average
 from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance
 from .fields.formulas.registry import FIELDS, register_field
 from .fields.grids.frames import Cylindrical, Rotated
-from .fields.grids.surface import Surface
-from .fields.grids.wall_shapes import Cylinder, Plane
+from .fields.grids.walls import Cylinder, Plane, Surface
 from .fields.presets.lammps import lammps_mesh
 from .fields.presets.pysammos import pysammos_mesh
 from .fields.sums.kernels import Gaussian, Heaviside, Kernel, Lucy, register_kernel

@@ -57,8 +57,14 @@ ALGORITHMS = ("branching", "peters2005")
 # matches missing='skip', overwrite=True, contacts=; not quoted input such as alpha=100.0 or on_error='x':
 _ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 
-# what messages say of calls in Python
-_FOR_PYTHON = re.compile(r" to xcg\.open_scene( or xcg\.scene_from_arrays| \([^)]*\), or call ds\.cg\S+ first)")
+# what messages say of calls in Python, and what helps here instead
+_FOR_PYTHON = {
+    r" to xcg\.open_scene( or xcg\.scene_from_arrays| \([^)]*\), or call ds\.cg\S+ first)": "",
+    r"xcg\.FIELDS and by ds\.data_vars": "'xcg fields', variables of the scene by 'xcg info'",
+    r"xcg\.FIELDS": "'xcg fields'",
+    r"(errors|for_averages)=True": r"\1 = true",
+    r"errors of time_average": "errors of xcg.time_average in Python",
+}
 
 
 @contextmanager
@@ -94,7 +100,19 @@ def _as_options(message: str, options: Mapping[str, str]) -> str:
         name, value = found.groups()
         return " ".join(filter(None, (options[name], value))) if name in options else found[0]
 
-    return _ARGUMENT.sub(called, _FOR_PYTHON.sub("", message))
+    for in_python, here in _FOR_PYTHON.items():
+        message = re.sub(in_python, here, message)
+    return _ARGUMENT.sub(called, message)
+
+
+def _box(context: click.Context, parameter: click.Parameter, value: str | None) -> dict[str, list[float]] | None:
+    if value is None:
+        return None
+    try:
+        parts = [re.split("[=:]", part) for part in value.split(",")]
+        return {a: [float(low), float(high)] for a, low, high in parts}
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not of the form x=0:0.1,z=0:0.2") from None
 
 
 _OPTIONS = (
@@ -103,6 +121,9 @@ _OPTIONS = (
     click.option("--walls", multiple=True, help="Files with contacts of walls, where they are apart; repeatable."),
     click.option("--engine", help="The code that wrote the files; guessed by default."),
     click.option("--periodic", help="Periodic axes, such as xy."),
+    click.option("--box", callback=_box, help="Edges in the files' unit, such as x=0:0.1,z=0:0.2."),
+    click.option("--units", type=click.Choice(["SI", "reduced"]), help="Units of files that name none."),
+    click.option("--allow-unknown", is_flag=True, default=None, help="Take unknown partners as walls."),
     click.option("--density", type=float, help="Density of the material, where files hold no mass."),
     click.option("--timestep", type=float, help="Time between steps of the simulation, where files do not tell it."),
     click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."),
@@ -173,7 +194,10 @@ def chains(
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped
     from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
-    from xcg.writers.files import check_target, whole_file
+    from xcg.writers.encoding import Encoding
+    from xcg.writers.files import check_target
+    from xcg.writers.formats import NETCDF
+    from xcg.writers.store import write_file
 
     with plain_messages(quiet=False):
         scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
@@ -187,14 +211,10 @@ def chains(
         fc = name_skipped(fc.compute())
         click.echo(statistics_table(fc))
         if netcdf:
-            with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
-                fc.to_netcdf(part, engine="netcdf4")
-        if csv:
-            to_csv(fc, csv, overwrite=overwrite)
-        if vtp:
-            to_vtp(fc, vtp, overwrite=overwrite)
-        if vtkhdf:
-            to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+            write_file(fc, netcdf, Encoding.of(fc), NETCDF, overwrite=overwrite)
+        for file, write in ((csv, to_csv), (vtp, to_vtp), (vtkhdf, to_vtkhdf)):
+            if file:
+                write(fc, file, overwrite=overwrite)
 
 
 def statistics_table(fc: xr.Dataset) -> str:
@@ -222,9 +242,6 @@ def convert(
     files: tuple[str, ...],
     output: Path,
     *,
-    dtype: str | None,
-    digits: int | None,
-    compression: int | None,
     overwrite: bool,
     quiet: bool,
     **options: Any,
@@ -242,8 +259,9 @@ def convert(
     with plain_messages(quiet):
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
+        encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
         ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
-        save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet)
+        save(ds, output, overwrite=overwrite, progress=not quiet, **encoding)
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")
 
 
@@ -319,7 +337,7 @@ def run(
     """
     from xcg.common.messages import printable
     from xcg.jobs.config import read_config
-    from xcg.jobs.run import open_job, run_job
+    from xcg.jobs.run import open_job, outputs_of, run_job
     from xcg.steps.mapping import shown
 
     with plain_messages(quiet):
@@ -327,9 +345,12 @@ def run(
         if on_error is not None:
             job = replace(job, on_error=on_error)
         if dry_run:
-            scene, *results = open_job(job)
-            names = ", ".join(str(name) for result in results if result is not None for name in result.data_vars)
-            click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*"))
+            scene, computed, slices = open_job(job)
+            outputs = outputs_of(job, computed, slices)
+            names = ", ".join(str(name) for output in outputs for name in output.ds.data_vars)
+            there = [path for output in outputs for path in output.paths() if path.exists()]
+            taken = f"\n{there[0]} exists; --overwrite replaces it" if there else ""
+            click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*{taken}"))
             return
         with _dashboard(jobs) if dashboard else nullcontext():
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)

@@ -9,6 +9,7 @@ OTHERS = {
     "compiled/test_references.py": "points and segments, both against their references in NumPy",
     "compiled/test_uncompiled.py": "all loops, in Python and compiled",
     "fields/formulas/rows/test_temperature.py": "granular temperature, from sums and a fit to averages",
+    "fields/grids/test_points.py": "points, in the module of meshes",
     "fields/test_cells.py": "sampling='cell', from the request to the loops",
     "readers/engines/test_liggghts.py": "the engine of LAMMPS on files of LIGGGHTS",
     "readers/test_bounded.py": "limits on what files ask for, in texts, compressed files and the index",

@@ -159,6 +159,8 @@ def test_regions_are_intersected_united_and_inverted():
         (lambda: Sphere((0, 0, 0), 0), "radius=0: expected a positive length"),
         (lambda: Sphere((0, 0, np.nan), 1), "centre=.*expected three finite numbers"),
         (lambda: Sphere((0, 0, 0), 1, velocity=(1, 0, 0), follow=3), "expected one of the two"),
+        (lambda: Sphere((0, 0, 0), 1, follow=1.5), r"follow=1\.5: expected the id of a particle, a whole number"),
+        (lambda: BoxRegion((0, 0, 0), (1, 1, 1), follow="a"), "follow='a': expected the id of a particle"),
     ],
 )
 def test_wrong_regions_raise(make, message):

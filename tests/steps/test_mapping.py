@@ -120,10 +120,11 @@ def test_saving_reports_progress(tmp_path, capsys):
     series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)
     series.cg.save(tmp_path / "quiet.nc")
     assert capsys.readouterr().err == ""  # neither a terminal nor asked for
-    series.cg.save(tmp_path / "told.nc", progress=True)
-    assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == [
-        "1 of 4", "2 of 4", "3 of 4", "4 of 4",
-    ]  # fmt: skip
+    for what, name in ((series, "told.nc"), (series.cg.coarse_grain("density", axes="xz"), "told.pvd")):
+        what.cg.save(tmp_path / name, progress=True)
+        assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == [
+            "1 of 4", "2 of 4", "3 of 4", "4 of 4",
+        ]  # fmt: skip
 
 
 def test_a_notebook_shows_a_bar(monkeypatch):

@@ -48,7 +48,7 @@ def test_memory_does_not_grow_with_the_series(scene, tmp_path, suffix, what, mon
         xcg.save(ds, tmp_path / f"{steps}{suffix}")
 
     step = scene.nbytes / MANY
-    monkeypatch.setattr("xcg.writers.zarr._TOGETHER", step)  # else short steps share files, and wait for one another
+    monkeypatch.setattr("xcg.writers.formats._TOGETHER", step)  # else short steps share files, and wait for one another
     with dask.config.set(scheduler="threads", num_workers=2):
         save(2)  # whatever is compiled and imported once
         few, many = peak(lambda: save(FEW)), peak(lambda: save(MANY))

@@ -15,7 +15,8 @@ from tests import steps_of_random_scenes
 from tests.dumps import write_series
 from xcg.cli import group
 from xcg.compiled.arrays import round_bits
-from xcg.writers.encoding import Encoding, deflated
+from xcg.writers.encoding import Encoding
+from xcg.writers.formats import deflated
 
 
 def reopen(path):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -175,6 +176,8 @@ def test_a_second_recorder_raises(path):
 def test_wrong_arguments_raise(tmp_path):
     with pytest.raises(ValueError, match=r"expected a name that ends with \.nc"):
         xcg.record(tmp_path / "f.vtkhdf", "density")
+    with pytest.raises(ValueError, match="no HDF5 file, which is damaged where a process ends"):
+        xcg.record(tmp_path / "f.h5", "density")
     with pytest.raises(TypeError, match="axis"):
         xcg.record(tmp_path / "f.nc", "density", axis="z")
     with pytest.raises(FileNotFoundError, match="create it first"):
@@ -224,15 +227,40 @@ def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
     ({"width": 0.5}, "width 0.5 is not 1.0"), ({"bounds": {"z": (0, 1)}}, "z .* is not"),
     ({"by": "species"}, "no phases"),
     ({"temperature": "biased"}, "temperature is 'biased' instead of 'unbiased'"),
+    ({"spacing": 0.4}, "spacing along z 0.4 is not 0.5"), ({"extent": {"x": 3.0}}, "extent along x 3.0 is not 2.0"),
+    ({"extent": None}, None), ({"spacing": None}, None),
 ])  # fmt: skip
 def test_a_record_is_continued_with_the_same_options_only(tmp_path, later, message):
     ds = xcg.datasets.simple_cubic(4)
     ds = ds.assign(species=ds.particle_id * 0 + 1).assign_attrs(species_values=[1])
-    given = {"axes": "z", "width": 1.0, "fields": "density"}
+    given = {"axes": "z", "width": 1.0, "fields": "density", "spacing": 0.5, "extent": {"x": 2.0, "y": 2.0}}
     with xcg.record(tmp_path / "live.nc", **given) as live:
         live.append(ds)
-    with pytest.raises(xcg.SceneError, match=message), xcg.record(tmp_path / "live.nc", **(given | later)) as live:
+    raises = pytest.raises(xcg.SceneError, match=message) if message else nullcontext()
+    with raises, xcg.record(tmp_path / "live.nc", **(given | later)) as live:
         live.append(ds.assign_coords(time=ds.time + 1.0))
+    if not message:
+        with opened(tmp_path / "live.nc") as found:
+            np.testing.assert_array_equal(found.density[0], found.density[1])
+
+
+def test_a_spacing_that_does_not_divide_the_period_is_continued(path):
+    _, parts = steps(2)
+    given = {"fields": "density", "axes": "x", "width": 0.8, "spacing": 0.7}
+    for part in parts:
+        with xcg.record(path, **given) as live:
+            live.append(part)
+    with pytest.raises(xcg.SceneError, match="spacing along x"):
+        xcg.record(path, **(given | {"spacing": 0.9}))
+
+
+def test_times_are_not_rounded_to_digits(path):
+    _, parts = steps(2)
+    with xcg.record(path, "density", digits=3, **OPTIONS) as live:
+        for k, part in enumerate(parts):
+            live.append(part.assign_coords(time=[1000.1 + 0.1 * k]))
+    with opened(path) as found:
+        assert found.time.values.tolist() == [1000.1, 1000.2]
 
 
 def test_bounds_that_the_spacing_does_not_divide_are_continued(tmp_path):

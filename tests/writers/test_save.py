@@ -169,7 +169,7 @@ def test_a_folder_of_other_things_is_not_replaced(tmp_path):
 @pytest.mark.parametrize("lazy", [False, True])
 def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     """The same files with the same bytes, also where a chunk is blank, or reaches beyond the last step."""
-    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 2)
+    monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 2)
     f = steps_of_random_scenes(5).cg.coarse_grain(["density", "granular_temperature", "stress"], axes="z")
     f["density"][:4] = np.nan
     f["count"] = ("time", "z"), np.zeros((5, f.sizes["z"]), int)
@@ -220,7 +220,7 @@ xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
 def test_a_full_disk_is_named_with_the_folder(tmp_path):
     path = tmp_path / "f.zarr"
     said = r"f\.zarr: the disk is full \(.* MB free\), and nothing was left behind; make room"
-    with pytest.raises(OSError, match=said), whole_folder(path, overwrite=False):
+    with pytest.raises(OSError, match=said), whole_folder(path, overwrite=False, part=tmp_path / "part"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert not list(tmp_path.iterdir())
 
@@ -267,7 +267,7 @@ def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
 
 def test_a_second_writer_of_a_store_raises(tmp_path):
     ds, path = xcg.datasets.simple_cubic(2), tmp_path / "scene.zarr"
-    with whole_folder(path, overwrite=False) as part:
+    with whole_folder(path, overwrite=False, part=tmp_path / "part") as part:
         part.mkdir()
         with pytest.raises(FileExistsError, match=rf"being written by another run \(process {os.getpid()}\)"):
             xcg.save(ds, path, overwrite=True)

@@ -13,7 +13,7 @@ import pytest
 
 import xcg
 from tests import ROOT, steps_of_random_scenes
-from xcg.writers.netcdf import hdf5_file, recover
+from xcg.writers.formats import hdf5_file, recover
 
 SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
 STEPS = 6
@@ -62,7 +62,7 @@ def assert_same_bits(one: Path, other: Path):
 @pytest.mark.parametrize("compression", [0, 1])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_an_error_midway_keeps_the_steps_before(tmp_path, suffix, compression, monkeypatch):
-    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 1)
+    monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 1)
     path, options = tmp_path / f"f{suffix}", {"compression": compression, "resume": True}
     with dask.config.set(scheduler="sync"):
         with pytest.raises(RuntimeError, match="stopped"):
@@ -82,10 +82,9 @@ KILLED = """
 import os, sys
 import numpy as np, xcg, dask
 from tests.writers.test_store import fields
-from xcg.writers import store, zarr
-from xcg.writers import netcdf
+from xcg.writers import formats, store
 path, kills, where = sys.argv[1], int(sys.argv[2]), sys.argv[3]
-zarr._steps_together = lambda layout: 1
+formats._steps_together = lambda layout: 1
 count = [0]
 def counted(real):
     def call(*args, **kwargs):
@@ -97,11 +96,11 @@ def counted(real):
 if where == "log":
     store.Log.add = counted(store.Log.add)
 elif where == "apply":
-    netcdf._apply = counted(netcdf._apply)
+    formats._apply = counted(formats._apply)
 elif where == "write":
-    netcdf.Sink.write = counted(netcdf.Sink.write)
+    formats.Sink.write = counted(formats.Sink.write)
 elif where == "chunk":
-    zarr._Plain.write = counted(zarr._Plain.write)
+    formats._Plain.write = counted(formats._Plain.write)
 with dask.config.set(scheduler="sync"):
     xcg.save(fields(), path, resume=True, compression=int(sys.argv[4]))
 """
@@ -116,7 +115,7 @@ with dask.config.set(scheduler="sync"):
     ],
 )  # fmt: skip
 def test_a_killed_process_keeps_finished_steps(tmp_path, suffix, where, kills, compression, monkeypatch):
-    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 1)
+    monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 1)
     path = tmp_path / f"f{suffix}"
     command = [sys.executable, "-c", KILLED, str(path), str(kills), where, str(compression)]
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120, check=False)
@@ -157,7 +156,7 @@ def test_a_file_comes_to_the_state_after_the_last_task(tmp_path, monkeypatch):
         file["a"] = np.arange(1000.0)
     for k in range(3):
         if k == 2:
-            monkeypatch.setattr("xcg.writers.netcdf._apply", lambda changes, file: None)
+            monkeypatch.setattr("xcg.writers.formats._apply", lambda changes, file: None)
         with hdf5_file(path, "r+", journal=True) as file:
             file[f"b{k}"] = np.full(100, k)
             file["a"][k] = -1.0

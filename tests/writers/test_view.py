@@ -224,6 +224,10 @@ def test_wrong_views_raise(scene, fields, plotter, monkeypatch):
         fields.isel(x=0, y=0).cg.view("density", plotter=plotter)
     with pytest.raises(ValueError, match=r"no contacts; ds\.cg\.find_contacts\(\) finds them"):
         scene.drop_dims("contact").cg.view(contacts=True, plotter=plotter)
+    for ds in (scene, scene.cg.force_chains()):
+        for part in ({"component": "x"}, {"phase": 1}):
+            with pytest.raises(ValueError, match=f"{next(iter(part))}= chooses a part of a field of a result"):
+                ds.cg.view(plotter=plotter, **part)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     for draw in (scene.cg.view, fields.cg.to_pyvista):
         with pytest.raises(ImportError, match=r"needs pyvista, .* pip install 'xcg\[view\]'"):

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
-from xcg.common.checks import is_finite, is_positive, vector
+from xcg.common.checks import is_finite, is_positive, is_whole, vector
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
@@ -82,6 +82,8 @@ class _Moving(Region):
     follow: int | None
 
     def __post_init__(self) -> None:
+        if self.follow is not None and not is_whole(self.follow, 0):
+            raise ValueError(f"follow={self.follow!r}: expected the id of a particle, a whole number")
         if self.follow is not None and np.any(self.velocity):
             raise ValueError(f"velocity={self.velocity!r} and follow={self.follow!r}: expected one of the two")
         object.__setattr__(self, "velocity", _three("velocity", self.velocity))

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
-from xcg.fields.grids.surface import Surface
-from xcg.fields.grids.wall_shapes import Plane, Wall
+from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.kernels import Kernel

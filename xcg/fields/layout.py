@@ -17,8 +17,7 @@ from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
-from xcg.fields.grids.grid import make_grid
-from xcg.fields.grids.points import make_points
+from xcg.fields.grids.grid import make_grid, make_points
 from xcg.fields.grids.rings import make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, kernel_of

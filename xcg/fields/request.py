@@ -18,7 +18,7 @@ import xarray as xr
 
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
-from xcg.fields.grids.wall_shapes import Wall
+from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError

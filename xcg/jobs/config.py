@@ -13,6 +13,7 @@ from typing import Any
 import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
+from xcg.fields.presets.pysammos import rows
 from xcg.readers.files.text import plain_name
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import OnError, check_on_error
@@ -100,7 +101,7 @@ def read_config(path: str | Path) -> Job:
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
 _OUTPUT = ("folder", "name", "netcdf", "vtkhdf", "dtype", "digits", "compression")
-_PATHS = ("particles", "contacts", "walls", "restart")
+PATHS = ("particles", "contacts", "walls", "restart")
 
 
 def _toml(path: Path) -> Job:
@@ -135,7 +136,7 @@ def _toml(path: Path) -> Job:
     if vtkhdf not in ("steps", "temporal", "", False):
         raise SceneError(f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false")
     scene = dict(data["scene"])
-    for key in set(_PATHS) & set(scene):
+    for key in set(PATHS) & set(scene):
         if key == "walls" and isinstance(scene[key], dict):  # columns of the particles, by names of walls
             continue
         several = [scene[key]] if isinstance(scene[key], str) else scene[key]
@@ -187,21 +188,17 @@ KEYS = {
 }
 
 # its kernels, however they are spelled, and the names in its output
-KERNELS = {"lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian")} | dict.fromkeys(
-    ("heavyside", "heaviside"), ("heaviside", "HeavySide")
-)
-
-FAMILIES = (
-    "volume_fraction", "density_mixture", "density_particle", "d32", "d43", "coordination_number", "momentum_density",
-    "velocity", "velocity_gradient", "kinetic_tensor", "contact_tensor", "total_stress_tensor", "fabric_tensor",
-    "shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient",
-)  # fmt: skip
+KERNELS = {
+    "lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian"), "heavyside": ("heaviside", "HeavySide"),
+    "heaviside": ("heaviside", "HeavySide"),
+}  # fmt: skip
 
 OF_CONTACTS = (
     "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
     "frictional_coefficient",
 )  # fmt: skip
 
+FAMILIES = tuple(dict.fromkeys(row.family for row in rows("xy", "xyz").values()))
 SLICES = "granular_temperature_slices"
 
 _OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
@@ -273,12 +270,20 @@ def _ini(path: Path) -> Job:
         scene |= {"contacts": contacts, "missing": "empty"}
     elif contacts_path is not None:
         warn_user(f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
-    fields, slices = _fields(sections["fields_to_export"])
+    export = sections["fields_to_export"]
+    fields = [name for name in FAMILIES if export.flag(name)]
+    slices = {"axis": "y"} if export.flag(SLICES) else None
+    if not fields and slices is None:
+        raise SceneError(f"{export.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}")
     if not contacts:
         counted = "coordination_number" in scene["names"].values()
         fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
 
-    kernel, label = _kernel(sections["smoothing_function"])
+    smoothing = sections["smoothing_function"]
+    spelling = smoothing.get("type") or "Lucy"
+    if spelling.lower() not in KERNELS:
+        raise SceneError(f"{smoothing.source} type = {spelling}: expected Lucy, Gaussian or HeavySide")
+    kernel, label = KERNELS[spelling.lower()]
     mesh = _mesh(sections["grid_info"])
     phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
     folder = path.parent / (paths.get("output_path") or "PysammosCG")
@@ -354,13 +359,6 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
     return names
 
 
-def _kernel(section: _Section) -> tuple[str, str]:
-    text = section.get("type") or "Lucy"
-    if text.lower() not in KERNELS:
-        raise SceneError(f"{section.source} type = {text}: expected Lucy, Gaussian or HeavySide")
-    return KERNELS[text.lower()]
-
-
 def _mesh(section: _Section) -> dict[str, Any]:
     """Find the resolved axes, the ends of their nodes unless these are automatic, and where other axes are cut."""
     dimension = section.whole("grid_dimension")
@@ -383,11 +381,3 @@ def _mesh(section: _Section) -> dict[str, Any]:
         bounds[a] = (low, high)
     at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
     return {"axes": axes, "bounds": bounds, "at": at}
-
-
-def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:
-    chosen = [name for name in FAMILIES if section.flag(name)]
-    slices = {"axis": "y"} if section.flag(SLICES) else None
-    if not chosen and slices is None:
-        raise SceneError(f"{section.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}")
-    return chosen, slices

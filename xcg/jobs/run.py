@@ -24,7 +24,7 @@ from xcg.common.messages import SceneError, unknown
 from xcg.fields.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.jobs.config import Job
+from xcg.jobs.config import PATHS, Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
@@ -32,7 +32,7 @@ from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish
-from xcg.writers.netcdf import NETCDF
+from xcg.writers.formats import NETCDF
 from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
@@ -141,13 +141,9 @@ def run_job(
     _, fields, slices = open_job(job)
     about = _description(job)
     mark = hashlib.sha256(f"{about}{version('xcg')}".encode()).hexdigest()
-    series = {job.name: fields} if fields.data_vars else {}
-    if slices is not None:
-        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
-        series[stem] = slices
+    outputs = outputs_of(job, fields, slices, mark)
     job.folder.mkdir(parents=True, exist_ok=True)
-    outputs = [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
-    count = next(iter(series.values())).sizes["time"]
+    count = outputs[0].ds.sizes["time"]
     targets = [path for output in outputs for path in output.paths()]
     begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
@@ -170,6 +166,15 @@ def run_job(
         for output in outputs:
             shutil.rmtree(output.work, ignore_errors=True)
         yield from _run(outputs, count, jobs, about)
+
+
+def outputs_of(job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = "") -> list[_Output]:
+    """List what a job writes, from what `open_job` returns; `mark` is noted in the files."""
+    series = {job.name: fields} if fields.data_vars else {}
+    if slices is not None:
+        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
+        series[stem] = slices
+    return [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
 
 
 def _exists(path: Path, whose: str = "") -> FileExistsError:
@@ -267,7 +272,7 @@ def _made_by(path: Path) -> str | None:
 def _description(job: Job) -> dict[str, str]:
     """Describe a job by its options and the state of its input, each by a name that a message can use."""
     paths: list[str] = []
-    for key in ("particles", "contacts", "walls", "restart"):
+    for key in PATHS:
         given = job.scene.get(key, [])
         if isinstance(given, dict):  # walls that are columns of the particles
             continue

@@ -16,7 +16,7 @@ from xcg.chains.results import ChainStep, require_chains, steps_of
 from xcg.scene.frame import with_time
 from xcg.scene.schema import Frame
 from xcg.writers.files import check_file, whole_file, write_by_vtk
-from xcg.writers.netcdf import hdf5_file
+from xcg.writers.formats import hdf5_file
 
 if TYPE_CHECKING:
     import h5py
@@ -142,8 +142,6 @@ class _Mesh:
         ends = point[j]
         ends[crossing] = len(members) + np.arange(len(crossing))
         points = np.concatenate([position[members], (position[i] + nearest)[crossing]])
-        image = np.zeros(len(source), "int64")
-        image[len(members) :] = 1
         major = arrays["major_stress"]
         return cls(
             points,
@@ -155,7 +153,7 @@ class _Mesh:
                 "links": arrays["links"][source],
                 "major_stress": major[source],
                 "major_direction": arrays["major_direction"][source],
-                "image": image,
+                "image": (np.arange(len(source)) >= len(members)).astype("int64"),
             },
             {
                 "chain_id": arrays["link_chain"][contact],

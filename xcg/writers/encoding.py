@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-import sys
-import zlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from isal import isal_zlib
 from numpy.typing import DTypeLike, NDArray
 
-from xcg.compiled.arrays import round_bits, shuffle_bytes
+from xcg.compiled.arrays import round_bits
 
 _MANTISSA = {4: 23, 8: 52}  # bits, by the bytes of a number
 _SINGLE = 2.0**-24  # relative error of a number in single precision
 _MOST_DIGITS = {4: 7, 8: 15}
-_ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
 
 @dataclass(frozen=True)
@@ -102,15 +98,3 @@ def _bits(digits: int, *, twice: bool) -> int:
     """Bits of the mantissa that the digits take; `twice` where numbers are rounded to single precision before."""
     share = 10.0**-digits - (2 * _SINGLE if twice else 0.0)  # twice the error that is left for these bits
     return math.ceil(-math.log2(share)) if share > 0 else _MANTISSA[4]
-
-
-def deflated(values: NDArray, level: int) -> bytes:
-    """Shuffle the bytes of numbers and compress them, as the filters of HDF5 of these names do."""
-    flat = np.ascontiguousarray(values).reshape(-1)
-    if sys.byteorder == "big" or flat.itemsize == 1:
-        out = np.ascontiguousarray(flat.view("u1").reshape(-1, flat.itemsize).T)
-    else:
-        out = np.empty((flat.itemsize, flat.size), "u1")
-        shuffle_bytes(flat.view(f"u{flat.itemsize}"), out)
-    # isal, required, compresses as well as zlib does, in a seventeenth of the time
-    return (isal_zlib if level <= _ISAL_LEVELS else zlib).compress(out, level)

@@ -19,11 +19,12 @@ from filelock import FileLock, Timeout
 temporary: set[Path] = set()
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None = None) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
     """Yield a temporary name beside `path` to write to; rename it at the end, or remove it after an error.
 
     Parameters
@@ -32,9 +33,6 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
         The file.
     overwrite : bool
         Replace a file that exists.
-    room : int
-        Bytes that it will take, if known: they are asked of the disk first, because the NetCDF library does not
-        recover from a disk that fills while it writes.
     part : Path, optional
         Name to write to instead, which stays after an error.
 
@@ -51,8 +49,6 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
     """
     check_file(path, overwrite=overwrite)
     with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
-        if room:
-            reserve(part, room)
         yield part
         publish(part, path, overwrite=overwrite)
 
@@ -160,41 +156,52 @@ def _disk_named(path: Path, part: Path) -> Iterator[None]:
 
 
 @contextmanager
-def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary name beside `path` for a folder; rename it at the end, or remove it after an error.
+def whole_folder(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
+    """Rename the Zarr folder `part` to `path` at the end.
 
     What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
     under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
-    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this. `part`
-    is a name to make it at instead, which stays after an error.
+    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this.
 
     Raises
     ------
     FileExistsError
-        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it.
+        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it, or it
+        is a folder that holds anything but Zarr data.
     FileNotFoundError
         If its folder does not exist.
     OSError
         If it cannot be written, as where the disk is full.
     """
+    if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
+        raise FileExistsError(f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it")
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         aside = path.with_name(f".{path.name}.replaced")
-        _recover(path, aside, part)
+        if aside.exists() and not path.exists():
+            aside.rename(path)
+        for left in (aside, *leftovers(path)):
+            if left not in part.parents:
+                remove(left)
         check_target(path, overwrite=overwrite)
-        with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
+        with _disk_named(path, part):
             yield part
             if overwrite and path.exists():
                 path.rename(aside)
-            _publish(part, path, aside)
+            try:
+                part.rename(path)  # this fails where a folder that is not empty has the name
+            except OSError as error:
+                if path.exists():
+                    raise FileExistsError(exists_message(path)) from error
+                if aside.exists():
+                    aside.rename(path)
+                raise
             remove(aside)
 
 
 @contextmanager
 def hidden_folder(path: Path) -> Iterator[Path]:
-    """Yield a new folder beside `path` for incomplete files; it is removed at the end.
-
-    So does what a process left that was killed.
+    """Yield a new folder beside `path` for incomplete files; it is removed at the end, as what killed processes left.
 
     Raises
     ------
@@ -255,27 +262,6 @@ def _part(path: Path) -> Iterator[Path]:
         temporary.discard(part)
 
 
-def _recover(path: Path, aside: Path, work: Path | None) -> None:
-    """Finish what a writer that was killed left half done."""
-    if aside.exists() and not path.exists():
-        aside.rename(path)
-    for left in (aside, *leftovers(path)):
-        if work is None or left not in work.parents:
-            remove(left)
-
-
-def _publish(part: Path, path: Path, aside: Path) -> None:
-    """Rename a complete folder to its name; this fails where a folder that is not empty has it."""
-    try:
-        part.rename(path)
-    except OSError as error:
-        if path.exists():
-            raise FileExistsError(exists_message(path)) from error
-        if aside.exists():
-            aside.rename(path)
-        raise
-
-
 # What file systems without locks answer, as some of clusters; runs are not held apart there.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
@@ -308,14 +294,10 @@ def locked(path: Path, what: str) -> Iterator[None]:
             raise
     temporary.add(path)
     try:
-        with suppress(OSError), open(path, "w", opener=_no_link) as file:
-            file.write(str(os.getpid()))
+        with suppress(OSError):
+            path.write_text(str(os.getpid()))
         yield
     finally:
         path.unlink(missing_ok=True)  # before it is released, so that nobody locks a file without a name
         temporary.discard(path)
         lock.release()
-
-
-def _no_link(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o644)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -20,13 +21,15 @@ from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.mapping import each_step
+from xcg.steps.mapping import each_step, shown
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_file, check_target, hidden_folder, publish, whole_file, write_by_vtk
-from xcg.writers.vtkhdf import AXES, Image, arrays_of, checked, times_of, with_components
+from xcg.writers.vtkhdf import Image, arrays_of, checked, times_of, with_components
 
 
-def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+def write_pvd(
+    ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool, progress: bool | None = False
+) -> None:
     """Write fields as ``name.pvd`` and ``name_0000.vti``, ``name_0001.vti``, ... beside it, step after step.
 
     Raises
@@ -36,17 +39,19 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
     ValueError
         If these are chains, or no image; see `to_vtkhdf`.
     """
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
+
     if "chain_id" in ds:
         raise ValueError(f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp")
     fields = encoding.noted(checked(ds))
     Image.of(fields)  # what is no image is refused before anything is written
-    write_series(fields, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)
+    with shown(fields.sizes.get("time", 1), progress) as bar:
 
+        def write(step: xr.Dataset, file: Path) -> None:
+            write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), file, overwrite=overwrite)
+            bar.update()
 
-def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: bool) -> None:
-    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
-
-    write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), path, overwrite=overwrite)
+        write_series(fields, path, ".vti", write, overwrite=overwrite)
 
 
 def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarray) -> Any:
@@ -64,17 +69,13 @@ def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarra
         values = reduced(np.asarray(array.values(data.variable, frame)))
         found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
         found.SetName(array.name)
-        for k, label in enumerate(_labels(array.components)):
-            found.SetComponentName(k, label)
+        rank = len({"component", "direction"} & {*data.dims})
+        for k, label in enumerate(product(COMPONENTS, repeat=rank) if rank else ()):
+            found.SetComponentName(k, "".join(label))
         if "units" in data.attrs:
             found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
         image.GetPointData().AddArray(found)
     return image
-
-
-def _labels(components: int) -> list[str]:
-    """Names of the components of a vector or a tensor; none of a scalar."""
-    return {3: list(AXES), 9: [a + b for a in AXES for b in AXES]}.get(components, [])
 
 
 def write_series(
@@ -254,8 +255,7 @@ def _write_mesh_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells
     grid.ShallowCopy(bare)
     target = grid.GetCellData() if cells else grid.GetPointData()
     for array in arrays_of(step):
-        data = step[array.variable].variable
-        data = data if array.phase is None else data.isel(phase=array.phase)
+        data = array.part(step[array.variable].variable)
         values = data.transpose(dim, *(d for d in ("component", "direction") if d in data.dims)).to_numpy()
         found = numpy_to_vtk(np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True)
         found.SetName(array.name)

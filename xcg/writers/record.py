@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -24,84 +24,74 @@ from xcg.scene.frame import check_times
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, locked, part_of, remove, whole_file
+from xcg.writers.files import check_target, locked, whole_file
+from xcg.writers.formats import ZARR
 from xcg.writers.store import write_file
-from xcg.writers.zarr import ZARR
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
 _SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic",
-         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per")  # fmt: skip
+         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per",
+         "extent")  # fmt: skip
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
 
 
-class _GrowingNetCDF:
-    """A file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
+def _create_netcdf(path: Path, first: xr.Dataset, overwrite: bool) -> None:
+    """Make a file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
 
     Steps are added to its end, and then their number is written into its header: a step that was not finished does not
     count. An HDF5 file could not be read after a process ended that was writing to it.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file: Any = None
-
-    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        with whole_file(self.path, overwrite=overwrite) as part:
-            first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
-
-    def append(self, values: dict[str, np.ndarray], at: int) -> None:
-        import netCDF4
-
-        if self._file is None:
-            self._file = netCDF4.Dataset(self.path, "r+")
-            self._file.set_auto_maskandscale(False)
-        for name, value in values.items():
-            self._file[name][at : at + 1] = value
-        self._file.sync()
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+    with whole_file(path, overwrite=overwrite) as part:
+        first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
 
 
-class _GrowingZarr:
-    """A Zarr folder with a file a variable and step.
+def _open_netcdf(path: Path) -> Any:
+    import netCDF4
+
+    file = netCDF4.Dataset(path, "r+")
+    file.set_auto_maskandscale(False)
+    return file
+
+
+def _append_netcdf(file: Any, values: dict[str, np.ndarray], at: int) -> None:
+    for name, value in values.items():
+        file[name][at : at + 1] = value
+    file.sync()
+
+
+def _create_zarr(path: Path, first: xr.Dataset, overwrite: bool) -> None:
+    """Make a Zarr folder with a file a variable and step.
 
     Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        write_file(first, self.path, Encoding(level=1), ZARR, overwrite=overwrite)
-
-    def append(self, values: dict[str, np.ndarray], at: int) -> None:
-        import zarr
-
-        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        for name, value in values.items():
-            array = group[name]
-            array.resize((at + 1, *array.shape[1:]))
-            array[at : at + 1] = value
-        root = self.path / "zarr.json"
-        said = json.loads(root.read_text())
-        for name in values:
-            said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
-        part = part_of(root)
-        part.write_text(json.dumps(said))
-        os.replace(part, root)
-
-    def close(self) -> None:
-        for part in self.path.glob(".zarr.json.*.part"):
-            remove(part)
+    write_file(first, path, Encoding(level=1), ZARR, overwrite=overwrite)
 
 
-_FORMATS: dict[str, type[_GrowingNetCDF] | type[_GrowingZarr]] = {".nc": _GrowingNetCDF, ".zarr": _GrowingZarr}
+def _append_zarr(path: Path, values: dict[str, np.ndarray], at: int) -> None:
+    import zarr
+
+    group = zarr.open_group(path, mode="r+", use_consolidated=False)
+    for name, value in values.items():
+        array = group[name]
+        array.resize((at + 1, *array.shape[1:]))
+        array[at : at + 1] = value
+    root = path / "zarr.json"
+    said = json.loads(root.read_text())
+    for name in values:
+        said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
+    part = root.with_suffix(".part")
+    part.write_text(json.dumps(said))
+    os.replace(part, root)
+
+
+# how a file is made, opened for appending, and appended to
+_FORMATS: dict[str, tuple[Callable, Callable, Callable]] = {
+    ".nc": (_create_netcdf, _open_netcdf, _append_netcdf),
+    ".zarr": (_create_zarr, nullcontext, _append_zarr),
+}
 
 
 class Recorder:
@@ -117,15 +107,16 @@ class Recorder:
 
     def __init__(self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool) -> None:
         if path.suffix not in _FORMATS:
-            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)")
+            why = "; no HDF5 file, which is damaged where a process ends that writes to it" * (path.suffix == ".h5")
+            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr){why}")
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
-        self._format = _FORMATS[path.suffix](path)
+        self._create, self._open, self._append_values = _FORMATS[path.suffix]
+        self._file: Any = None
         self._pattern: xr.Dataset | None = None
         self._held = ExitStack()
         self._held.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))
-        self._held.callback(self._format.close)
         try:
             if path.exists() and not overwrite:
                 self._continue()
@@ -173,15 +164,15 @@ class Recorder:
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
-        values = {str(n): self._encoding.reduced(v.to_numpy()) for n, v in fields.variables.items() if "time" in v.dims}
+        over_time = {str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}
+        values = {n: x if n in fields.coords else self._encoding.reduced(x) for n, x in over_time.items()}
         if before is None:
-            stored = fields.assign(
-                {n: fields[n].copy(data=values[n]) for n in map(str, fields.data_vars) if n in values}
-            )
-            self._format.create(storable(stored.drop_encoding()), overwrite=self._overwrite)
+            stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})
+            self._create(self.path, storable(stored.drop_encoding()), self._overwrite)
             self._remember(fields)
             return
-        self._format.append(values, self.steps)
+        self._file = self._file or self._held.enter_context(self._open(self.path))
+        self._append_values(self._file, values, self.steps)
         self._pattern, self.steps = before.assign_coords(time=fields["time"]), self.steps + 1
 
     def close(self) -> None:
@@ -199,7 +190,8 @@ class Recorder:
 
 @takes_scene
 def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    return answer(ds, request)
+    extent = {a: float(length) for a, length in (request.extent or {}).items()}
+    return answer(ds, request).assign_attrs({"extent": json.dumps(extent)} if extent else {})
 
 
 def _one_step(fields: xr.Dataset) -> xr.Dataset:
@@ -212,11 +204,21 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
 
 
 def _check_asked(request: Request, there: xr.Dataset) -> None:
-    """Raise SceneError for a width, bounds or phases that are not those of the steps that are there."""
+    """Raise SceneError for width, mesh, extent or phases that are not those of the steps that are there."""
     asked: dict[str, tuple[Any, Any]] = {}
+    bounds, extent = request.bounds or {}, json.loads(there.attrs.get("extent", "{}"))
+    for a, length in (request.extent or {}).items():
+        asked[f"extent along {a}"] = length, extent.get(a, np.nan)
+    spacing = request.spacing if isinstance(request.spacing, Mapping) else dict.fromkeys("xyz", request.spacing)
+    for a, step in spacing.items():
+        if step is not None and there.sizes.get(a, 0) > 1:
+            found = float(there[a][1] - there[a][0])
+            length = there.sizes[a] * found
+            around = a in there.attrs.get("periodic", "") and a not in bounds  # the nearest that divides the period
+            asked[f"spacing along {a}"] = length / max(1, np.floor(length / step + 0.5)) if around else step, found
     if not isinstance(request.width, str | Mapping | None):
         asked["width"] = request.width, there.attrs["width"]
-    for a, (low, high) in (request.bounds or {}).items():
+    for a, (low, high) in bounds.items():
         if a in there.dims:  # the last node lies before its bound where the spacing does not divide the range
             x = there[a].to_numpy()
             step = x[1] - x[0] if len(x) > 1 else np.inf
@@ -234,6 +236,8 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
     fixed: dict[str, Any] = {"bounds": bounds or None}
+    if "extent" in fields.attrs:
+        fixed["extent"] = json.loads(fields.attrs["extent"])
     if len(spacing) == len(nodes):
         fixed["spacing"] = spacing or None
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
@@ -252,8 +256,14 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
     for name, size in before.sizes.items():
         if fields.sizes.get(name) != size:
             problems.append(f"{name!r} has the length {fields.sizes.get(name)} instead of {size}")
-        elif name != "time" and name in before.coords and not _alike(before[name], fields[name]):
-            problems.append(f"{name!r} has other values")
+        elif name != "time" and name in before.coords:
+            there, new = before[name].to_numpy(), fields[name].to_numpy()
+            if there.dtype.kind == "f":
+                alike = np.allclose(there, new, rtol=1e-9, atol=0)
+            else:
+                alike = there.tolist() == new.tolist()  # text has several types
+            if not alike:
+                problems.append(f"{name!r} has other values")
     for name in _SAME:
         if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
             problems.append(f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}")
@@ -261,13 +271,6 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
         raise SceneError(
             f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
         )
-
-
-def _alike(one: xr.DataArray, other: xr.DataArray) -> bool:
-    a, b = one.to_numpy(), other.to_numpy()
-    if a.dtype.kind == "f":
-        return np.allclose(a, b, rtol=1e-9, atol=0)
-    return [str(x) for x in a.ravel()] == [str(x) for x in b.ravel()]  # text has several types
 
 
 def record(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +11,10 @@ from numpy.typing import DTypeLike
 
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
+from xcg.writers.formats import NETCDF, ZARR
+from xcg.writers.paraview import write_pvd
 from xcg.writers.store import Format, write_file
+from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
 
 class Writer(Protocol):
@@ -26,14 +28,10 @@ class Writer(Protocol):
         """Write a Dataset."""
 
 
-# by suffix: a writer, or the module and name of a writer or `Format`, which is imported when it is needed
-_WRITERS: dict[str, Writer | tuple[str, str]] = {
-    ".nc": ("xcg.writers.netcdf", "NETCDF"),
-    ".h5": ("xcg.writers.netcdf", "NETCDF"),
-    ".zarr": ("xcg.writers.zarr", "ZARR"),
-    ".vtkhdf": ("xcg.writers.vtkhdf", "VTKHDF"),
-    ".pvd": ("xcg.writers.paraview", "write_pvd"),
-}
+_WRITERS: dict[str, Writer | Format] = {
+    ".nc": NETCDF, ".h5": NETCDF, ".zarr": ZARR, ".vtkhdf": VTKHDF, ".pvd": write_pvd
+}  # fmt: skip
+_NAMES = {".nc": "NetCDF", ".h5": "HDF5", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
 
 
 def register_writer(suffix: str, write: Writer) -> None:
@@ -140,10 +138,8 @@ def save(
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
-        own = {".nc": "NetCDF", ".h5": "HDF5", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
-        msg = f"{path}: expected a name that ends with " + ", ".join(f"{end} ({what})" for end, what in own.items())
-        added = [suffix for suffix in _WRITERS if suffix not in own]
-        raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))
+        known = ", ".join(f"{end} ({_NAMES[end]})" if end in _NAMES else end for end in _WRITERS)
+        raise ValueError(f"{path}: expected a name that ends with {known}")
     with_units = [str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")]
     if with_units:
         raise TypeError(
@@ -153,13 +149,12 @@ def save(
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]
-    found = getattr(importlib.import_module(writer[0]), writer[1]) if isinstance(writer, tuple) else writer
-    if isinstance(found, Format) and not (found.name == "VTKHDF" and "chain_id" in ds):
-        write_file(ds, path, encoding, found, overwrite=overwrite, resume=resume, progress=progress)
-        return path
-    if resume:
+    if writer is VTKHDF and "chain_id" in ds:
+        writer = write_vtkhdf
+    if isinstance(writer, Format):
+        write_file(ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress)
+    elif resume:
         raise ValueError(f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only")
-    if isinstance(found, Format):
-        found = importlib.import_module("xcg.writers.vtkhdf").write_vtkhdf
-    found(ds, path, encoding, overwrite=overwrite)
+    else:
+        writer(ds, path, encoding, overwrite=overwrite, **({"progress": progress} if writer is write_pvd else {}))
     return path

@@ -8,6 +8,7 @@ one a variable. Tasks find the file by its name, so that they may run in any pro
 from __future__ import annotations
 
 import json
+import math
 import os
 import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
@@ -33,7 +34,7 @@ from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.scene.conform import storable
 from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
-from xcg.steps.mapping import Gathered, chunks_of_time, count_tasks, shown
+from xcg.steps.mapping import Gathered, count_tasks, shown
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, whole_file, work_folder
 
@@ -87,9 +88,9 @@ class StoreLayout:
             name: v for name, v in ds.variables.items() if v.dtype.kind in "biufc" and "time" in v.dims and v.size
         }
         over = [str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None]
-        ds = _with(ds, {name: ds.variables[name].transpose("time", ...) for name in over})
+        ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
-        ds = _aligned(_with(ds, dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
+        ds = _aligned(ds.assign(dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
         chunks = (ds.variables[name].chunksizes["time"][0] for name in over if ds.variables[name].chunks is not None)
         layout = cls(ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1))))
         return layout if together is None else replace(layout, steps=together(layout))
@@ -118,23 +119,17 @@ class StoreLayout:
             chunks, tasks = tuple((n,) for n in data.shape), {(f"empty-{name}", *(0,) * data.ndim): None}
             nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
             empty[name] = data.copy(data=nothing)
-        return _with(self.ds, empty)
-
-
-def _with(ds: xr.Dataset, variables: Mapping[Any, xr.Variable]) -> xr.Dataset:
-    """Replace variables, coordinates by coordinates."""
-    coords = {name: v for name, v in variables.items() if name in ds.coords}
-    return ds.assign({name: v for name, v in variables.items() if name not in coords}).assign_coords(coords)
+        return self.ds.assign(empty)
 
 
 def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
-    """Rechunk all lazy variables to the same even chunks of time, so that no two tasks write to one chunk on disk."""
-    lazy = [name for name in over if ds.variables[name].chunks is not None]
-    sizes = {ds.variables[name].chunksizes["time"] for name in lazy}
-    if all(len(set(s[:-1])) < 2 and s[-1] <= s[0] for s in sizes) and len(sizes) < 2:
-        return ds
-    steps = int(np.lcm.reduce([s[0] for s in sizes]))
-    return _with(ds, {name: ds[name].variable.chunk({"time": steps}) for name in lazy})
+    """Rechunk all lazy variables, whole but along time, where their chunks are the same and even.
+
+    So no two tasks write to one chunk on disk, and one task computes a step of all of them.
+    """
+    lazy = {name: ds.variables[name] for name in over if ds.variables[name].chunks is not None}
+    steps = math.lcm(*(v.chunksizes["time"][0] for v in lazy.values()))
+    return ds.assign({name: v.chunk({**dict.fromkeys(v.dims, -1), "time": steps}) for name, v in lazy.items()})
 
 
 @dataclass(frozen=True)
@@ -295,7 +290,7 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator
     ds, done = layout.ds, write.log.steps()
     yield sum(stop - first for first, stop in done)
     now = {name: ds[name].to_numpy() for name in layout.over if ds.variables[name].chunks is None}
-    arrays = same_chunks(ds[layout.lazy])
+    arrays = {name: ds.variables[name].data for name in layout.lazy}
     for first in range(0, ds.sizes["time"] if now else 0, layout.steps):
         part = slice(first, min(first + layout.steps, ds.sizes["time"]))
         if (part.start, part.stop) in done or (arrays and done):  # what is in memory was written before the tasks
@@ -332,13 +327,6 @@ def graph_of(
         waits.append(f"wait-{token}-{first}")
         tasks[waits[-1]] = (_wait, todo[first : first + (batch or len(todo))])
     return HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())), _WRITES + token, waits
-
-
-def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
-    """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
-    arrays = {str(name): data.transpose("time", ...).data for name, data in ds.variables.items() if data.chunks}
-    sizes = tuple(steps.stop - steps.start for steps in chunks_of_time(ds)) if arrays else ()
-    return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
 
 
 def _take_and_write(write: _WriteTask, gathered: Gathered, steps: slice, *given: Any) -> None:

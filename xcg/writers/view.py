@@ -151,9 +151,7 @@ def _box(pv: Any, edges: NDArray, cell: NDArray | None) -> Any:
 
 def _lines(pv: Any, start: NDArray, end: NDArray, values: Mapping[str, NDArray]) -> Any:
     """Separate lines by their ends, (n, 3) each, and values."""
-    points = np.stack([start, end], axis=1).reshape(-1, 3)
-    first = 2 * np.arange(len(start))
-    lines = pv.PolyData(points, lines=np.column_stack([np.full(len(start), 2), first, first + 1]).ravel())
+    lines = pv.line_segments_from_points(np.stack([start, end], axis=1).reshape(-1, 3))
     for name, of_line in values.items() if len(start) else ():  # PyVista takes no empty vectors
         lines.cell_data[name] = of_line
     return lines
@@ -247,6 +245,9 @@ def view(
     >>> f.cg.view("density")  # doctest: +SKIP
     """
     pv = extra("pyvista", "view", "a picture in 3D")
+    parts = {"component": component, "direction": direction, "phase": None if phase == "bulk" else phase}
+    if ignored := [name for name, part in parts.items() if part is not None and ("position" in ds or "chain_id" in ds)]:
+        raise ValueError(f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains")
     target = pv.Plotter() if plotter is None else plotter
     style = {"cmap": cmap, "clim": clim}
     if "position" in ds and "chain_id" not in ds:

@@ -21,15 +21,15 @@ from numpy.typing import DTypeLike, NDArray
 
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
+from xcg.scene.schema import COMPONENTS
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
-from xcg.writers.netcdf import Hdf5Store, StoredArray, hdf5_file
+from xcg.writers.formats import Hdf5Store, StoredArray, hdf5_file
 from xcg.writers.store import Format, StoreLayout, write_file
 
 if TYPE_CHECKING:
     import h5py
 
-AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
 _BLOCK = 1 << 22  # bytes of a chunk on disk, of one step
 
@@ -114,7 +114,7 @@ class Image:
     @classmethod
     def of(cls, fields: xr.Dataset) -> Image:
         """Find nodes and times of fields."""
-        nodes, origin, spacing = zip(*(_axis(fields, axis) for axis in AXES), strict=True)
+        nodes, origin, spacing = zip(*(_axis(fields, axis) for axis in COMPONENTS), strict=True)
         return cls(nodes, origin, spacing, times_of(fields))
 
     @property
@@ -139,15 +139,21 @@ class _Array:
     components: int
     dtype: np.dtype[Any]
 
+    def part(self, data: xr.Variable) -> xr.Variable:
+        """Take the phase of a variable."""
+        return data if self.phase is None else data.isel(phase=self.phase)
+
     def values(self, data: xr.Variable, image: Image) -> NDArray:
-        """Values of some steps in the order on disk, time first."""
-        if self.phase is not None:
-            data = data.isel(phase=self.phase)
-        sizes: dict[Hashable, int] = {**dict(zip(AXES, image.nodes, strict=True)), "time": data.sizes.get("time", 1)}
+        """Values of some steps in the order on disk; time first, unless the image has one step only."""
+        data = self.part(data)
+        sizes: dict[Hashable, int] = {
+            **dict(zip(COMPONENTS, image.nodes, strict=True)),
+            "time": data.sizes.get("time", 1),
+        }
         present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
         values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
         shape = image.shape(self.components)
-        return values.reshape(sizes["time"], *(shape[1:] if image.temporal else shape)).astype(self.dtype)
+        return values.reshape((sizes["time"], *shape[1:]) if image.temporal else shape).astype(self.dtype)
 
 
 def arrays_of(fields: xr.Dataset) -> list[_Array]:
@@ -155,11 +161,13 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
     arrays = []
     for name, data in fields.data_vars.items():
         components = 3 ** len({"component", "direction"} & set(data.dims))
-        dtype = _storable(data.dtype)
-        if dtype is None:
+        if data.dtype.kind not in "fiub":
             raise ValueError(
                 f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
             )
+        # VTK knows floating point of 4 and 8 bytes, and no truth values
+        of_kind = {"f": np.dtype(f"f{min(max(data.dtype.itemsize, 4), 8)}"), "b": np.dtype("u1")}
+        dtype = of_kind.get(data.dtype.kind, data.dtype)
         if "phase" not in data.dims:
             arrays.append(_Array(str(name), str(name), None, components, dtype))
             continue
@@ -171,13 +179,6 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
     if twice:
         raise ValueError(f"several arrays would be named {twice}; rename the variables or phases")
     return arrays
-
-
-def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    """Type that VTK knows for values of this type, or None."""
-    if dtype.kind == "f":
-        return np.dtype(f"f{min(max(dtype.itemsize, 4), 8)}")
-    return {"i": dtype, "u": dtype, "b": np.dtype("u1")}.get(dtype.kind)
 
 
 # --- checks ----------------------------------------------------------------------------------------------
@@ -209,7 +210,7 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
     for dim in ("component", "direction"):
         if dim not in fields.sizes:
             continue
-        ordered = in_order(fields, dim, AXES)
+        ordered = in_order(fields, dim, COMPONENTS)
         if ordered is None:
             users = sorted(str(name) for name, data in fields.data_vars.items() if dim in data.dims)
             labels = list(map(str, labels_along(fields, dim)))
@@ -285,12 +286,11 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         with hdf5_file(path, "w") as file:
             _lay_out(file, layout, image, rows, [array.chunk for array in found])
     over = [array for array in found if array.variable in layout.over]
-    return Hdf5Store.of(path, over, layout.encoding, layout.threads, "xcg")
+    return Hdf5Store(path, over, layout, "xcg")
 
 
 def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
-    found = row.values(xr.Variable(dims, values), image)
-    return found if image.temporal else found[0]
+    return row.values(xr.Variable(dims, values), image)
 
 
 def _lay_out(
@@ -312,8 +312,7 @@ def _lay_out(
         target = data.create_dataset(array.name, shape, dtype, chunks=chunk, **packed)
         _describe(target, fields[array.variable].attrs)
         if array.variable not in layout.over:
-            values = encoding.reduced(array.values(fields[array.variable].variable, image))
-            target[...] = values if image.temporal else values[0]
+            target[...] = encoding.reduced(array.values(fields[array.variable].variable, image))
     if image.times is not None:
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = len(image.times)
@@ -353,4 +352,4 @@ def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
             target.attrs[str(key)] = str(value)
 
 
-VTKHDF = Format("VTKHDF", _begin, check=lambda ds: checked(ds))
+VTKHDF = Format("VTKHDF", _begin, check=checked)

@@ -353,11 +353,13 @@ def test_labels_of_fields_of_users_have_their_units():
 
 
 @pytest.mark.parametrize("axes", ["xz", "z"])
-def test_a_movie_has_a_frame_a_step(result, tmp_path, axes):
+def test_a_movie_has_a_frame_a_step(result, tmp_path, axes, capsys):
     from PIL import Image
 
     _, f = result
-    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(tmp_path / "f.gif", "velocity", dpi=40)
+    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(tmp_path / "f.gif", "velocity", dpi=40, progress=True)
+    lines = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
+    assert lines == [f"{k} of 3 {what}" for what in ("steps computed", "frames drawn") for k in (1, 2, 3)]
     with Image.open(path) as film:
         assert film.n_frames == 3
         frames = []

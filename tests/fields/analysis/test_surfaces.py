@@ -13,7 +13,7 @@ import xcg
 from tests.fields.formulas.test_field import LUCY, cumulative, marginal
 from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
 from xcg.fields.analysis.surfaces import _points
-from xcg.fields.grids.wall_shapes import Wall
+from xcg.fields.grids.walls import Wall
 
 L = np.array([6.0, 5.0, 4.0])
 

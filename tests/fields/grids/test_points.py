@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import xcg
 from tests.brute_force import BruteKernel, brute_force
-from xcg.fields.grids import points
+from xcg.fields.grids import grid as grids
 
 # what fits through few grains, and ratios with pressures near zero, make of the last bit of their sums
 FITTED = {
@@ -141,7 +141,7 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
     f = scene.cg.coarse_grain(at=many)
     order = np.random.default_rng(1).permutation(f.sizes["point"])
     turned = {a: x.isel(point=order) for a, x in many.items()}
-    with mock.patch.object(points, "BLOCK_NODES", 700), mock.patch.object(points, "_FEW", 100):
+    with mock.patch.object(grids, "BLOCK_NODES", 700), mock.patch.object(grids, "_FEW", 100):
         assert len(scene.cg.explain(at=turned).deposit.grid.parts) > 10
         parts = scene.cg.coarse_grain(at=turned)
     with mock.patch("xcg.fields.coarse_grain.THREADS", 1):
@@ -153,14 +153,14 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
 
 def test_parts_cover_all_points_once(many, scene):
     for most, few in ((700, 100), (100_000, 4096), (10, 3)):
-        with mock.patch.object(points, "BLOCK_NODES", most), mock.patch.object(points, "_FEW", few):
-            grid = points.make_points(many, plane="xyz", cutoff=1.5)
+        with mock.patch.object(grids, "BLOCK_NODES", most), mock.patch.object(grids, "_FEW", few):
+            grid = grids.make_points(many, plane="xyz", cutoff=1.5)
         places = np.concatenate([part.places for part in grid.parts])
         np.testing.assert_array_equal(np.sort(places), np.arange(grid.count))
         for part in grid.parts:
             assert part.start[-1] == part.count
             assert (np.diff(part.places[part.order].astype(int)) > 0).all()
-            assert len(part.start) <= points._MOST_CELLS + 4 * part.count + 1
+            assert len(part.start) <= grids._MOST_CELLS + 4 * part.count + 1
             for k, a in enumerate("xyz"):
                 back = part.position[k, : part.count] * part.unit + grid.origin[k]
                 np.testing.assert_allclose(back, many[a].values[part.places], rtol=1e-12, atol=1e-12)

@@ -282,7 +282,7 @@ def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
         ({"axes": "rx"}, "letters of 'rtz'"),
         ({"axes": "z"}, "takes r"),
         ({"axes": "r", "at": {"r": 1.0}}, "either resolved or fixed"),
-        ({"axes": "r", "bounds": {"z": (0, 1)}}, "not resolved"),
+        ({"axes": "r", "bounds": {"z": (0, 1)}}, r"bounds are given for \['z'\]"),
         ({"axes": "r", "bounds": {"r": (-1, 1)}}, "none below zero"),
         ({"axes": "r", "bounds": {"theta": (0, 7)}}, "at most a circle"),
         ({"axes": "r", "at": {"x": 1.0}}, "at names"),

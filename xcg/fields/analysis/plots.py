@@ -191,11 +191,12 @@ def movie(
         raise OSError(f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif")
     part = _part(f, field, component, direction, at, arrows, shading)
     count, name = part.sizes["time"], part.attrs["drawn"]
-    with shown(2 * count, progress, what="frames") as bar:  # a step has to be computed and drawn
-        steps = []
+    steps = []
+    with shown(count, progress, what="steps computed") as bar:
         for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
             bar.update()
+    with shown(count, progress, what="frames drawn") as bar:
         values = _known([step[name] for step in steps])
         low, high = drawing.ends_of(values)
         fastest = max(_fastest(step) for step in steps)

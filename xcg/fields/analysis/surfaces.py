@@ -16,9 +16,8 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import unknown, warn_once
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.field import Sum
-from xcg.fields.grids.frames import Rotated
-from xcg.fields.grids.surface import Surface
-from xcg.fields.grids.wall_shapes import Plane, SurfaceCells, Wall, axis_of
+from xcg.fields.grids.frames import Rotated, axis_of
+from xcg.fields.grids.walls import Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
@@ -318,16 +317,15 @@ def wall_stress(
             raise ValueError(f"{name}={value!r}: expected a positive length (m)")
     cells = surface.cells(*_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing))
     task = _Task(surface, cells, smooth, smooth.width if within is None else float(within), setup)
+    nodes = tuple(cells.coords)
     rows = {
-        "normal_traction": Variable(
-            cells.dims, "Pa", "normal traction of the grains on the wall, compression positive"
-        ),
-        "shear_traction": Variable((*cells.dims, "along"), "Pa", "shear traction of the grains on the wall"),
-        "traction": Variable((*cells.dims, "component"), "Pa", "traction of the grains on the wall"),
+        "normal_traction": Variable(nodes, "Pa", "normal traction of the grains on the wall, compression positive"),
+        "shear_traction": Variable((*nodes, "along"), "Pa", "shear traction of the grains on the wall"),
+        "traction": Variable((*nodes, "component"), "Pa", "traction of the grains on the wall"),
         "wall_force": Variable(("component",), "N", "force of the grains on the wall"),
         "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
     }
-    results = results_of(rows, dict(zip(cells.dims, cells.shape, strict=True)) | {"along": len(cells.axes)})
+    results = results_of(rows, dict(zip(nodes, cells.shape, strict=True)) | {"along": len(cells.axes)})
     names = ["particle_id", "position", *_NEEDS, *(n for n in ("diameter", "frozen", *OF_STEP) if n in ds)]
     found = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
     result = label(
@@ -426,7 +424,7 @@ def _coordinates(cells: SurfaceCells, system: str) -> dict[str, Any]:
         unit = {"theta": "rad", "triangle": "1"}.get(dim, length)
         coords[dim] = (dim, values, {"units": unit, "long_name": text})
     about = {"units": area, "long_name": "area of the cell"}
-    coords["area"] = (cells.dims, cells.area.reshape(cells.shape), about)
+    coords["area"] = (tuple(cells.coords), cells.area.reshape(cells.shape), about)
     about = {"units": length, "long_name": "centre of the cell"}
-    coords["centre"] = ((*cells.dims, "component"), cells.centre.reshape(*cells.shape, 3), about)
+    coords["centre"] = ((*cells.coords, "component"), cells.centre.reshape(*cells.shape, 3), about)
     return coords | {"along": list(cells.axes)}

@@ -24,6 +24,25 @@ _LATTICE = ("lattice", "lattice_velocity")
 _SAME = 1e-12  # rounding of directions
 
 
+def axis_of(direction: NDArray) -> int | None:
+    """Return the axis that a unit vector is along, None for others."""
+    k = int(np.argmax(np.abs(direction)))
+    return k if abs(direction[k]) > 1 - _SAME else None
+
+
+def frame_about(direction: NDArray) -> tuple[NDArray, NDArray]:
+    """Two unit vectors that make a right-handed frame with `direction` as the third; x and y for z."""
+    k = axis_of(direction)
+    first = np.eye(3)[(k + 1) % 3] if k is not None else np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first = first / np.linalg.norm(first)
+    return first, np.cross(direction, first)
+
+
+def corners(lower: NDArray, upper: NDArray) -> NDArray:
+    """Corners (8, 3) of a box."""
+    return np.array(list(product(*zip(lower, upper, strict=True))))
+
+
 @dataclass(frozen=True)
 class Rotated:
     """Axes x, y, z chosen by the user, for the argument ``frame``; right-handed, at right angles.
@@ -64,30 +83,29 @@ class Rotated:
     origin: Sequence[float] = _NO_PLACE
 
     def __post_init__(self) -> None:
-        given = [a for a in COMPONENTS if getattr(self, a) is not None]
+        given = self._chosen
         if len(given) not in (1, 2):
             raise ValueError(f"{self}: expected one or two of the axes x, y, z; the others follow from right angles")
         for name in given:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
-        if len(given) == 2 and self._second(*self._order(given)) is None:
+        if len(given) == 2 and self._second(*given) is None:
             raise ValueError(f"{self}: the axes {' and '.join(given)} are parallel: give two different directions")
 
     @property
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
-        given = self._order(a for a in COMPONENTS if getattr(self, a) is not None)
-        first, others = given[0], given[1:] or [a for a in "zxy" if a != given[0]]
+        first, others = self._chosen[0], self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]]
         second, beside = next((a, part) for a in others if (part := self._second(first, a)) is not None)
-        (third,) = {*COMPONENTS} - {first, second}
         found = {first: unit(self._given(first)), second: beside}
-        after = {a: COMPONENTS[(k + 1) % 3] for k, a in enumerate(COMPONENTS)}
-        found[third] = np.cross(found[after[third]], found[after[after[third]]])
+        (k,) = (k for k, a in enumerate(COMPONENTS) if a not in found)
+        found[COMPONENTS[k]] = np.cross(found[COMPONENTS[k - 2]], found[COMPONENTS[k - 1]])
         return np.array([found[a] for a in COMPONENTS]) + 0.0
 
-    @staticmethod
-    def _order(axes: Any) -> list[str]:
-        return sorted(axes, key="zxy".index)
+    @property
+    def _chosen(self) -> list[str]:
+        """Axes that are given, the one that is kept first."""
+        return [a for a in "zxy" if getattr(self, a) is not None]
 
     def _given(self, axis: str) -> NDArray:
         """Direction of an axis: given, or the scene's own."""
@@ -166,15 +184,6 @@ class Cylindrical:
         return Rotated(z=given.z, x=(0.0, 1.0, 0.0), origin=self.origin) if along_x else given
 
 
-def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
-    """Return the scene in a frame, which its attributes then name."""
-    axes = frame if isinstance(frame, Rotated) else frame.rotated
-    origin = np.asarray(frame.origin, float)
-    turned = _turn_scene(ds, axes.axes, origin)
-    name = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
-    return turned.assign_attrs(frame=name, frame_axes=axes.axes.ravel(), frame_origin=origin)
-
-
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
     """Raise ValueError where a cylindrical frame has no meaning."""
     if is_cylindrical(ds):
@@ -189,30 +198,20 @@ def is_cylindrical(ds: xr.Dataset) -> bool:
 # --- the scene in other axes ------------------------------------------------------------------------------
 
 
-def _turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
-    """Return a scene in other axes, lazily where it is lazy: its variables, its box and its gravity.
+def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
+    """Return a scene in a frame, lazily where it is lazy: its variables, its box and its gravity; attributes name it.
 
-    A box keeps its edges along axes that are among the new ones. Other periodic axes become vectors of a
-    lattice.
-
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        A scene.
-    axes : array (3, 3)
-        The new axes x, y, z in the scene's own: a rotation.
-    origin : array (3,)
-        Where they meet (m).
+    A box keeps its edges along axes that are among the new ones. Other periodic axes become vectors of a lattice.
 
     Raises
     ------
     SceneError
         If the axes lead out of the plane of a scene of one layer, or some components of a variable are not there.
     """
+    axes = (frame if isinstance(frame, Rotated) else frame.rotated).axes  # in the scene's own, a row each
+    origin = np.asarray(frame.origin, float)
     across = [k for k, a in enumerate(COMPONENTS) if a not in ds.attrs.get("plane", "xyz")]
-    plane = "".join(
-        a for a, row in zip(COMPONENTS, axes, strict=True) if not any(abs(row[k]) > 1.0 - _SAME for k in across)
-    )
+    plane = "".join(a for a, row in zip(COMPONENTS, axes, strict=True) if axis_of(row) not in across)
     if across and len(plane) != len(COMPONENTS) - len(across):
         raise SceneError(
             f"the scene is a layer in the plane {ds.attrs['plane']!r}, and the axes {axes.tolist()} lead out of it: "
@@ -224,9 +223,11 @@ def _turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         if dims and name != "box":
             shift = origin if name in _PLACES else np.zeros(3)
             turned = partial(_turned, axes=axes, origin=shift) if len(dims) == 1 else partial(_tensors, axes=axes)
-            found[name] = _mapped(turned, ds[name], dims)
+            found[name] = _mapped(turned, ds[name], dims).transpose(*ds[name].dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
+    attrs["frame"] = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
+    attrs |= {"frame_axes": axes.ravel(), "frame_origin": origin}
     if across:
         attrs["plane"] = plane
     if "gravity" in attrs:
@@ -234,18 +235,19 @@ def _turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
     out = out.drop_attrs(deep=False).assign_attrs(attrs)
     in_memory = isinstance(ds["position"].variable._data, np.ndarray)
     if not in_memory and known_without_reading(ds, "position") and {"particle_lower", "particle_upper"} <= {*ds.attrs}:
-        corners = np.array(list(product(*zip(ds.attrs["particle_lower"], ds.attrs["particle_upper"], strict=True))))
-        corners = (corners - origin) @ axes.T
-        out = out.assign_attrs(particle_lower=corners.min(axis=0), particle_upper=corners.max(axis=0))
+        extremes = (corners(ds.attrs["particle_lower"], ds.attrs["particle_upper"]) - origin) @ axes.T
+        out = out.assign_attrs(particle_lower=extremes.min(axis=0), particle_upper=extremes.max(axis=0))
         mark_measured(out, ["position"])
     return out
 
 
-def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
+def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str], out: Sequence[str] | None = None) -> xr.DataArray:
+    """Apply a function along dimensions; `out` are those of what it returns, three long, by default the same."""
     return xr.apply_ufunc(
-        function, values, input_core_dims=[list(dims)], output_core_dims=[list(dims)], dask="parallelized",
-        keep_attrs=True, output_dtypes=[float], dask_gufunc_kwargs={"allow_rechunk": True},
-    ).transpose(*values.dims)  # fmt: skip
+        function, values, input_core_dims=[list(dims)], output_core_dims=[list(out or dims)], dask="parallelized",
+        keep_attrs=out is None, output_dtypes=[float],
+        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": dict.fromkeys(set(out or ()) - {*dims}, 3)},
+    )  # fmt: skip
 
 
 def _turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
@@ -264,7 +266,7 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
     """Turn the edges of a box, and take lattice vectors for periodic axes that are along none of the new ones."""
     if "box" not in ds:
         return ds
-    own: list[int | None] = [next((k for k in range(3) if abs(row[k]) > 1.0 - _SAME), None) for row in axes]
+    own = [axis_of(row) for row in axes]
     others = [k for k in range(3) if k not in own]
     rows = [others.pop(0) if k is None else k for k in own]  # which of its axes stands in the place of each new one
     periodic = str(ds.attrs.get("periodic", ""))
@@ -275,17 +277,14 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         box = edges(np.stack([attrs["box_lower"], attrs["box_upper"]], axis=-1))
         attrs |= {"box_lower": box[:, 0], "box_upper": box[:, 1]}
     attrs["periodic"] = "".join(a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic)
-    found = {"box": _mapped(edges, ds["box"], ["component", "bound"])}
+    found = {"box": _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)}
     if "lattice" in ds:
         found |= {n: ds[n].isel(vector=rows).assign_coords(vector=list(VECTORS)) for n in _LATTICE if n in ds}
     elif loose:
         repeats = np.array([a in periodic for a in COMPONENTS])
-        found["lattice"] = xr.apply_ufunc(
-            partial(_lattice_of, axes=axes, rows=rows, repeats=repeats), ds["box"],
-            input_core_dims=[["component", "bound"]], output_core_dims=[["vector", "component"]],
-            dask="parallelized", output_dtypes=[float],
-            dask_gufunc_kwargs={"output_sizes": {"vector": 3}, "allow_rechunk": True},
-        ).assign_coords(vector=list(VECTORS))  # fmt: skip
+        lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
+        vectors = _mapped(lattice_of, ds["box"], ["component", "bound"], ["vector", "component"])
+        found["lattice"] = vectors.assign_coords(vector=list(VECTORS))
     return ds.assign(found).drop_attrs(deep=False).assign_attrs(attrs)
 
 

@@ -12,16 +12,13 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite
 from xcg.compiled import points as loops
 from xcg.compiled._jit import THREADS
 from xcg.compiled.points import SQUARES
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
-from xcg.fields.grids.grid import MAX_NODES, nodes_along
-from xcg.fields.grids.points import PointBlock
+from xcg.fields.grids.grid import MAX_NODES, PointBlock, check_places, labels_of, nodes_along
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS
@@ -168,22 +165,15 @@ def make_rings(
     if set(axes) - set(letters) or len(set(axes)) < len(axes):
         raise ValueError(f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)")
     resolved = [NAMES[a] for a in letters if a in axes]
-    for name, given in (("at", at), ("bounds", bounds)):
-        if wrong := [a for a in given if a not in known]:
-            raise ValueError(f"{name} names {wrong}: the axes of this frame are {', '.join(known)}")
     if any(np.ndim(x) for x in at.values()):
         raise ValueError("at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated")
+    # a part of the circle may be averaged
+    check_places(resolved, at, {a: ends for a, ends in bounds.items() if a != "theta" or a in at}, known)
     fixed = {a: float(at[a]) for a in known if a in at}
-    if both := [a for a in resolved if a in fixed]:
-        raise ValueError(f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
     if "r" not in resolved and "r" not in fixed:
         raise ValueError("a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it (at={'r': ...})")
-    if loose := [a for a in bounds if a not in resolved and (a != "theta" or a in fixed)]:
-        raise ValueError(
-            f"bounds are given for {loose}, which are not resolved: add them to axes=, or leave their bounds out"
-        )
-    if not all(is_finite(x) for x in fixed.values()) or fixed.get("r", 0.0) < 0.0:
-        raise ValueError(f"at={dict(at)!r}: expected finite coordinates, and none below zero for r")
+    if fixed.get("r", 0.0) < 0.0:
+        raise ValueError(f"at={dict(at)!r}: expected no radius below zero")
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
     nodes: dict[str, NDArray] = {}
     limits: dict[str, Sequence[float]] = dict(bounds)
@@ -228,11 +218,7 @@ def make_rings(
         np.repeat(radii == 0.0, len(rules[0]) * len(heights))
     )  # where r and theta have no direction
     mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
-    text = {
-        "nodes": (" x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one") + mean,
-        "fixed": ", ".join(f"{a} = {x:g}" for a, x in fixed.items()) or "none",
-    }
-    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {a: xr.Variable((), x) for a, x in fixed.items()}
+    coords, text = labels_of(nodes, fixed, mean)
     return Grid(
         tuple(nodes), tuple(map(len, nodes.values())), coords, "xyz" if "z" in coords else "xy", averaged, origin,
         lower, upper, text, parts=parts, undirected=on_axis, attrs={"theta_error": reached},

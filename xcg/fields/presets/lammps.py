@@ -206,8 +206,7 @@ def lammps_mesh(
     require_scene(ds, (), "lammps_mesh")
     scene = describe(ds)
     sizes = delta if isinstance(delta, Mapping) else dict.fromkeys(axes, delta)
-    for name, given in (("axes", axes), ("delta", sizes), ("origin", origin or {})):
-        check_axes(name, given, scene.setup.plane)
+    check_axes(scene.setup.plane, axes=axes, delta=sizes, origin=origin or {})
     edges, bounds, spacing = scene.edges, {}, {}
     for a in axes:
         if a not in edges:

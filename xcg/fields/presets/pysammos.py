@@ -284,8 +284,7 @@ def pysammos_mesh(
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
     setup = scene.setup
-    for name, given in (("axes", axes), ("bounds", bounds or {}), ("at", at or {})):
-        check_axes(name, [a for a in given if a not in COMPONENTS], setup.plane)
+    check_axes(COMPONENTS, axes=axes, bounds=bounds or {}, at=at or {})
     chosen = kernel_of(kernel, width, scene.sizes, setup.dimension)
     corners = zip(COMPONENTS, *scene.corners, strict=True)
     extent = {a: (first, last) for a, first, last in corners if a in setup.plane}

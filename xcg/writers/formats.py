@@ -1,26 +1,37 @@
-"""NetCDF 4 and HDF5: chunks of time stored in HDF5 files, and scenes and results as NetCDF, which is HDF5."""
+"""Formats that take chunks of time: NetCDF 4, which is HDF5, and Zarr; HDF5 files that survive full disks and kills."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import struct
-from collections.abc import Callable, Iterator, Mapping
+import sys
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
+from xcg.common.checks import extra
 from xcg.compiled._jit import for_each
-from xcg.writers.encoding import Encoding, deflated
-from xcg.writers.files import reserve
+from xcg.compiled.arrays import shuffle_bytes
+from xcg.writers.encoding import Encoding
+from xcg.writers.files import part_of, reserve, whole_folder
 from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
 
 if TYPE_CHECKING:
     import h5py
+
+_HEADER = 1 << 16  # bytes besides values, which the NetCDF library writes; it does not recover from a full disk
+_ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
 
 @dataclass(frozen=True)
@@ -46,22 +57,16 @@ class StoredArray:
     over_time: bool = True
 
 
-@dataclass(frozen=True)
 class Hdf5Store:
-    """Arrays of an HDF5 file that is laid out; `root` is the group of its attributes."""
+    """Arrays of an HDF5 file that is laid out; `root` is the group of its attributes.
 
-    path: Path
-    lock: Any
-    arrays: tuple[StoredArray, ...]
-    encoding: Encoding
-    threads: int
-    root: str = "/"
+    The file is brought to its state after the last task that ended.
+    """
 
-    @classmethod
-    def of(cls, path: Path, arrays: list[StoredArray], encoding: Encoding, threads: int, root: str = "/") -> Hdf5Store:
-        """Lock the file, and restore its state after the last task that ended."""
+    def __init__(self, path: Path, arrays: Sequence[StoredArray], layout: StoreLayout, root: str = "/") -> None:
         recover(path)
-        return cls(path, lock_for(path), tuple(arrays), encoding, threads, root)
+        self.path, self.arrays, self.root = path, arrays, root
+        self.encoding, self.threads, self.lock = layout.encoding, layout.threads, lock_for(path)
 
     def __call__(self, parts: Parts, steps: slice) -> None:
         """Write the values of these steps."""
@@ -89,9 +94,7 @@ class Hdf5Store:
         if values.dtype.kind not in "fiu" or not values.dtype.isnative:
             return values
         packed = []
-        counts = [-(-n // size) for n, size in zip(values.shape, array.chunk, strict=True)]
-        for index in np.ndindex(*counts):
-            place = tuple(k * size for k, size in zip(index, array.chunk, strict=True))
+        for place in product(*(range(0, n, size) for n, size in zip(values.shape, array.chunk, strict=True))):
             part = values[tuple(slice(k, k + size) for k, size in zip(place, array.chunk, strict=True))]
             if part.shape != array.chunk:  # beyond the end
                 whole = np.zeros(array.chunk, part.dtype)
@@ -102,7 +105,19 @@ class Hdf5Store:
         return packed
 
 
-# --- files -----------------------------------------------------------------------------------------------
+def deflated(values: NDArray, level: int) -> bytes:
+    """Shuffle the bytes of numbers and compress them, as the filters of HDF5 of these names do."""
+    flat = np.ascontiguousarray(values).reshape(-1)
+    if sys.byteorder == "big" or flat.itemsize == 1:
+        out = np.ascontiguousarray(flat.view("u1").reshape(-1, flat.itemsize).T)
+    else:
+        out = np.empty((flat.itemsize, flat.size), "u1")
+        shuffle_bytes(flat.view(f"u{flat.itemsize}"), out)
+    # isal, required, compresses as well as zlib does, in a seventeenth of the time
+    return (isal_zlib if level <= _ISAL_LEVELS else zlib).compress(out, level)
+
+
+# --- HDF5 files ------------------------------------------------------------------------------------------
 
 
 class Sink(io.FileIO):
@@ -208,10 +223,7 @@ def _apply(changes: list[tuple[int, bytes]], file: int) -> None:
         os.write(file, data)
 
 
-_HEADER = 1 << 16  # bytes besides values, which the NetCDF library writes; it does not recover from a full disk
-
-
-def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
+def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
     ds, level = layout.ds, layout.encoding.level
     if not begun:
         packed = {"zlib": True, "complevel": level, "shuffle": True} if level else {}
@@ -222,7 +234,130 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         # What this returns would write the zeros of the outline; it is let go, which closes the file.
         layout.outline().to_netcdf(path, engine="netcdf4", encoding=how, compute=False)
     arrays = [StoredArray(name, name, layout.chunk_shape(name)) for name in layout.over]
-    return Hdf5Store.of(path, arrays, layout.encoding, layout.threads)
+    return Hdf5Store(path, arrays, layout)
 
 
-NETCDF = Format("NetCDF", _begin)
+NETCDF = Format("NetCDF", _begin_netcdf)
+
+
+# --- Zarr ------------------------------------------------------------------------------------------------
+
+# Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
+_CHUNK = 4_000_000
+# Bytes of the chunks of all variables, which one task holds.
+_TOGETHER = 128_000_000
+# Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
+# takes longer than writing small chunks.
+_KEYS = {"name": "default", "separator": "."}
+_NOT_STANDARD = "Consolidated metadata is currently not part"
+
+
+@dataclass(frozen=True)
+class _Plain:
+    """Chunks that hold the numbers of a variable as they are in memory, as Zarr has them where nothing is compressed.
+
+    Attributes
+    ----------
+    dtype : dtype
+        Of the numbers.
+    shape : tuple of int
+        Of a chunk, which has some steps and is whole along other dimensions.
+    fill : number
+        What the last chunk holds beyond the last step. A chunk that holds nothing else has no file.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    fill: float
+
+    @classmethod
+    def of(cls, folder: Path) -> _Plain | None:
+        """Read the metadata of a variable; None where its chunks are something else."""
+        said = json.loads((folder / "zarr.json").read_text())
+        dtype, fill = said["data_type"], said["fill_value"]
+        as_they_are = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
+        known = dtype in ("float32", "float64", "int64") and (fill == "NaN" or not isinstance(fill, str))
+        if not known or said["codecs"] != as_they_are:
+            return None
+        return cls(np.dtype(dtype), tuple(said["chunk_grid"]["configuration"]["chunk_shape"]), float(fill))
+
+    def write(self, folder: Path, parts: Sequence[NDArray], first: int) -> None:
+        """Write the chunk that begins with a step; its file appears when it is whole."""
+        file = folder / f"c.{first // self.shape[0]}{'.0' * (len(self.shape) - 1)}"
+        if all(map(self._is_blank, parts)):
+            file.unlink(missing_ok=True)
+            return
+        missing = self.shape[0] - sum(map(len, parts))
+        beyond = [np.full((missing, *self.shape[1:]), self.fill)] if missing else []
+        part = part_of(file)
+        with open(part, "xb") as opened:
+            for values in (*parts, *beyond):
+                opened.write(np.ascontiguousarray(values, self.dtype).data)
+        os.replace(part, file)
+
+    def _is_blank(self, values: NDArray) -> bool:
+        """Return whether all values are fill values; zeros of another sign differ."""
+        for some in (values.reshape(-1)[:1], values):  # a first look is enough for nearly all
+            blank = np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
+            if not blank.all():
+                return False
+        return True
+
+
+@dataclass(frozen=True)
+class _Zarr:
+    """A Zarr folder, which tasks write to side by side: each has files of its own.
+
+    Plain chunks are written here. Others are left to zarr, which copies each and hands it to a thread.
+    """
+
+    path: Path
+    encoding: Encoding
+    plain: Mapping[str, _Plain]
+
+    def __call__(self, parts: Parts, steps: slice) -> None:
+        import zarr
+
+        group = None
+        for name, given in parts.items():
+            ready = [self.encoding.reduced(values) for values in given]
+            if name in self.plain:
+                self.plain[name].write(self.path / name, ready, steps.start)
+                continue
+            group = group or zarr.open_group(self.path, mode="r+")
+            group[name][steps] = joined(ready)
+
+    def describe(self, attrs: Mapping[str, Any]) -> None:
+        """Add attributes."""
+        import zarr
+
+        plain = {name: np.asarray(value).tolist() for name, value in attrs.items()}
+        zarr.open_group(self.path, mode="r+", use_consolidated=False).attrs.update(plain)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", _NOT_STANDARD)
+            zarr.consolidate_metadata(self.path)
+
+
+def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
+    BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
+    level = layout.encoding.level
+    if not begun:
+        packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
+        how = {"compressors": packed, "chunk_key_encoding": _KEYS}
+        each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
+        with warnings.catch_warnings():
+            # What xarray looks for first when it opens a store; programs that do not know it pass over it.
+            warnings.filterwarnings("ignore", _NOT_STANDARD)
+            layout.outline().to_zarr(path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False)
+    plain = {name: found for name in layout.over if (found := _Plain.of(path / name))}
+    return _Zarr(path, layout.encoding, plain)
+
+
+def _steps_together(layout: StoreLayout) -> int:
+    """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
+    chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
+    size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
+    return chunk * max(1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
+
+
+ZARR = Format("Zarr", _begin_zarr, together=lambda layout: _steps_together(layout), whole=whole_folder)

@@ -1,4 +1,4 @@
-"""Walls as geometry: what all have in common, planes and cylinders; triangulated ones are in `surface`.
+"""Walls as geometry: planes, cylinders and triangulated surfaces.
 
 A wall is a surface with a side where the grains are; normals point to that side. It says which part of space is
 accessible (`xcg.fields.accessible`), and has cells for fields of its stress (`xcg.fields.analysis.surfaces`).
@@ -7,40 +7,28 @@ accessible (`xcg.fields.accessible`), and has cells for fields of its stress (`x
 from __future__ import annotations
 
 import math
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_positive, rising_pair, unit_vector, vector
+from xcg.common.checks import floats, is_positive, rising_pair, unit_vector, vector
+from xcg.common.vtk_mesh import read_mesh
+from xcg.compiled import geometry as loops
+from xcg.fields.grids.frames import axis_of, corners, frame_about
 from xcg.scene.schema import COMPONENTS
 
+_FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
 _MOST_CELLS = 2**24
-
-
-def axis_of(direction: NDArray) -> int | None:
-    """Return the axis that a unit vector is along, None for others."""
-    k = int(np.argmax(np.abs(direction)))
-    return k if abs(direction[k]) > 1 - 1e-12 else None
-
-
-def frame_about(direction: NDArray) -> tuple[NDArray, NDArray]:
-    """Two unit vectors that make a right-handed frame with `direction` as the third; x and y for z."""
-    k = axis_of(direction)
-    first = np.eye(3)[(k + 1) % 3] if k is not None else np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first = first / np.linalg.norm(first)
-    return first, np.cross(direction, first)
 
 
 def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     """Centres of cells of one size, as near to `spacing` as fits."""
-    if not (
-        np.isfinite(low) and np.isfinite(high) and low < high and spacing > 0 and (high - low) / spacing < _MOST_CELLS
-    ):
+    if not (0 < high - low < math.inf and spacing > 0 and (high - low) / spacing < _MOST_CELLS):
         raise ValueError(
             f"cells along {what} from {low} to {high}, {spacing} apart: expected rising finite bounds, a positive "
             f"spacing, and fewer than {_MOST_CELLS} cells"
@@ -49,21 +37,12 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
-def corners(lower: NDArray, upper: NDArray) -> NDArray:
-    """Corners (8, 3) of a box."""
-    return np.array([[(lower, upper)[b][k] for k, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
-
-
-Bounds = tuple[tuple[float, float], tuple[float, float]]
-
-
 @dataclass(frozen=True, eq=False)
 class SurfaceCells:
     """Cells of a surface.
 
     Attributes
     ----------
-    dims : tuple of str
     coords : mapping
         Values and long name of each dimension.
     centre : array (n, 3)
@@ -72,21 +51,20 @@ class SurfaceCells:
         Areas (m2).
     axes : tuple of str
         Names of the axes of shear: two along the surface, or x, y, z.
-    bounds : tuple, optional
-        First and last coordinate along both dimensions; None for the whole surface.
+    bounds : sequence of pairs
+        Lowest and highest of the coordinates that bound them; none for the whole surface.
     """
 
-    dims: tuple[str, ...]
     coords: Mapping[str, tuple[NDArray, str]]
     centre: NDArray
     area: NDArray
     axes: tuple[str, ...]
-    bounds: Bounds | None = None
+    bounds: NDArray | Sequence[tuple[float, float]] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of cells along each dimension."""
-        return tuple(len(self.coords[dim][0]) for dim in self.dims)
+        return tuple(len(values) for values, _ in self.coords.values())
 
 
 class Wall(ABC):
@@ -125,7 +103,15 @@ class Wall(ABC):
 
     def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
         """Return a mask of the points (n, 3) near the surface that are over its cells."""
-        return np.ones(len(points), bool)
+        if not len(cells.bounds):
+            return np.ones(len(points), bool)
+        low, high = np.transpose(cells.bounds)
+        x = self._coordinates(points)
+        return np.asarray(((low <= x) & (x <= high)).all(axis=1))
+
+    def _coordinates(self, points: NDArray) -> NDArray:
+        """Coordinates along the surface that bound its cells, (n, coordinates)."""
+        return np.empty((len(points), 0))
 
 
 @dataclass(frozen=True)
@@ -156,31 +142,23 @@ class Plane(Wall):
         vector("point", self.point)
         unit_vector("normal", self.normal)
         if self.bounds is not None:
-            for name, pair in zip(("bounds[0]", "bounds[1]"), _pairs(self.bounds), strict=True):
-                rising_pair(name, pair)
+            if floats(self.bounds).shape != (2, 2):
+                raise ValueError(f"bounds={self.bounds!r}: expected two pairs, ((first, last), (first, last))")
+            for k in range(2):
+                rising_pair(f"bounds[{k}]", self.bounds[k])
 
     @cached_property
     def _frame(self) -> tuple[NDArray, NDArray, NDArray]:
         """The normal, and two axes along the plane: coordinate axes where the normal is one."""
         normal = unit_vector("normal", self.normal)
         k = axis_of(normal)
-        if k is not None:
-            first, second = (np.eye(3)[a] for a in range(3) if a != k)
-            return normal, first, second
-        return (normal, *frame_about(normal))
+        return (normal, *(frame_about(normal) if k is None else np.delete(np.eye(3), k, axis=0)))
 
     @property
     def _origin(self) -> NDArray:
         """Origin of its two coordinates."""
-        point = vector("point", self.point)
-        k = axis_of(self._frame[0])
+        point, k = vector("point", self.point), axis_of(self._frame[0])
         return point if k is None else np.where(np.arange(3) == k, point, 0.0)
-
-    @property
-    def _dims(self) -> tuple[str, str]:
-        k = axis_of(self._frame[0])
-        first, second = ("u", "v") if k is None else (a for j, a in enumerate(COMPONENTS) if j != k)
-        return first, second
 
     def distance(self, points: NDArray) -> NDArray:
         """Distance of points."""
@@ -202,47 +180,29 @@ class Plane(Wall):
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
-        if axis_of(self._frame[0]) != axis:
-            return -np.inf, np.inf
-        here = float(self.point[axis])
-        return (here, np.inf) if self._frame[0][axis] > 0 else (-np.inf, here)
+        up, here = self._frame[0][axis], float(self.point[axis])
+        across = axis_of(self._frame[0]) == axis
+        return here if across and up > 0 else -np.inf, here if across and up < 0 else np.inf
 
     def _coordinates(self, points: NDArray) -> NDArray:
         return np.stack([(points - self._origin) @ axis for axis in self._frame[1:]], axis=1)
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
-        if self.bounds is None:
-            reached = self._coordinates(corners(lower, upper))
-            bounds = [(float(low), float(high)) for low, high in zip(reached.min(0), reached.max(0), strict=True)]
-        else:
-            bounds = [rising_pair("bounds", pair) for pair in self.bounds]
-        sides = [cell_centres(*pair, spacing, dim) for pair, dim in zip(bounds, self._dims, strict=True)]
+        k, reached = axis_of(self._frame[0]), self._coordinates(corners(lower, upper))
+        bounds = np.transpose([reached.min(0), reached.max(0)]) if self.bounds is None else floats(self.bounds)
+        dims = ("u", "v") if k is None else tuple(a for a in COMPONENTS if a != COMPONENTS[k])
+        sides = [cell_centres(low, high, spacing, dim) for (low, high), dim in zip(bounds, dims, strict=True)]
         first, second = (a.ravel() for a in np.meshgrid(*sides, indexing="ij"))
         centre = self._origin + first[:, None] * self._frame[1] + second[:, None] * self._frame[2]
         size = math.prod((high - low) / len(side) for (low, high), side in zip(bounds, sides, strict=True))
-        coords = {dim: (side, f"position along {dim}") for dim, side in zip(self._dims, sides, strict=True)}
-        return SurfaceCells(self._dims, coords, centre, np.full(len(centre), size), self._dims, (bounds[0], bounds[1]))
+        coords = {dim: (side, f"position along {dim}") for dim, side in zip(dims, sides, strict=True)}
+        return SurfaceCells(coords, centre, np.full(len(centre), size), dims, bounds)
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across and along the plane."""
         normal, *along = self._frame
         return vectors @ normal, np.stack([vectors @ axis for axis in along], axis=1)
-
-    def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
-        """Return a mask of the points over the cells."""
-        assert cells.bounds is not None
-        low, high = np.transpose(cells.bounds)
-        x = self._coordinates(points)
-        return np.asarray(((low <= x) & (x <= high)).all(axis=1))
-
-
-def _pairs(bounds: Any) -> tuple[Any, Any]:
-    try:
-        first, second = bounds
-    except (TypeError, ValueError):
-        raise ValueError(f"bounds={bounds!r}: expected two pairs, ((first, last), (first, last))") from None
-    return first, second
 
 
 @dataclass(frozen=True)
@@ -286,18 +246,21 @@ class Cylinder(Wall):
             rising_pair("(low, high)", (self.low, self.high))
 
     @cached_property
+    def _sign(self) -> float:
+        return -1.0 if self.inside else 1.0
+
+    @cached_property
     def _frame(self) -> tuple[NDArray, NDArray, NDArray]:
         """The axis, and the directions of theta = 0 and a quarter turn."""
         axis = unit_vector("direction", self.direction)
         return (axis, *frame_about(axis))
 
-    @property
-    def _sign(self) -> float:
-        return -1.0 if self.inside else 1.0
-
     def _from_axis(self, points: NDArray) -> NDArray:
         """Coordinates of points across and along the axis, (n, 3)."""
         return np.stack([(points - vector("point", self.point)) @ e for e in (*self._frame[1:], self._frame[0])], 1)
+
+    def _coordinates(self, points: NDArray) -> NDArray:
+        return self._from_axis(points)[:, 2:]
 
     def distance(self, points: NDArray) -> NDArray:
         """Distance of points."""
@@ -331,16 +294,15 @@ class Cylinder(Wall):
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
-        across = math.sqrt(max(0.0, 1 - float(self._frame[0][axis]) ** 2))
-        if not self.inside or across < 1 - 1e-12:
-            return -np.inf, np.inf
-        return float(self.point[axis]) - self.radius, float(self.point[axis]) + self.radius
+        across = math.sqrt(max(0.0, 1 - float(self._frame[0][axis]) ** 2)) > 1 - 1e-12
+        reach = self.radius if self.inside and across else np.inf
+        return float(self.point[axis]) - reach, float(self.point[axis]) + reach
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells in theta and along the axis."""
-        reached = self._from_axis(corners(lower, upper))[:, 2]
-        low = float(reached.min()) if self.low is None else float(self.low)
-        high = float(reached.max()) if self.high is None else float(self.high)
+        reached = self._coordinates(corners(lower, upper))
+        low = float(reached.min() if self.low is None else self.low)
+        high = float(reached.max() if self.high is None else self.high)
         theta = cell_centres(0.0, 2 * np.pi, spacing / self.radius, "theta")
         along = cell_centres(low, high, spacing, "the axis")
         angle, z = (a.ravel() for a in np.meshgrid(theta, along, indexing="ij"))
@@ -349,8 +311,7 @@ class Cylinder(Wall):
         centre = vector("point", self.point) + self.radius * radial + z[:, None] * axis
         size = 2 * np.pi * self.radius / len(theta) * (high - low) / len(along)
         coords = {"theta": (theta, "angle about the axis"), "z": (along, "position along the axis, from its point")}
-        bounds = ((0.0, 2 * np.pi), (low, high))
-        return SurfaceCells(("theta", "z"), coords, centre, np.full(len(centre), size), ("theta", "z"), bounds)
+        return SurfaceCells(coords, centre, np.full(len(centre), size), tuple(coords), [(low, high)])
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across the side, around it and along the axis."""
@@ -359,9 +320,123 @@ class Cylinder(Wall):
         normal = self._sign * (vectors * radial).sum(axis=1)
         return normal, np.stack([(vectors * around).sum(axis=1), vectors @ axis], axis=1)
 
-    def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
-        """Return a mask of the points between the ends."""
-        assert cells.bounds is not None
-        low, high = cells.bounds[1]
-        z = self._from_axis(points)[:, 2]
-        return np.asarray((low <= z) & (z <= high))
+
+class Surface(Wall):
+    """A surface of triangles, closed or open.
+
+    Parameters
+    ----------
+    vertices : path or array (n, 3)
+        A file (``.stl``, ``.ply``, ``.obj``, ``.vtp``, ``.vtk``, by VTK's readers), or corners (m).
+    triangles : array of int (m, 3), optional
+        Rows of the corners of each triangle, counterclockwise seen from the grains.
+    flip : bool
+        Turn the normals round, where normals in the file point away from the grains.
+    scale : float
+        Factor from the file's unit of length to that of the scene.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the file does not exist.
+    ValueError
+        If the file is of another kind or holds no triangle, or corners are missing, not finite or in one line.
+    """
+
+    def __init__(
+        self, vertices: str | os.PathLike[str] | ArrayLike, triangles: ArrayLike | None = None, *, flip: bool = False,
+        scale: float = 1.0,
+    ) -> None:  # fmt: skip
+        name = "vertices"
+        if isinstance(vertices, str | os.PathLike):
+            if triangles is not None:
+                raise ValueError("triangles= belongs to vertices as an array; a file holds its own")
+            name = os.fspath(vertices)
+            vertices, triangles = _read(name)
+        if not is_positive(scale):
+            raise ValueError(f"scale={scale!r}: expected a positive factor")
+        points = np.asarray(vertices, float) * scale
+        rows = np.asarray(np.empty((0, 3)) if triangles is None else triangles)
+        if points.shape[1:] != (3,) or not np.isfinite(points).all():
+            raise ValueError(f"{name}: expected finite corners (n, 3), got an array {points.shape}")
+        if rows.shape[1:] != (3,) or not len(rows) or rows.dtype.kind not in "iu":
+            raise ValueError(f"{name}: expected triangles, whole numbers (m, 3), got {rows.shape} of {rows.dtype}")
+        if rows.min() < 0 or rows.max() >= len(points):
+            raise ValueError(f"{name}: triangles name corners {rows.min()} to {rows.max()}, there are {len(points)}")
+        corners = points[rows[:, ::-1] if flip else rows]
+        twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(twice, axis=1)
+        if not (size > 0).any():
+            raise ValueError(f"{name}: all triangles have no area")
+        self.corners = np.ascontiguousarray(corners[size > 0])  # slivers without an area have no normal
+        self.area = size[size > 0] / 2
+        self.normals = twice[size > 0] / size[size > 0, None]
+        self.centre = self.corners.mean(axis=1)
+        self._radius = np.linalg.norm(self.corners - self.centre[:, None], axis=2).max(axis=1)
+
+    def __repr__(self) -> str:
+        return f"Surface({len(self.area)} triangles, {self.area.sum():g} m2)"
+
+    def _nearest(self, points: NDArray) -> tuple[NDArray, NDArray]:
+        """Signed distance (n,), and the number of the nearest triangle (n,)."""
+        distance, triangle = np.empty(len(points)), np.empty(len(points), "int64")
+        points = np.ascontiguousarray(points, "float64")
+        loops.nearest(points, self.corners, self.normals, self.centre, self._radius, np.empty(3), distance, triangle)
+        return distance, triangle
+
+    def distance(self, points: NDArray) -> NDArray:
+        """Distance of points."""
+        return self._nearest(points)[0]
+
+    def normals_at(self, points: NDArray) -> NDArray:
+        """Return normals."""
+        return self.normals[self._nearest(points)[1]]
+
+    def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
+        """Return where rays cross."""
+        out = np.full((*directions.shape[:2], loops.MOST_CROSSINGS), np.inf)
+        given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
+        most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
+        return out[..., : max(1, most)]
+
+    def varies(self, axis: int) -> bool:
+        """Return whether a shift along an axis matters."""
+        return True
+
+    def span(self, axis: int) -> tuple[float, float]:
+        """Lowest and highest coordinate of its corners."""
+        return float(self.corners[..., axis].min()), float(self.corners[..., axis].max())
+
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
+        """Its triangles."""
+        coords = {"triangle": (np.arange(len(self.area)), "number of the triangle")}
+        return SurfaceCells(coords, self.centre, self.area, COMPONENTS)
+
+    def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
+        """Parts of vectors across the nearest triangles, and the rest."""
+        normal = self.normals_at(points)
+        across = (vectors * normal).sum(axis=1)
+        return across, vectors - across[:, None] * normal
+
+
+def _read(path: str) -> tuple[NDArray, NDArray]:
+    """Corners and triangles of a file."""
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix not in _FILES:
+        raise ValueError(f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles")
+    mesh = read_mesh(path, empty=True)
+
+    from vtkmodules.util.numpy_support import vtk_to_numpy  # VTK is slow to import
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+
+    faces = vtkTriangleFilter()
+    if mesh.IsA("vtkPolyData"):
+        faces.SetInputData(mesh)
+        faces.PassLinesOff()
+        faces.PassVertsOff()
+        faces.Update()
+    data = faces.GetOutput()
+    if not data.GetNumberOfPolys():
+        raise ValueError(f"{path}: holds no triangle; is it a surface?")
+    rows = vtk_to_numpy(data.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+    return vtk_to_numpy(data.GetPoints().GetData()).astype(float), rows.astype("int64")
