@@ -1,6 +1,7 @@
 """Runs that are killed, stopped, doubled, or run out of disk; how far they are. All twenty kills with XCG_FULL=1."""
 
 import errno
+import itertools
 import os
 import random
 import re
@@ -108,6 +109,32 @@ def test_killed_runs_go_on_and_give_the_same_file(job, tmp_path):
         assert f"{before} of {STEPS} steps are there" in said
     xr.testing.assert_identical(loaded(tmp_path / "out" / "fields.nc"), whole)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fields.nc", "fields.vtkhdf"]
+
+
+@pytest.mark.parametrize("images", ["temporal", "steps"])
+def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypatch, images):
+    job = write_job(tmp_path)
+    job.write_text(JOB.replace("temporal", images))
+    xcg_run("run", job, "-q")
+    whole, names = loaded(tmp_path / "out" / "fields.nc"), sorted(p.name for p in (tmp_path / "out").iterdir())
+    shutil.rmtree(tmp_path / "out")
+    real, calls = os.replace, itertools.count()
+
+    def replace(part, path):
+        if Path(path).parent == tmp_path / "out" and next(calls) == 1:
+            raise KeyboardInterrupt
+        return real(part, path)
+
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(KeyboardInterrupt):
+        list(run_job(read_config(job)))
+    monkeypatch.undo()
+    assert len(list((tmp_path / "out").glob("fields*"))) == 1
+    xcg_run("run", job, "--resume", "-q")
+    (tmp_path / "out" / "..fields.begun.0123abcd.part").mkdir()  # of a run that was killed when all was there
+    xcg_run("run", job, "--resume", "-q")
+    xr.testing.assert_identical(loaded(tmp_path / "out" / "fields.nc"), whole)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names
 
 
 def test_finished_steps_are_not_computed_again(job, reads):

@@ -31,7 +31,7 @@ from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import publish
+from xcg.writers.files import leftovers, publish, remove
 from xcg.writers.formats import NETCDF
 from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
@@ -148,6 +148,8 @@ def run_job(
     begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
     if resume and not (begun or overwrite) and there == targets and all(_made_by(path) == mark for path in targets):
+        for left in (left for output in outputs for left in leftovers(output.work)):
+            remove(left)
         yield count, count
         return
     if there and not (overwrite or begun):
@@ -254,7 +256,8 @@ def _whole_images(images: list[Path], path: Path, *, overwrite: bool, part: Path
     """Rename the files in the folder `part` at the end."""
     yield part
     for image in images:
-        publish(part / image.name, image, overwrite=overwrite)
+        if (part / image.name).exists():  # else a run that was killed has given it its name
+            publish(part / image.name, image, overwrite=overwrite)
 
 
 def _made_by(path: Path) -> str | None:

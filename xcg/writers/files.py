@@ -240,7 +240,7 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
         yield kept
         gone = part_of(kept)
         kept.rename(gone)  # at once, so that no half of it is taken for a run to go on with
-        shutil.rmtree(gone)
+        shutil.rmtree(gone, ignore_errors=True)
 
 
 @contextmanager

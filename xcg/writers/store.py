@@ -250,6 +250,8 @@ def write_files(
         stores: list[Store] = []
         for path, kind in files.items():
             part = folder / path.name
+            if begun and path.exists() and not part.exists():
+                path.rename(part)  # an earlier run was killed after it had given this file its name
             held.enter_context(kind.whole(path, overwrite=overwrite, part=part))
             stores.append(kind.begin(layout, part, begun))
         if not begun:
