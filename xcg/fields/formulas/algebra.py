@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import partialmethod
 from typing import Any, NoReturn
 
 import numpy as np
@@ -44,7 +45,7 @@ class Trace:
     def load(self, name: str, group: int, columns: NDArray) -> NDArray:
         """Return symbols for the moment of a group of grains that is made of these columns."""
         loads = [self.add(loops.LOAD, name, group, int(column)) for column in columns.ravel()]
-        return _array(loads, columns.shape)
+        return as_symbols(np.array(loads, object).reshape(columns.shape))
 
 
 @dataclass(eq=False, slots=True)
@@ -54,31 +55,18 @@ class Symbol:
     record: Trace
     number: int
 
-    def _with(self, operation: int, left: Any, right: Any) -> Symbol:
-        numbers = [self.record.of(value).number for value in (left, right)]
+    def _with(self, operation: int, other: Any, *, reflected: bool = False) -> Symbol:
+        numbers = [self.number, self.record.of(other).number]
+        if reflected:
+            numbers.reverse()
         if operation in (loops.ADD, loops.MULTIPLY):  # the order of two does not matter, to the last bit
             numbers.sort()
         return self.record.add(operation, *numbers)
 
-    def __add__(self, other: Any) -> Symbol:
-        return self._with(loops.ADD, self, other)
-
-    def __sub__(self, other: Any) -> Symbol:
-        return self._with(loops.SUBTRACT, self, other)
-
-    def __rsub__(self, other: Any) -> Symbol:
-        return self._with(loops.SUBTRACT, other, self)
-
-    def __mul__(self, other: Any) -> Symbol:
-        return self._with(loops.MULTIPLY, self, other)
-
-    def __truediv__(self, other: Any) -> Symbol:
-        return self._with(loops.DIVIDE, self, other)
-
-    def __rtruediv__(self, other: Any) -> Symbol:
-        return self._with(loops.DIVIDE, other, self)
-
-    __radd__, __rmul__ = __add__, __mul__
+    __add__ = __radd__ = partialmethod(_with, loops.ADD)
+    __mul__ = __rmul__ = partialmethod(_with, loops.MULTIPLY)
+    __sub__, __rsub__ = partialmethod(_with, loops.SUBTRACT), partialmethod(_with, loops.SUBTRACT, reflected=True)
+    __truediv__, __rtruediv__ = partialmethod(_with, loops.DIVIDE), partialmethod(_with, loops.DIVIDE, reflected=True)
 
     def __neg__(self) -> Symbol:
         return self * -1.0
@@ -118,8 +106,8 @@ class Symbols(np.ndarray):
                 f"{ufunc.__name__}: only {', '.join(sorted(known.__name__ for known in _ARITHMETIC))} are known"
             )
         if "out" in options:
-            options["out"] = tuple(map(_plain, options["out"]))
-        return as_symbols(ufunc(*map(_plain, inputs), **options))
+            options["out"] = tuple(map(np.asarray, options["out"]))
+        return as_symbols(ufunc(*map(np.asarray, inputs), **options))
 
     def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
         if function not in _PLACEMENT:
@@ -132,18 +120,9 @@ def as_symbols(value: Any) -> Any:
     return value.view(Symbols) if isinstance(value, np.ndarray) and value.dtype == object else value
 
 
-def _plain(value: Any) -> Any:
-    return value.view(np.ndarray) if isinstance(value, Symbols) else value
-
-
-def _array(symbols: Sequence[Symbol], shape: tuple[int, ...]) -> NDArray:
-    out = np.empty(len(symbols), object)
-    out[:] = symbols
-    return out.reshape(shape).view(Symbols)
-
-
 def _each(array: NDArray, operation: int) -> NDArray:
-    return _array([one.record.add(operation, one.number) for one in array.ravel()], array.shape)
+    steps = [one.record.add(operation, one.number) for one in array.ravel()]
+    return as_symbols(np.array(steps, object).reshape(array.shape))
 
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
@@ -151,7 +130,7 @@ def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDA
     record, flags = sums[0, 0].record, flags_of(active, about_node)
     fits = [record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
     found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]
-    return _array(found, (FOUND, len(fits)))
+    return as_symbols(np.array(found, object).reshape(FOUND, -1))
 
 
 # --- functions of arrays of either kind ------------------------------------------------------------------
@@ -235,12 +214,11 @@ def rate_magnitude(tensor: NDArray) -> NDArray:
 
 def contraction(tensor: NDArray) -> NDArray:
     """Return X:X over all components."""
-    # term by term: the order in which numpy sums over axes depends on the number of nodes, and with it the last bit
-    return sum((tensor[..., i, j] ** 2 for i in range(3) for j in range(3)), start=np.zeros(tensor.shape[:-2]))
+    return double_dot(tensor, tensor)
 
 
 def times(a: NDArray, b: NDArray) -> NDArray:
-    """Return a_ik b_kj, term by term: see `contraction`."""
+    """Return a_ik b_kj, term by term: see `double_dot`."""
     first, second, third = (a[..., :, k, None] * b[..., None, k, :] for k in range(3))
     return first + second + third
 
@@ -256,5 +234,6 @@ def dot(a: NDArray, b: NDArray) -> NDArray:
 
 
 def double_dot(a: NDArray, b: NDArray) -> NDArray:
-    """Return a_ij b_ij, term by term: see `contraction`."""
+    """Return a_ij b_ij."""
+    # term by term: the order in which numpy sums over axes depends on the number of nodes, and with it the last bit
     return sum((a[..., i, j] * b[..., i, j] for i in range(3) for j in range(3)), start=np.zeros(b.shape[:-2]))
