@@ -18,7 +18,7 @@ from xcg.compiled._jit import THREADS, for_each
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
-from xcg.fields.formulas.program import Loads, program_for
+from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.frames import in_frame, is_cylindrical
 from xcg.fields.grids.grid import MeshTooLargeError, check_mesh
 from xcg.fields.layout import about_strays, check_size
@@ -226,7 +226,6 @@ def _compute_step(
     scale = scale_of(plan, lattice, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
-    loads = Loads.of(program, [run.layout for run in sums.passes]) if program else None
     traced = program.widths if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
 
@@ -235,8 +234,8 @@ def _compute_step(
     def fill(part: Block) -> None:
         found, place = sums.over(part), part.places
         reached.append(int(np.count_nonzero(~np.isnan(found.velocity[:, 0]))))
-        if program and loads:
-            program.run(loads, found, place, rows, part.order)
+        if program:
+            program.run(found, place, rows, part.order)
         if untraced:  # with NumPy
             options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
             for name, values in registry.evaluate(untraced, found.moments, options).items():

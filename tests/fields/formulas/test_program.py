@@ -166,8 +166,8 @@ def test_symbols_have_no_truth_value_and_no_cubes():
 def test_arrays_that_are_written_by_address_are_checked(spoil, message):
     run = program.Program.run
 
-    def spoiled(self, loads, sums, place, out, order):
-        return run(self, loads, sums, place, out | {"stress": spoil(out["stress"])}, order)
+    def spoiled(self, sums, place, out, order):
+        return run(self, sums, place, out | {"stress": spoil(out["stress"])}, order)
 
     ds = xcg.datasets.random_scene(20, seed=1)
     with mock.patch.object(program.Program, "run", spoiled), pytest.raises(ValueError, match=message):

@@ -53,9 +53,7 @@ class Program:
     widths: Mapping[str, int]
     stores: NDArray
 
-    def run(
-        self, loads: Loads, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None
-    ) -> None:
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
@@ -65,54 +63,15 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        arrays = [sums.velocity, *(group for filled in sums.filled for group in filled)]
-        scratch = loops.room_for(loads.rows[-1])
-        scratch[: len(loads.constants)] = loads.constants
-        nodes, places = len(place), 1 + int(place.max(initial=0))
-        records = [
-            (loops.address_of(a, nodes, width, "moments"), width, row)
-            for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
-        ]
-        begins = [loops.address_of(out[name], places, width, name) for name, width in self.widths.items()]
-        which, first, count = self.stores.T
-        address = np.array(begins, "uint64")[which] + loops.BYTES * first.astype("uint64")
-        fields = np.stack([address, np.array(list(self.widths.values()), "uint64")[which], count.astype("uint64")], 1)
-        tile = np.empty((loops.TILE + EIGHT) * max(loads.widths))
-        to = place if order is None else place[order]
-        lists = np.array(records, "uint64"), loads.source, fields, self.target
-        loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
-
-
-@dataclass(frozen=True, eq=False)
-class Loads:
-    """Positions of a program's inputs in the sums of the passes.
-
-    Attributes
-    ----------
-    source : array (loads, 2)
-        Rows of the scratch: of the column, and of a factor.
-    widths, rows : list of int
-        Columns of the reference velocity and of each group of each pass, and the row where they begin; the last row is
-        that where they end.
-    constants : array (rows, TILE)
-        Rows before these: the program's, and factors.
-    """
-
-    source: NDArray
-    widths: list[int]
-    rows: list[int]
-    constants: NDArray
-
-    @classmethod
-    def of(cls, program: Program, layouts: Sequence[Layout]) -> Loads:
-        """Find the inputs of a program in the layouts of the passes."""
-        found, widths = dict[str, tuple[int, Layout]](), [3]
-        for layout in layouts:
-            for name in layout.moments:
-                found.setdefault(name, (len(widths), layout))
-            widths += [layout.columns] * layout.groups
-        source, factors = [], []
-        for moment, group, column in program.inputs:
+        # the reference velocity and the groups of each pass, (nodes, columns) each; where those of a moment begin
+        arrays, found = [sums.velocity], dict[str, tuple[int, Layout]]()
+        for done, filled in zip(sums.of.passes, sums.filled, strict=True):
+            for name in done.layout.moments:
+                found.setdefault(name, (len(arrays), done.layout))
+            arrays += list(filled)
+        # inputs: of which array, which column, and which factor
+        source, factors = list[tuple[int, int, int]](), list[float]()
+        for moment, group, column in self.inputs:
             number, first, factor = 0, 0, 1.0
             if moment != "reference":
                 number, layout = found[moment]
@@ -122,11 +81,25 @@ class Loads:
             if factor not in factors:
                 factors.append(factor)
             source.append((number, first + column, factors.index(factor)))
-        own = len(program.scratch)
+        # rows of the scratch: constants of the program, factors, columns of each array, and results of steps
+        own, widths = len(self.scratch), [a.shape[1] for a in arrays]
         rows = np.cumsum([own + len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
-        constants = np.concatenate([program.scratch, np.tile(np.reshape(factors, (-1, 1)), loops.TILE)])
-        places = [(rows[number] + column, own + factor) for number, column, factor in source]
-        return cls(np.array(places, "uint64").reshape(-1, 2), widths, rows, constants)
+        scratch = loops.room_for(rows[-1])
+        scratch[:own], scratch[own : rows[0]] = self.scratch, np.reshape(factors, (-1, 1))
+        inputs = [(rows[number] + column, own + factor) for number, column, factor in source]
+        nodes, places = len(place), 1 + int(place.max(initial=0))
+        records = [
+            (loops.address_of(a, nodes, width, "moments"), width, row)
+            for a, width, row in zip(arrays, widths, rows, strict=False)
+        ]
+        begins = [loops.address_of(out[name], places, width, name) for name, width in self.widths.items()]
+        which, first, count = self.stores.T
+        address = np.array(begins, "uint64")[which] + loops.BYTES * first.astype("uint64")
+        fields = np.stack([address, np.array(list(self.widths.values()), "uint64")[which], count.astype("uint64")], 1)
+        tile = np.empty((loops.TILE + EIGHT) * max(widths))
+        to = place if order is None else place[order]
+        lists = np.array(records, "uint64"), np.array(inputs, "uint64").reshape(-1, 2), fields, self.target
+        loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 
 @lru_cache(maxsize=64)
@@ -220,12 +193,6 @@ def _allocate(
             inputs.append((operands[0], operands[1], operands[2]))
         return row[number]
 
-    def use(number: int) -> None:
-        """Count a use of a result; after the last its row is free."""
-        uses[number] -= 1
-        if not uses[number] and row[number] >= kept:
-            free.append(row[number])
-
     complete = dict[int, list[tuple[str, int, int]]]()
     for store, numbers in results.items():
         complete.setdefault(max(numbers), []).append(store)
@@ -237,14 +204,16 @@ def _allocate(
         elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
             rows = [row_of(operand) for operand in operands]
             steps.append((operation, row_of(number), rows[0], rows[-1]))
-        for operand in _operands(operation, operands):
-            use(operand)
+        taken = [*_operands(operation, operands)]
         for store in complete.get(number, ()):
             target[len(stored), : len(results[store])] = [row_of(k) for k in results[store]]
             steps.append((loops.STORE, len(stored), 0, 0))
             stored.append(store)
-            for k in results[store]:
-                use(k)
+            taken += results[store]
+        for operand in taken:  # after its last use its row is free
+            uses[operand] -= 1
+            if not uses[operand] and row[operand] >= kept:
+                free.append(row[operand])
     scratch = np.zeros((next(fresh), loops.TILE))
     for number, value in constants.items():
         scratch[number] = value
