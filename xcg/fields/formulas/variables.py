@@ -37,7 +37,7 @@ from xcg.fields.formulas.field import (
     Weight,
     read_quantity,
 )
-from xcg.fields.sums.moments import Moment
+from xcg.fields.sums.moments import Moment, of_sides
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
 from xcg.scene.schema import Frame, factors_of_unit, powers_of, product_of_units, units_in, units_of, variable
@@ -354,10 +354,8 @@ def _weighted(name: str, weight: str, frame: Frame, _: Contacts) -> NDArray:
 
 
 def _of_sides(name: str, frame: Frame, _: Contacts) -> NDArray:
-    """Return what each side of each contact receives, as the first of three components; (2, contacts, 3)."""
-    out = np.zeros((2, len(frame[name]), 3))
-    out[0, :, 0], out[1, :, 0] = frame[name], -frame[name]
-    return out
+    """Return what each side of each contact receives."""
+    return of_sides(frame[name], -frame[name])
 
 
 def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts) -> NDArray:

@@ -20,9 +20,19 @@ Column = Callable[[Frame, Contacts], NDArray]
 AT_LIMIT = 0.999
 
 
-def bearing(frame: Frame, contacts: Contacts) -> NDArray:
-    """Return 1 for each grain that may bear load; (particles,)."""
-    return contacts.bearing.astype(float)
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    """Return a_k b_k of each row."""
+    return np.einsum("ij,ij->i", a, b)
+
+
+def of_frame(name: str, frame: Frame, _: Contacts) -> NDArray:
+    """Return a variable of each particle; (particles, ...)."""
+    return frame[name]
+
+
+def of_contacts(name: str, _: Frame, contacts: Contacts) -> NDArray:
+    """Return an attribute of `Contacts` as numbers, of each particle or of each contact."""
+    return np.asarray(getattr(contacts, name), float)
 
 
 def bearing_partners(frame: Frame, contacts: Contacts) -> NDArray:
@@ -30,46 +40,37 @@ def bearing_partners(frame: Frame, contacts: Contacts) -> NDArray:
     return np.where(contacts.bearing, contacts.partners, 0.0)
 
 
+def one_a_particle(frame: Frame, contacts: Contacts) -> NDArray:
+    """Return 1 for each particle; (n,)."""
+    return np.ones(len(frame["position"]))
+
+
 def one_a_contact(frame: Frame, contacts: Contacts) -> NDArray:
     """Return 1 for each contact; (n,)."""
     return np.ones(len(frame["contact_i"]))
 
 
-def bearing_contacts(frame: Frame, contacts: Contacts) -> NDArray:
-    """Return 1 for each contact between grains that may bear load; (n,)."""
-    return contacts.between_bearing.astype(float)
+def sliding_contacts(friction: float | None, frame: Frame, contacts: Contacts) -> NDArray:
+    """Return 1 for each contact that slides, which has its tangential force at Coulomb's limit, else 0; (n,).
 
-
-def sliding_contacts(friction: float, frame: Frame, contacts: Contacts) -> NDArray:
-    """Return 1 for each contact that slides, which has its tangential force at Coulomb's limit, else 0; (n,)."""
+    Without a coefficient of friction it is not known which slide: 0 for all.
+    """
+    if friction is None:
+        return np.zeros(len(frame["contact_i"]))
     tangential = np.linalg.norm(contacts.tangential_force, axis=1)
     slides = (contacts.normal_force > 0) & (tangential >= AT_LIMIT * friction * contacts.normal_force)
     return (slides & contacts.between_bearing).astype(float)
 
 
-def none_slides(frame: Frame, contacts: Contacts) -> NDArray:
-    """Return 0 for each contact, as without friction it is not known which slide; (n,)."""
-    return np.zeros(len(frame["contact_i"]))
-
-
-def normal_force(frame: Frame, contacts: Contacts) -> NDArray:
-    """Return normal force of each contact (N); (n,)."""
-    return contacts.normal_force
-
-
 def branch_length(frame: Frame, contacts: Contacts) -> NDArray:
     """Return length of each branch along the normal (m); (n,)."""
-    return np.einsum("ni,ni->n", contacts.between, contacts.normal)
+    return _dot(contacts.between, contacts.normal)
 
 
-def normals(of: Column) -> Column:
-    """Return the column of a number times n n: xx xy xz yy yz zz."""
-
-    def column(frame: Frame, contacts: Contacts) -> NDArray:
-        first, second = (contacts.normal[:, k] for k in np.triu_indices(3))
-        return of(frame, contacts)[:, None] * first * second
-
-    return column
+def normals(of: Column, frame: Frame, contacts: Contacts) -> NDArray:
+    """Return a number of each contact times n n: xx xy xz yy yz zz; (n, 6)."""
+    first, second = (contacts.normal[:, k] for k in np.triu_indices(3))
+    return of(frame, contacts)[:, None] * first * second
 
 
 def tangential_normals(frame: Frame, contacts: Contacts) -> NDArray:
@@ -85,11 +86,6 @@ def strong_forces(frame: Frame, contacts: Contacts) -> NDArray:
 
 
 WALL_VELOCITY = "contact_wall_velocity"
-
-
-def _dot(a: NDArray, b: NDArray) -> NDArray:
-    """Return a_k b_k of each row."""
-    return np.einsum("ij,ij->i", a, b)
 
 
 def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
@@ -153,8 +149,13 @@ def torque_of_sides(frame: Frame, c: Contacts) -> NDArray:
 def power_of_sides(frame: Frame, c: Contacts) -> NDArray:
     """Power f.u of each side of each contact (W), as the first of three components; (2, contacts, 3)."""
     u_i, u_j = surface_velocities(frame, c)
-    out = np.zeros((2, len(c.force), 3))
-    out[0, :, 0], out[1, :, 0] = _dot(c.force, u_i), -_dot(c.force, u_j)
+    return of_sides(_dot(c.force, u_i), -_dot(c.force, u_j))
+
+
+def of_sides(on_i: NDArray, on_j: NDArray) -> NDArray:
+    """Numbers of the sides of each contact (contacts,), as the first of three components; (2, contacts, 3)."""
+    out = np.zeros((2, len(on_i), 3))
+    out[0, :, 0], out[1, :, 0] = on_i, on_j
     return out
 
 
@@ -172,14 +173,10 @@ def rotational_energies(frame: Frame, _: Contacts) -> NDArray:
     return 0.5 * frame["moment_of_inertia"] * _dot(omega, omega)
 
 
-def energy_fluxes(frame: Frame, contacts: Contacts) -> NDArray:
-    """Kinetic energy times velocity of each particle (W m); (particles, 3)."""
-    return energies(frame, contacts)[:, None] * frame["velocity"]
-
-
-def rotational_energy_fluxes(frame: Frame, contacts: Contacts) -> NDArray:
-    """Energy of rotation times velocity of each particle (W m); (particles, 3)."""
-    return rotational_energies(frame, contacts)[:, None] * frame["velocity"]
+def carried(of: Column, frame: Frame, contacts: Contacts) -> NDArray:
+    """Return a number or vector of each particle times its velocity; (particles, ..., 3)."""
+    values, velocity = of(frame, contacts), frame["velocity"]
+    return values[..., None] * velocity.reshape(len(velocity), *(1,) * (values.ndim - 1), 3)
 
 
 def spins(frame: Frame, _: Contacts) -> NDArray:
@@ -187,19 +184,9 @@ def spins(frame: Frame, _: Contacts) -> NDArray:
     return frame["moment_of_inertia"][:, None] * frame["angular_velocity"]
 
 
-def spin_fluxes(frame: Frame, contacts: Contacts) -> NDArray:
-    """Spin times velocity of each particle, I omega v (N m2); (particles, 3, 3)."""
-    return spins(frame, contacts)[:, :, None] * frame["velocity"][:, None, :]
-
-
-def weighted_rotation(frame: Frame, _: Contacts) -> NDArray:
-    """Moment of inertia and angular velocity of each particle; (particles, 4)."""
-    return np.column_stack([frame["moment_of_inertia"], frame["angular_velocity"]])
-
-
-def weighted_motion(frame: Frame, _: Contacts) -> NDArray:
-    """Mass and velocity of each particle; (particles, 4)."""
-    return np.column_stack([frame["mass"], frame["velocity"]])
+def weighted(weight: str, vector: str, frame: Frame, _: Contacts) -> NDArray:
+    """Weight and vector of each particle; (particles, 4)."""
+    return np.column_stack([frame[weight], frame[vector]])
 
 
 @dataclass(frozen=True)
@@ -267,8 +254,8 @@ class Moment:
         return 1 + int(self.columns.max(initial=-1))
 
 
-def _power(exponent: int) -> Column:
-    return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
+def _power(exponent: int, frame: Frame, _: Contacts) -> NDArray:
+    return reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
 
 
 def _partners(frame: Frame, contacts: Contacts) -> NDArray:
@@ -294,10 +281,6 @@ def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
 
 
-def _forces(frame: Frame, contacts: Contacts) -> NDArray:
-    return contacts.forces
-
-
 def _at_contacts(
     variables: tuple[str, ...], formula: str, column: Column, shape: tuple[int, ...] = (),
     layout: tuple[Any, ...] = (), optional: tuple[str, ...] = (),
@@ -313,6 +296,7 @@ _OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
 _SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
 _MV = ("mass", "velocity")
 _FORCE = ("contact_force",)
+_NORMAL_FORCE = partial(of_contacts, "normal_force")
 _ABOUT = tuple(range(loops.COUNT)) + tuple(range(loops.KINETIC, loops.SQUARE + 1))
 _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY))
@@ -331,59 +315,59 @@ MOMENTS: dict[str, Moment] = {
     "square_offset": Moment(("mass",), "m^2 Psi x", (3,), loops.SQUARED, loops.SQUARE_OFFSET),
     "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), loops.SQUARED, loops.SQUARE_SPREAD, layout=_SYMMETRIC),
     # columns of constants
-    "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
-    "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
-    "size2": Moment(("diameter",), "d^2", column=_power(2)),
-    "size3": Moment(("diameter",), "d^3", column=_power(3)),
-    "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "number": Moment((), "1", column=one_a_particle),
+    "volume": Moment(("volume",), "V", column=partial(of_frame, "volume")),
+    "size2": Moment(("diameter",), "d^2", column=partial(_power, 2)),
+    "size3": Moment(("diameter",), "d^3", column=partial(_power, 3)),
+    "size4": Moment(("diameter",), "d^4", column=partial(_power, 4)),
     "box_gradient": Moment(
         ("mass",), "m, times the gradient along averaged axes of a sheared box", (3, 3), column=_weighted_box_gradient
     ),
-    "interval": Moment(("interval",), "t' - t", column=lambda frame, _: frame["interval"]),
+    "interval": Moment(("interval",), "t' - t", column=partial(of_frame, "interval")),
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(
         ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL
     ),
     "directors": Moment(("director",), "n n", (3, 3), column=_director_dyads, layout=_SYMMETRIC),
-    "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
-    "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
+    "force": Moment(_FORCE, "sum_c f", (3,), column=partial(of_contacts, "forces"), contacts=True),
+    "inertia": Moment(("moment_of_inertia",), "I", column=partial(of_frame, "moment_of_inertia")),
     "spin": Moment(_I_OMEGA, "I omega", (3,), column=spins),
-    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=spin_fluxes),
+    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=partial(carried, spins)),
     "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=rotational_energies),
     "rotational_energy_flux": Moment(
-        ("velocity",), "I omega^2 v / 2", (3,), column=rotational_energy_fluxes, optional=ROTATION
+        ("velocity",), "I omega^2 v / 2", (3,), column=partial(carried, rotational_energies), optional=ROTATION
     ),
     "some_rotational_energy": Moment(
         (), "I omega^2 / 2", column=rotational_energies, optional=ROTATION
     ),
     "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=energies, optional=ROTATION),
     "energy_flux": Moment(
-        _MV, "(m v^2 + I omega^2) v / 2", (3,), column=energy_fluxes, optional=ROTATION
+        _MV, "(m v^2 + I omega^2) v / 2", (3,), column=partial(carried, energies), optional=ROTATION
     ),
     "torque": Moment(_FORCE, "sum_c b x f", (3,), column=torques, contacts=True),
     "power": _power_moment("sum_c f.u", column=powers),
     # in passes of their own, relative to the node
     "rotation": Moment(
         _I_OMEGA, "I (1, o, o o), I^2 Psi, o = omega", (11,), loops.FLUCTUATION,
-        column=weighted_rotation, layout=_ABOUT,
+        column=partial(weighted, *_I_OMEGA), layout=_ABOUT,
     ),
-    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=weighted_motion),
-    "bearing": Moment((), "1, where z > 1", column=bearing, contacts=True),
+    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV)),
+    "bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "bearing"), contacts=True),
     "bearing_partners": Moment((), "z, where z > 1", column=bearing_partners, contacts=True),
     # at the contact points
     "contacts": _at_contacts((), "1", one_a_contact),
-    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", bearing_contacts),
-    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", none_slides, optional=_NORMAL),
+    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", partial(of_contacts, "between_bearing")),
+    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
     "normals": _at_contacts(
-        (), "n n", normals(one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
+        (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
     ),
     "branch_length": _at_contacts((), "l . n", branch_length, optional=_NORMAL),
     "branch_normals": _at_contacts(
-        (), "l . n n n", normals(branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
+        (), "l . n n n", partial(normals, branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
     ),
-    "normal_force": _at_contacts(_FORCE, "f . n", normal_force, optional=_NORMAL),
+    "normal_force": _at_contacts(_FORCE, "f . n", _NORMAL_FORCE, optional=_NORMAL),
     "normal_force_normals": _at_contacts(
-        _FORCE, "f . n n n", normals(normal_force), (3, 3), _SYMMETRIC, optional=_NORMAL
+        _FORCE, "f . n n n", partial(normals, _NORMAL_FORCE), (3, 3), _SYMMETRIC, optional=_NORMAL
     ),
     "tangential_normals": _at_contacts(_FORCE, "f_t n", tangential_normals, (3, 3), optional=_NORMAL),
     "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
