@@ -73,7 +73,7 @@ def _one_time():
 @pytest.fixture(autouse=True)
 def _own_fields():
     """Forget the fields that a test registers."""
-    with mock.patch.dict("xcg.fields.formulas.registry._REGISTERED"):
+    with mock.patch.dict("xcg.fields.formulas.registry.REGISTERED"):
         yield
 
 

@@ -32,7 +32,7 @@ from xcg.scene.conform import storable
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import steps_in, with_measures
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, OF_STEP, Frame, units_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Frame, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
 from xcg.steps.mapping import map_over_time, threads_a_chunk
@@ -293,11 +293,11 @@ _AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Return arrays of the plan's fields as a result of the scene, with dimensions, coordinates, units and history."""
-    system = plan.setup.unit_system
+    system, options, grid = plan.setup.unit_system, plan.options, plan.deposit.grid
     length = units_in("m", system)
     # those of the scene may be changed in place
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
-    for name, coord in plan.deposit.grid.coords.items():
+    for name, coord in grid.coords.items():
         attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
         if scene.cylindrical:
             attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
@@ -307,20 +307,44 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)
     data = {}
     for name in plan.fields:
-        row = registry.row(name, plan.options)
+        row = registry.row(name, options)
         tail = ("component", "direction")[: row.rank]
         coords |= {dim: (dim, list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)) for dim in tail}
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
         attrs = about(row, system)
-        if lacking := plan.left_out(name):
+        taken = {variable for moment in registry.moments_of([name], options).values() for variable in moment.optional}
+        if lacking := [variable for variable in ROTATION if variable in taken - {*plan.variables}]:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
     result = storable(xr.Dataset(data, coords))
     if plan.deposit.by:
         result = with_phase_labels(result)
-    return result.assign_attrs(provenance(scene, call) | _choices(plan))
+    choices = {
+        **grid.attrs,
+        "kernel": plan.kernel.name,
+        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
+        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
+        "kernel_dimension": plan.kernel.dimension,
+        "rtol": plan.rtol,
+        "gradient": options.gradient,
+        "pressure_dims": "".join(COMPONENTS[k] for k in options.pressure_axes or options.plane),
+        "deviatoric": options.deviatoric,
+        "size": options.size,
+        "temperature": options.temperature,
+        "sampling": "cell" if grid.half.any() else "node",
+        "averaged_axes": grid.averaged,
+        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps),
+    }
+    given: dict[str, Any] = {
+        "shear_dims": None if options.shear_axes is None else "".join(COMPONENTS[k] for k in options.shear_axes),
+        "fluid_viscosity": options.fluid_viscosity,
+        "size_diameter": options.diameter,
+        "lag": options.lag,
+    }
+    choices |= {name: value for name, value in given.items() if value is not None}
+    return result.assign_attrs(provenance(scene, call) | choices)
 
 
 def about(row: Field, system: str) -> dict[str, str]:
@@ -329,23 +353,3 @@ def about(row: Field, system: str) -> dict[str, str]:
     found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
     found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
     return {key: text for key, text in found.items() if text}
-
-
-def _choices(plan: Plan) -> dict[str, Any]:
-    return {
-        **plan.deposit.grid.attrs,
-        "kernel": plan.kernel.name,
-        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
-        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
-        "kernel_dimension": plan.kernel.dimension,
-        "rtol": plan.rtol,
-        "gradient": plan.options.gradient,
-        "pressure_dims": "".join(COMPONENTS[k] for k in plan.options.pressure_axes or plan.options.plane),
-        "deviatoric": plan.options.deviatoric,
-        "size": plan.options.size,
-        "temperature": plan.options.temperature,
-        **registry.given_options(plan.options),
-        "sampling": "cell" if plan.deposit.grid.half.any() else "node",
-        "averaged_axes": plan.deposit.grid.averaged,
-        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, plan.options.wrapped, strict=True) if wraps),
-    }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
 from typing import get_args
 
 import numpy as np
@@ -32,19 +31,18 @@ from xcg.fields.layout import (
 )
 from xcg.fields.request import Request, Sampling
 from xcg.fields.sums.kernels import Kernel
-from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
 from xcg.scene.conform import require_scene
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Plan:
     """Plan of one call of `coarse_grain`; print it to see what the call will do.
 
@@ -73,6 +71,10 @@ class Plan:
     effective_count : float, optional
         Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction `DENSE`; None where
         d43 or the box is not known. Estimated by `explain` alone.
+
+    Other attributes follow from these: `dims`, of the nodes, and phase where there are several; `phases`, their number,
+    the bulk included; `widths`, of each group or one for all (m); `shapes`, of one step of each field in the result;
+    `reached`, the number of nodes in the box around the support of a grain; `block_nodes`, of those computed at a time.
     """
 
     fields: tuple[str, ...]
@@ -87,66 +89,29 @@ class Plan:
     rtol: float
     effective_count: float | None = None
 
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Dimensions of the nodes, and phase where there are several."""
-        return (*self.deposit.grid.dims, *(("phase",) if self.deposit.by else ()))
-
-    @property
-    def phases(self) -> int:
-        """Number of phases in the result, the bulk included."""
-        return 1 + len(self.deposit.groups)
-
-    @property
-    def widths(self) -> list[float]:
-        """Width of each group (m), or one for all."""
-        return [self.kernel.spread * cutoff for cutoff in self.deposit.cutoffs]
-
-    @cached_property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of one step of each field as in the result."""
+    def __post_init__(self) -> None:
+        deposit, grid = self.deposit, self.deposit.grid
+        self.phases = 1 + len(deposit.groups)
+        self.dims = (*grid.dims, "phase") if deposit.by else grid.dims
+        self.widths = [self.kernel.spread * cutoff for cutoff in deposit.cutoffs]
+        places = (*grid.sizes, self.phases) if deposit.by else grid.sizes
         rows = {name: registry.row(name, self.options) for name in self.fields}
-        places = (*self.deposit.grid.sizes, *((self.phases,) if self.deposit.by else ()))
-        return {name: places + (self.phases,) * row.paired + (3,) * row.rank for name, row in rows.items()}
-
-    def left_out(self, name: str) -> list[str]:
-        """Name the variables of rotation that a field would take and that the scene does not hold."""
-        lost = set(ROTATION) - set(self.variables)
-        rows = (self.deposit.rows[moment] for moment in registry.moments_of((name,), self.options)) if lost else ()
-        taken = {variable for row in rows for variable in row.optional}
-        return [variable for variable in ROTATION if variable in lost & taken]
-
-    @cached_property
-    def reached(self) -> float:
-        """Nodes in the box around the support of a grain."""
-        return self.deposit.grid.nodes_within(2.0 * max(self.deposit.cutoffs))
-
-    @cached_property
-    def block_nodes(self) -> int:
-        """Nodes that are computed at one time."""
-        if self.reached <= FINE:
-            return BLOCK_NODES
-        return min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
-
-    @property
-    def _numbers(self) -> int:
-        """Number of sums at a node."""
-        return max(1, self.phases - 1) * sum(sum(columns) for columns in self._columns.values())
-
-    @cached_property
-    def _columns(self) -> dict[str, list[int]]:
-        """Columns of each pass, by what it goes over."""
-        moments = self.deposit.rows.values()
+        self.shapes = {name: places + (self.phases,) * row.paired + (3,) * row.rank for name, row in rows.items()}
+        moments = deposit.rows.values()
         constants = [m for m in moments if m.column and not m.level and not m.along_branches]
-        grains = self.deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
+        grains = deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
         points = sum(math.prod(m.shape) for m in constants if m.at_contacts)
-        return {
+        self._columns = {  # of each pass, by what it goes over
             "particles": [grains] if grains else [],
-            "slopes": [LINEAR] if any(name.endswith("_slope") for name in self.deposit.moments) else [],
+            "slopes": [LINEAR] if any(name.endswith("_slope") for name in deposit.rows) else [],
             "contacts": [9 for m in moments if m.along_branches],
             "contact points": [points] if points else [],
             "means": [m.level for m in moments if m.column and m.level],
         }
+        self._numbers = deposit.phases * sum(sum(columns) for columns in self._columns.values())  # sums at a node
+        self.reached = grid.nodes_within(2.0 * max(deposit.cutoffs))
+        fewer = min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
+        self.block_nodes = BLOCK_NODES if self.reached <= FINE else fewer
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
@@ -230,11 +195,12 @@ def make_plan(scene: Description, request: Request) -> Plan:
     if not (is_finite(rtol) and rtol >= 0):
         raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
     names, asked, options = _fields_and_options(scene, request)
-    variables = variables_of(names, scene.names, options)
-    if not variables <= scene.names:
-        lacking = [name for name in names if not variables_of((name,), scene.names, options) <= scene.names]
+    here = scene.columns.keys()
+    variables = variables_of(names, here, options)
+    if not variables <= here:
+        lacking = [name for name in names if not variables_of((name,), here, options) <= here]
         static = "contact_stress" in registry.order_of(lacking, options) and (
-            variables_of(("contact_stress",), scene.names, options) <= scene.names
+            variables_of(("contact_stress",), here, options) <= here
         )
         instead = "; or ask for contact_stress, which needs no velocity" if static else ""
         require_scene(scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}", instead)
@@ -245,14 +211,13 @@ def make_plan(scene: Description, request: Request) -> Plan:
     if grid.cuts:
         warn_of_cuts(grid, scene, widest.cutoff)
     moments = registry.moments_of(names, options)
-    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(moments):
+    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
         check_differentiable(widest, len(grid.seen))
-    rows = moment_rows(options)
     limits = np.zeros(0)
-    if rtol and any(rows[name].along_branches for name in moments):
+    if rtol and any(row.along_branches for row in moments.values()):
         limits = gauss_limits(widest, len(grid.seen), rtol)
     deposit = DepositSpec(
-        moments=moments,
+        rows=moments,
         grid=grid,
         weights=(kernels[0].over_cells if grid.half.any() else kernels[0].weights)(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
@@ -260,14 +225,13 @@ def make_plan(scene: Description, request: Request) -> Plan:
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None and request.groups is None else scene.groups(by, request.groups),
-        own={name: rows[name] for name in moments if rows[name] is not MOMENTS.get(name)},
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
         options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z),
         wrapped=grid.fills(np.array(scene.lasting_periods)),
     )  # fmt: skip
-    read = variables | ({by} if by else set()) | ({"frozen"} & scene.names)
+    read = variables | ({by} if by else set()) | ({"frozen"} & here)
     return Plan(
         fields=names, asked=asked, variables=tuple(n for n in scene.columns if n in read), deposit=deposit,
         options=options, kernel=widest, extent=extents_of(grid, request.extent or {}, scene),
@@ -297,7 +261,8 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
     if request.per is not None and any(name.endswith("_error") for name in names):
         raise ValueError("errors=True with per='accessible': errors are those of sums per volume; leave one out")
     needed = registry.order_of(names, replace(options, own=own))
-    options = replace(options, own=(*own, *registry.registered(needed)))
+    registered = (registry.OwnRow(name, registry.REGISTERED[name]) for name in needed if name in registry.REGISTERED)
+    options = replace(options, own=(*own, *registered))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
@@ -324,11 +289,11 @@ def _choose_fields(
     listed = [name for name, row in rows.items() if row.listed]
     lacking = {name for name, row in rows.items() if row.option and getattr(options, row.option) is None}
     if asked is None:
-        possible = [name for name in listed if rows[name].default and name not in lacking]
-        here = tuple(name for name in possible if variables_of((name,), scene.names, options) <= scene.names)
-        if not here:
+        here, usual = scene.columns.keys(), [name for name in listed if rows[name].default and name not in lacking]
+        possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
+        if not possible:
             require_scene(scene.columns, ("mass",), "coarse_grain")
-        return here, ()
+        return possible, ()
     given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
     own = {} if all(isinstance(one, str) and one in rows for one in given) else own_fields(given, scene)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
@@ -362,28 +327,17 @@ def _with_errors(
     return tuple(dict.fromkeys([*names, *errors, *(one.name for one in further)])), (*own, *further)
 
 
-def moment_rows(options: Options) -> dict[str, Moment]:
-    """Return all sums by name: xcg's, with the coefficient of friction if known, and the sums of custom fields."""
-    own = {name: row for one in options.own for name, row in one.moments.items()}
-    if options.friction is not None:
-        name = "sliding_contacts"
-        own[name] = replace(MOMENTS[name], column=partial(sliding_contacts, options.friction))
-    return MOMENTS | own
-
-
-@lru_cache(maxsize=256)  # 5 ms of a call for all fields; rows that users registered are in the options
-def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
+def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set[str]:
     """Variables that some fields need, of a scene with the variables `here`."""
     needed = {"position", "particle_id"}
-    rows = moment_rows(options)
-    for name in registry.moments_of(fields, options):
-        needed |= set(rows[name].variables) | (set(rows[name].optional) & here)
+    for name, row in registry.moments_of(fields, options).items():
+        needed |= {*row.variables, *(here & {*row.optional})}
         if name == "partners" and "coordination_number" in here:
             needed.add("coordination_number")
-        elif rows[name].contacts:
+        elif row.contacts:
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
-            needed |= {"diameter"} & here  # tells contacts that are far from their grains
-    return frozenset(needed)
+            needed |= here & {"diameter"}  # tells contacts that are far from their grains
+    return needed
 
 
 def _options_of(scene: Description, request: Request) -> Options:

@@ -86,11 +86,6 @@ class Description:
     times: Mapping[str, xr.Variable] = field(compare=False, repr=False)
 
     @cached_property
-    def names(self) -> frozenset[str]:
-        """Names of the variables."""
-        return frozenset(self.columns)
-
-    @cached_property
     def rows(self) -> list[str]:
         """Names of the variables of particles and contacts."""
         return [name for name, column in self.columns.items() if {"particle", "contact"} & set(column.dims)]

@@ -22,7 +22,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown
 from xcg.fields.formulas.field import Options
 from xcg.fields.sums.deposit import BlockSums
-from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.step import Layout
 
 
@@ -112,9 +112,8 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
     record = Trace()
-    rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
     wanted = registry.moments_of(fields, options)
-    moments = {name: _moment(record, name, rows[name], groups) for name in wanted}
+    moments = {name: _moment(record, name, row, groups) for name, row in wanted.items()}
     moments["reference"] = zero_if_unknown(record.load("reference", 0, np.arange(3)))
     found = _traced(fields, moments, options)
     results = {

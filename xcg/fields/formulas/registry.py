@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, ClassVar, NoReturn
 
@@ -19,14 +20,14 @@ from numpy.typing import NDArray
 from xcg.common.messages import unknown
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flow, orientation, rheology
-from xcg.fields.sums.moments import MOMENTS
+from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
-_REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
+REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
-FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
+FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(REGISTERED, _ROWS))
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
 WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS
 
@@ -35,27 +36,13 @@ def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
     if options.own and name in options.own_rows:
         return options.own_rows[name]
-    usual = _ROWS[name] if name in _ROWS else _REGISTERED[name]
+    usual = FIELDS[name]
     if name in WAYS:
         option, ways = WAYS[name]
         usual = ways.get(getattr(options, option), usual)
     if name == "velocity_gradient" and options.averaged_gradient != "zero":
         return flow.with_averaged_axes(usual, options.averaged_gradient)
     return usual
-
-
-def given_options(options: Options) -> dict[str, Any]:
-    """Return the options that are set only if somebody gave them, as attributes of a result."""
-    found: dict[str, Any] = {}
-    if options.shear_axes is not None:
-        found["shear_dims"] = "".join("xyz"[k] for k in options.shear_axes)
-    if options.fluid_viscosity is not None:
-        found["fluid_viscosity"] = options.fluid_viscosity
-    if options.diameter is not None:
-        found["size_diameter"] = options.diameter
-    if options.lag is not None:
-        found["lag"] = options.lag
-    return found
 
 
 def options_of(attrs: Mapping[Any, Any]) -> Options:
@@ -90,12 +77,7 @@ class OwnRow:
 
     name: str
     row: Field
-    moments: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-
-
-def registered(fields: Iterable[str]) -> tuple[OwnRow, ...]:
-    """Return the fields among these that users registered."""
-    return tuple(OwnRow(name, _REGISTERED[name]) for name in fields if name in _REGISTERED)
+    moments: ClassVar[Mapping[str, Moment]] = MappingProxyType({})
 
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
@@ -113,9 +95,13 @@ def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     return tuple(found)
 
 
-def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
-    """Return the moments needed for some fields."""
-    return tuple(dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments))
+def moments_of(fields: Iterable[str], options: Options) -> dict[str, Moment]:
+    """Return the moments needed for some fields, by name: of `MOMENTS`, or of fields from outside xcg."""
+    rows = ChainMap({}, *(one.moments for one in options.own), MOMENTS)
+    if options.friction is not None:
+        column = partial(sliding_contacts, options.friction)
+        rows["sliding_contacts"] = replace(MOMENTS["sliding_contacts"], column=column)
+    return {name: rows[name] for field in order_of(fields, options) for name in row(field, options).moments}
 
 
 def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:
@@ -207,7 +193,7 @@ def register_field(
     _check(name, row)
     row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
     _try_out(name, row)
-    _REGISTERED[name] = row
+    REGISTERED[name] = row
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
@@ -289,11 +275,11 @@ def _try_out(name: str, row: Field) -> None:
         _refuse(name, "what its formula gives at a node depends on other nodes, which are computed block by block")
 
 
-def _made_up(names: Sequence[str]) -> dict[str, NDArray]:
+def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:
     """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
     rng, found = np.random.default_rng(0), {}
-    for name in names:
-        tail = ((_PHASES,) if MOMENTS[name].paired else ()) + MOMENTS[name].shape
+    for name, row in moments.items():
+        tail = (_PHASES,) * row.paired + row.shape
         values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
         if tail[-2:] == (3, 3):
             values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)

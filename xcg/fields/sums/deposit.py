@@ -20,7 +20,7 @@ from xcg.fields.sums.segments import along_branches
 from xcg.fields.sums.step import AnyKernel, DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame
+from xcg.scene.schema import VARIABLES, Frame
 
 
 def grains(step: StepRows) -> list[Pass]:
@@ -256,9 +256,9 @@ def sums_of_frame(
         Threads that prepare passes.
     """
     step = StepRows(frame, spec, lattice, scale, source)
-    for name in {name for row in spec.own.values() for name in row.variables}:
-        check_finite(name, step.frame, source)  # variables of scenes were checked with their frame
     rows = spec.rows
+    for name in {name for row in rows.values() for name in row.variables} - VARIABLES.keys():
+        check_finite(name, step.frame, source)  # variables of scenes were checked with their frame
     ways = [  # the calling thread begins with the last: contacts take more memory than grains
         (grains, spec.of_grains),
         (relative, {name for name, row in rows.items() if row.level and row.column}),

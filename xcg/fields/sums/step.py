@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from xcg.compiled.cell_means import cell_means
 from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
-from xcg.fields.sums.moments import MOMENTS, WALL_VELOCITY, Moment, velocities_of_walls
+from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
 from xcg.fields.sums.nodes import Grid, Mesh, NodeBlock, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
@@ -35,8 +35,8 @@ class DepositSpec:
 
     Attributes
     ----------
-    moments : tuple of str
-        Names in `MOMENTS` or `own`.
+    rows : mapping
+        The moments by name.
     grid : Grid
     weights : KernelCode, or CellKernel for averages over cells
         The kernel of the first cutoff as seen in the grid's axes.
@@ -50,15 +50,13 @@ class DepositSpec:
         Integer particle variable that divides the grains into phases.
     groups : tuple of int
         Its values, one phase each.
-    own : mapping
-        Moments of the caller's own variables.
 
     Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff of each (m);
-    `distinct`, each cutoff once, rising; `origin`, the place that loops take others relative to (m); `rows`, the
-    moments by name; `of_grains`, the moments of the main pass over grains, and `level`, the flow columns of that pass.
+    `distinct`, each cutoff once, rising; `origin`, the place that loops take others relative to (m);
+    `of_grains`, the moments of the main pass over grains, and `level`, the flow columns of that pass.
     """
 
-    moments: tuple[str, ...]
+    rows: Mapping[str, Moment]
     grid: Grid
     weights: AnyKernel
     cutoffs: tuple[float, ...]
@@ -66,7 +64,6 @@ class DepositSpec:
     coarse: bool = False
     by: str | None = None
     groups: tuple[int, ...] = ()
-    own: Mapping[str, Moment] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.phases = max(1, len(self.groups))
@@ -74,18 +71,10 @@ class DepositSpec:
         self.by_phase = np.resize(self.cutoffs, self.phases)
         self.distinct = sorted(set(self.cutoffs))
         self.origin = triple(self.grid.origin)
-        self.rows = {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
         elsewhere = {name for name, row in self.rows.items() if row.at_contacts or row.along_branches}
         here = {name: row for name, row in self.rows.items() if name not in elsewhere}
         self.of_grains = {name: row for name, row in here.items() if bool(row.level) != bool(row.column)}
         self.level = max((row.level for row in self.of_grains.values()), default=NONE)
-
-    def __reduce__(self) -> tuple[Any, ...]:  # moments travel by their names, as functions of theirs do not pickle
-        return type(self), tuple(getattr(self, one.name) for one in fields(self))
-
-    def takes(self, variable: str) -> bool:
-        """Return whether any moment takes a variable."""
-        return any(variable in (*row.variables, *row.optional) for row in self.rows.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +248,8 @@ class StepRows:
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
         found = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
         self.contacts = cast(Contacts, found)  # None where no moment takes them
-        if self.contacts and spec.takes(WALL_VELOCITY) and "frozen" in frame:
+        moving = any(WALL_VELOCITY in row.optional for row in spec.rows.values())
+        if self.contacts and moving and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
         velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
         self.velocity = np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
@@ -269,7 +259,7 @@ class StepRows:
         self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
         for cutoff, mesh in self.meshes.items():
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
-                mesh.check_reach(mesh.reach, source, paired=any(name.startswith("square") for name in spec.moments))
+                mesh.check_reach(mesh.reach, source, paired=any(name.startswith("square") for name in spec.rows))
             norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
             weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
             if isinstance(weights, CellKernel):
