@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import pairwise, product
 from typing import Any, Protocol
 
@@ -123,23 +122,7 @@ class MeshBlock:
         return lists_for(nodes.rows, nodes.active, reach, real)
 
 
-def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size: int, threads: int) -> list[MeshBlock]:
-    """Cover a mesh with blocks: compact, of at most about `size` nodes.
-
-    At least two for each thread, so that none waits for long.
-    """
-    parts, wanted = np.ones(3, int), max(math.ceil(math.prod(shape) / size), 2 * threads if threads > 1 else 1)
-    if wanted == 1:
-        return [MeshBlock((0, 0, 0), shape, shape, steps, half)]
-    while parts.prod() < min(wanted, math.prod(shape)):
-        # rows of nodes run along the last axis: cut them later
-        parts[np.argmax(np.where(parts < shape, np.asarray(shape) / parts / (1, 1, 2), 0.0))] += 1
-    edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
-    (x, y, z) = (list(pairwise(ends)) for ends in edges)
-    return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), shape, steps, half) for i, j, k in product(x, y, z)]
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Grid:
     """Nodes of a result: a mesh, or separate places such as points and the nodes of a cylinder.
 
@@ -171,6 +154,10 @@ class Grid:
         Nodes where the axes of vectors have no direction.
     attrs : mapping
         Attributes of results that describe the nodes.
+
+    Other attributes follow from these: `count`, the number of nodes; `active`, a mask (3,) of the axes along which
+    distance to a node counts, resolved or fixed; `shape`, the number of nodes along x, y, z, of scattered ones as if in
+    a row; `steps`, the distance by which loops count nodes (3,), infinity where they do not.
     """
 
     dims: tuple[str, ...]
@@ -190,34 +177,18 @@ class Grid:
     undirected: NDArray = field(default_factory=lambda: np.zeros(0, int))
     attrs: Mapping[str, float] = field(default_factory=dict)
 
-    @cached_property
-    def count(self) -> int:
-        """Number of nodes."""
-        return math.prod(self.sizes)
-
-    @cached_property
-    def active(self) -> NDArray:
-        """Mask (3,) of the axes along which distance to a node counts, resolved or fixed."""
-        return np.array([a in self.seen for a in COMPONENTS])
+    def __post_init__(self) -> None:
+        self.count = math.prod(self.sizes)
+        self.active = np.array([a in self.seen for a in COMPONENTS])
+        length = dict(zip(self.dims, self.sizes, strict=True))
+        along = [length.get(a, 1) for a in COMPONENTS]
+        self.shape = triple(along if self.parts is None else [self.count, 1, 1])
+        self.steps = np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
 
     @property
     def axes(self) -> str:
         """Axes of a mesh that are dimensions of the result."""
         return "".join(self.spacing)
-
-    @cached_property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of nodes along x, y, z, for differences between neighbours; scattered nodes count as a row."""
-        if self.parts is not None:
-            return self.count, 1, 1
-        length = dict(zip(self.dims, self.sizes, strict=True))
-        x, y, z = (length.get(a, 1) for a in COMPONENTS)
-        return x, y, z
-
-    @cached_property
-    def steps(self) -> NDArray:
-        """Distance by which loops count nodes (3,), infinity where they do not."""
-        return np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
 
     def nodes_within(self, extent: float) -> float:
         """Return the number of nodes in a box (m); of scattered ones as if they were spread evenly."""
@@ -228,17 +199,25 @@ class Grid:
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
-        x, y, z = (
-            a in self.spacing and bool(np.isclose(n * self.spacing[a], length, atol=0.0))
-            for a, n, length in zip(COMPONENTS, self.shape, period, strict=True)
-        )
-        return x, y, z
+        whole = np.isclose(np.array(self.shape) * self.steps, period, atol=0.0)
+        return triple([a in self.spacing and bool(fits) for a, fits in zip(COMPONENTS, whole, strict=True)])
 
     def blocks(self, size: int, threads: int) -> Sequence[Block]:
-        """Divide a mesh into blocks of at most about `size` nodes, for some threads; others are divided already."""
+        """Divide a mesh into compact blocks of at most about `size` nodes; other nodes are divided already.
+
+        There are at least two for each thread, so that none waits for long.
+        """
         if self.parts is not None:
             return self.parts
-        return mesh_blocks(self.shape, self.steps, self.half, size, threads)
+        parts, shape = np.ones(3, int), np.array(self.shape)
+        wanted = max(math.ceil(self.count / size), 2 * threads if threads > 1 else 1)
+        while parts.prod() < min(wanted, self.count):
+            # rows of nodes run along the last axis: cut them later
+            parts[np.argmax(np.where(parts < shape, shape / parts / (1, 1, 2), 0.0))] += 1
+        edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
+        x, y, z = (list(pairwise(ends)) for ends in edges)
+        of_mesh = self.shape, self.steps, self.half
+        return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), *of_mesh) for i, j, k in product(x, y, z)]
 
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
