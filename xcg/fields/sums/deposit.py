@@ -41,7 +41,7 @@ def grains(step: StepRows) -> list[Pass]:
     rest = {name: row for name, row in rows.items() if name not in same}
     columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
     layout = _layout_of_grains(step.spec, same)
-    return [_pass(step, layout, at, *step.flow, at.of(step.phase), chain(columns, number))]
+    return [_pass(step, layout, at, *step.flow, step.phase[at.row], chain(columns, number))]
 
 
 def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
@@ -68,7 +68,7 @@ def slopes(step: StepRows) -> list[Pass]:
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
     }
     layout = Layout(spec.phases, loops.LINEAR, moments, loops.LINEAR)
-    return [_pass(step, layout, step.grains, *step.flow, step.grains.of(step.phase), by_gradient=True)]
+    return [_pass(step, layout, step.grains, *step.flow, step.phase[step.grains.row], by_gradient=True)]
 
 
 def relative(step: StepRows) -> list[Pass]:
@@ -82,7 +82,7 @@ def relative(step: StepRows) -> list[Pass]:
             values = step.column(row, images, contact)
             values[:, 0] *= share
         else:
-            images, phase = step.grains, step.grains.of(step.phase)
+            images, phase = step.grains, step.phase[step.grains.row]
             values = step.column(row, images)
         weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
         moments = {name: (row.first + row.columns, 1.0)}
@@ -110,14 +110,14 @@ def between_phases(step: StepRows) -> list[Pass]:
         sides.append((c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at]))
     point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
-    return [_constants(step, moment, images, images.of(pair), [images.of(force)], others)]
+    return [_constants(step, moment, images, pair[images.row], [force[images.row]], others)]
 
 
 def at_walls(step: StepRows) -> list[Pass]:
     """Sum the forces of walls, at the contact points."""
     at, point, force = step.contacts.at_walls
     images, moment = step.images(point), {"traction": MOMENTS["traction"]}
-    return [_constants(step, moment, images, images.of(step.phase[at]), [images.of(force)])]
+    return [_constants(step, moment, images, step.phase[at][images.row], [force[images.row]])]
 
 
 def _constants(
@@ -145,19 +145,21 @@ def _pass(
         columns[:, first : first + values.shape[1]] = values
         first += values.shape[1]
         del values  # before the next are made
-    beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
+    beyond = step.lattice if step.lattice.vectors is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
-    for cutoff in spec.distinct if len(position) or layout.squares else ():
+    kept = {column for column in loops.SQUARES if column < level}
+    squares = any(not kept.isdisjoint(columns.ravel().tolist()) for columns, _ in layout.moments.values())
+    for cutoff in spec.distinct if len(position) or squares else ():
         rows, groups = images.order, None
         if len(spec.distinct) > 1:
             groups = np.repeat(spec.by_phase == cutoff, others)
             rows = rows[groups[phase[rows]]]
-        meet = step.translations(cutoff) if layout.squares else None
+        meet = step.translations(cutoff) if squares else None
         batches = (batches_of(position, rows) - spec.origin) / cutoff
         grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
         mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
         fill.append(partial(_fill, grains, mesh, weights, (level, meet, by_gradient)))
-        if layout.squares:
+        if squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
             squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
     return Pass(layout, fill, squared)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
@@ -51,6 +51,9 @@ class Kernel:
     ratio = 1.0  # cutoff / width
     _any_ratio = False  # whether another one may be given
     smoothness = -1  # continuous derivatives
+    _norms: tuple[float, ...] = ()  # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
+    _table: NDArray | None = PLAIN  # as loops take it
+    _rims: Sequence[float] = (1.0,)  # radii over the cutoff where the profile is not smooth, the last of the support
 
     def __init__(
         self, width: float | None = None, *, cutoff: float | None = None, dimension: int | None = None
@@ -92,15 +95,7 @@ class Kernel:
         return self.smoothness >= 1
 
     def _unit_norm(self, dimension: int) -> float:
-        """1 / integral of the profile over the unit ball."""
-        raise NotImplementedError
-
-    def _table(self, codimension: int) -> NDArray | None:
-        return PLAIN
-
-    def _rims(self) -> list[float]:
-        """Radii over the cutoff at which the profile is not smooth, the last that of the support."""
-        return [1.0]
+        return self._norms[dimension - 1]
 
     def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
@@ -116,14 +111,11 @@ class Kernel:
             )
         code = self.code + codimension
         kind = LUCY_FULL if code == codes.LUCY else code
-        norm = self._unit_norm(dimension) / self.cutoff**seen
-        spread = codes.TABULATED if self.code == codes.TABLE else self.spread
-        return KernelCode(kind, spread, self._table(codimension), norm)
+        return KernelCode(kind, self.spread, self._table, self._unit_norm(dimension) / self.cutoff**seen)
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
-        rims = np.array(self._rims())
-        return CellKernel(*self.weights(seen), rims, *(self.weights(max(1, seen - k)) for k in (1, 2)))
+        return CellKernel(*self.weights(seen), np.array(self._rims), *(self.weights(max(1, seen - k)) for k in (1, 2)))
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
@@ -182,9 +174,7 @@ class Lucy(Kernel):
     """
 
     name, code, ratio, smoothness = "lucy", codes.LUCY, 2.0, 2
-
-    def _unit_norm(self, dimension: int) -> float:
-        return {1: 5 / 4, 2: 5 / math.pi, 3: 105 / (16 * math.pi)}[dimension]
+    _norms = 5 / 4, 5 / math.pi, 105 / (16 * math.pi)
 
 
 class Gaussian(Kernel):
@@ -224,13 +214,10 @@ class Gaussian(Kernel):
         super().__init__(width, cutoff=cutoff, dimension=dimension)
         self.shifted = bool(shifted)
         if self.shifted:
-            self.name, self.smoothness = _SHIFTED_GAUSSIAN, 0
+            self.name, self.smoothness, self._table = _SHIFTED_GAUSSIAN, 0, _SHIFTED
 
     def __repr__(self) -> str:
         return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
-
-    def _table(self, codimension: int) -> NDArray | None:
-        return _SHIFTED if self.shifted else PLAIN
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
@@ -267,9 +254,7 @@ class Heaviside(Kernel):
     """
 
     name, code = "heaviside", codes.HEAVISIDE
-
-    def _unit_norm(self, dimension: int) -> float:
-        return {1: 1 / 2, 2: 1 / math.pi, 3: 3 / (4 * math.pi)}[dimension]
+    _norms = 1 / 2, 1 / math.pi, 3 / (4 * math.pi)
 
 
 class _Registered(Kernel):
@@ -281,11 +266,12 @@ class _Registered(Kernel):
     def _unit_norm(self, dimension: int) -> float:
         return 1 / profile_integral(self.profile, dimension)
 
-    def _table(self, codimension: int) -> NDArray:
-        return table_of(self.profile, codimension)
-
-    def _rims(self) -> list[float]:
-        return rims_of(self.profile)
+    def weights(self, seen: int | None = None) -> KernelCode:
+        found = super().weights(seen)
+        if seen == 0:
+            return found
+        codimension = 0 if seen is None else (self.dimension or 3) - seen
+        return found._replace(spread=codes.TABULATED, table=table_of(self.profile, codimension))
 
 
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
@@ -346,7 +332,7 @@ def register_kernel(
         smoothness = -1
 
     members: dict[str, Any] = {"name": name, "profile": staticmethod(profile), "ratio": ratio, "smoothness": smoothness}
-    members["__doc__"] = f"The kernel registered as {name!r}."
+    members |= {"_rims": rims_of(profile), "__doc__": f"The kernel registered as {name!r}."}
     kind = _NAMED[name.lower()] = type(name.title(), (_Registered,), members)
     return kind
 

@@ -199,8 +199,8 @@ class Grid:
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
-        whole = np.isclose(np.array(self.shape) * self.steps, period, atol=0.0)
-        return triple([a in self.spacing and bool(fits) for a, fits in zip(COMPONENTS, whole, strict=True)])
+        extent = [n * self.spacing.get(a, 0.0) for a, n in zip(COMPONENTS, self.shape, strict=True)]
+        return triple(np.isclose(extent, period, atol=0.0))
 
     def blocks(self, size: int, threads: int) -> Sequence[Block]:
         """Divide a mesh into compact blocks of at most about `size` nodes; other nodes are divided already.

@@ -147,16 +147,9 @@ def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bo
     return records, longest, more
 
 
-def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
-    """Measure the segments of some contacts: bounds of runs, the longest, and whether any has a second segment."""
-    bounds, longest = no_bounds(len(contacts)), np.empty(4)
-    more = list_segments(*listing, contacts, None, bounds, longest)
-    return bounds, longest, more
-
-
 def along_branches(step: StepRows) -> list[Pass]:
     """Prepare a pass for each moment that is smeared along branches."""
-    order = step.in_space(step.position) if step.grains.row is not None else step.grains.order
+    order = step.grains.order if step.lattice.vectors is None else step.in_space(step.position)
     contacts = step.contacts.in_order_of(order)
     return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]
 
@@ -199,7 +192,8 @@ def _segments(
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
-        bounds, longest, more = measure(listing, contacts)
+        bounds, longest = no_bounds(len(contacts)), np.empty(4)
+        more = list_segments(*listing, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
             return ListedAnew(listing, contacts, bounds, limits), longest, more
@@ -213,7 +207,8 @@ def _segments(
         segments, contacts = segments[used[image]], contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
-            on_i, on_j = _carried(step, moment, step.moving(drift))
+            moved = step.frame | {"velocity": step.frame["velocity"] + drift}  # as seen in images that drift
+            on_i, on_j = _carried(step, moment, moved)
             moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):

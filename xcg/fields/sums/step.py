@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_once
 from xcg.compiled.arrays import bounds_of, transpose_columns
 from xcg.compiled.cell_means import cell_means
-from xcg.compiled.points import NONE, SQUARES
+from xcg.compiled.points import NONE
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
@@ -145,12 +145,6 @@ class Layout:
     vector: bool = True
 
     @cached_property
-    def squares(self) -> bool:
-        """Return whether any moment is one of squares of weights."""
-        kept = {column for column in SQUARES if column < self.level}
-        return not all(kept.isdisjoint(columns.ravel().tolist()) for columns, _ in self.moments.values())
-
-    @cached_property
     def _rows(self) -> tuple[NDArray, NDArray]:
         """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
         columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
@@ -198,20 +192,16 @@ class Images:
     position : array (m, 3)
     order : array (m,)
         Their order in space.
-    row : array (m,) or None
-        Row of each; None where that is the place's own number.
+    row : array (m,) or slice
+        Row of each; all where each row is one place.
     drift : array (m, 3) or None
         How fast each moves relative to the row's velocity (m/s); None where none does.
     """
 
     position: NDArray
     order: NDArray
-    row: NDArray | None = None
+    row: NDArray | slice
     drift: NDArray | None = None
-
-    def of(self, values: NDArray) -> NDArray:
-        """Values (m, ...) at the places from the values of the rows."""
-        return values if self.row is None else values[self.row]
 
 
 class StepRows:
@@ -231,6 +221,8 @@ class StepRows:
     kernels : dict
         The kernel by cutoff, times `scale`, which divides by the extent of averaged axes.
     grains : Images
+    flow : tuple of array (m, 3) and (m,)
+        Velocity and mass of these.
 
     Raises
     ------
@@ -269,6 +261,8 @@ class StepRows:
                 )
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
+        flow, drift = self.velocity[self.grains.row], self.grains.drift
+        self.flow = flow if drift is None else flow + drift, self.mass[self.grains.row]
 
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
@@ -289,7 +283,7 @@ class StepRows:
     def images(self, position: NDArray) -> Images:
         """Return the positions of rows, with all images near the mesh where a box is tilted."""
         if self.lattice.vectors is None:
-            return Images(position, self.in_space(position))
+            return Images(position, self.in_space(position), slice(None))
         row, shift, drift = self.near_mesh(position, self.spec.distinct[-1])
         position = position[row] + shift
         return Images(position, self.in_space(position), row, drift if drift.any() else None)
@@ -312,24 +306,14 @@ class StepRows:
         assert row.column is not None
         which = at.row if contact is None else contact
         frame = self.frame if row.contacts else self.of_grains
-        values = row.column(frame, self.contacts)
-        values = (values if which is None else values[which]).reshape(len(at.position), math.prod(values.shape[1:]))
-        if at.drift is not None and which is not None and "velocity" in row.variables:
+        values = row.column(frame, self.contacts)[which]
+        values = values.reshape(len(at.position), math.prod(values.shape[1:]))
+        if at.drift is not None and "velocity" in row.variables:
             # images that move alike take one call, as a grain's value may be a sum over its contacts
             for drift, here in alike(at.drift):
-                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)
-                values[here] = found[which[here]].reshape(-1, values.shape[1])
+                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)[which]
+                values[here] = found[here].reshape(-1, values.shape[1])
         return values
-
-    def moving(self, drift: NDArray) -> Frame:
-        """Add a velocity to all grains: the frame as seen in images that drift."""
-        return self.frame | {"velocity": self.frame["velocity"] + drift}
-
-    @property
-    def flow(self) -> tuple[NDArray, NDArray]:
-        """Velocity (n, 3) and mass (n,) of the grains and their images."""
-        velocity = self.grains.of(self.velocity)
-        return velocity if self.grains.drift is None else velocity + self.grains.drift, self.grains.of(self.mass)
 
     @cached_property
     def contact_points(self) -> tuple[Images, NDArray, NDArray, NDArray]:
@@ -343,7 +327,7 @@ class StepRows:
         contact = np.concatenate([first, np.flatnonzero(mixed)])
         phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
         images, share = self.images(c.point[contact]), np.where(mixed[contact], 0.5, 1.0)
-        return images, images.of(phase), images.of(share), images.of(contact)
+        return images, phase[images.row], share[images.row], contact[images.row]
 
     def in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
