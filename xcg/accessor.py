@@ -21,10 +21,6 @@ _SUMMARIES = {
 }
 
 
-def _load(module: str, name: str) -> Any:
-    return getattr(import_module(module), name)
-
-
 def kind_of(ds: xr.Dataset) -> str:
     """Return "scene", "chains" or "result": the kind of Dataset."""
     if "chain_id" in ds:
@@ -50,7 +46,7 @@ class Method:
         self.name = name
 
     def __get__(self, accessor: CoarseGrainAccessor | None, owner: type) -> Callable:
-        function = _load(self.module, self.name)
+        function = getattr(import_module(self.module), self.name)
         return function if accessor is None else MethodType(function, accessor._ds)
 
 
@@ -75,7 +71,8 @@ class CoarseGrainAccessor:
         return [name for name in super().__dir__() if name not in others]
 
     def _summary(self) -> Any:
-        return _load(*_SUMMARIES[kind_of(self._ds)])(self._ds)
+        module, name = _SUMMARIES[kind_of(self._ds)]
+        return getattr(import_module(module), name)(self._ds)
 
     coarse_grain = Method("xcg.fields.coarse_grain", SCENE)
     explain = Method("xcg.fields.coarse_grain", SCENE)

@@ -30,56 +30,33 @@ _WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
 def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Grid:
-    """Lay the nodes: points, where coordinates are arrays, or a mesh."""
-    setup = scene.setup
+    """Lay the nodes: points, where coordinates are arrays; those of a cylinder; or a mesh."""
+    plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
-    narrowest = min(k.cutoff for k in kernels)
-    if scene.cylindrical:
-        return _rings(scene, request, kernels)
-    if any(np.ndim(place) > 0 for place in at.values()):
+    smallest, widest = (choose(kernels, key=lambda k: k.cutoff) for choose in (min, max))
+    if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
-        return make_points(at, plane=setup.plane, cutoff=narrowest)
-    return make_grid(
-        request.axes_of(setup.plane),
-        at,
-        request.bounds or {},
-        min(k.width for k in kernels) if request.spacing is None else request.spacing,
-        plane=setup.plane,
-        cutoff=narrowest,
-        automatic=automatic_bounds(scene, max(k.cutoff for k in kernels)),
-        period=scene.periods,
-        cells=request.sampling == "cell",
-    )
-
-
-def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Grid:
-    """Lay the nodes of a cylinder."""
+        return make_points(at, plane=plane, cutoff=smallest.cutoff)
+    spacing = min(k.width for k in kernels) if request.spacing is None else request.spacing
+    places = at, request.bounds or {}, spacing
+    automatic = automatic_bounds(scene, widest.cutoff)
+    if not scene.cylindrical:
+        return make_grid(
+            request.axes_of(plane), *places, plane=plane, cutoff=smallest.cutoff, automatic=automatic,
+            period=scene.periods, cells=request.sampling == "cell",
+        )  # fmt: skip
     assert isinstance(request.frame, Cylindrical)
-    if request.gradient == "finite_difference":
-        raise ValueError(
-            "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; leave it out"
-        )
-    if request.sampling == "cell":
-        raise ValueError(
-            "sampling='cell' takes the cells of a mesh along x, y and z, and a cylindrical frame has none: leave it out"
-        )
-    setup, reach = scene.setup, max(k.cutoff for k in kernels)
-    automatic = automatic_bounds(scene, reach)
+    for name, wrong in (("gradient", "finite_difference"), ("sampling", "cell")):
+        if getattr(request, name) == wrong:
+            raise ValueError(
+                f"{name}={wrong!r} takes a mesh along x, y and z, and a cylindrical frame has none: leave it out"
+            )
     if {"x", "y"} <= set(automatic) and scene.radius is not None:
-        automatic["r"] = 0.0, scene.radius + reach
-    axes = ("rtz" if "z" in setup.plane else "rt") if request.axes is None and request.at is None else request.axes
+        automatic["r"] = 0.0, scene.radius + widest.cutoff
     return make_rings(
-        axes or "",
-        request.at or {},
-        request.bounds or {},
-        min(k.width for k in kernels) if request.spacing is None else request.spacing,
-        plane=setup.plane,
-        kernel=min(kernels, key=lambda k: k.cutoff),
-        seen_all=setup.dimension,
-        error=request.frame.error,
-        automatic=automatic,
-        period=scene.periods,
-    )
+        request.axes_of("rtz" if "z" in plane else "rt"), *places, plane=plane, kernel=smallest,
+        seen_all=scene.setup.dimension, error=request.frame.error, automatic=automatic, period=scene.periods,
+    )  # fmt: skip
 
 
 def _check_pointwise(request: Request) -> None:
@@ -113,17 +90,6 @@ def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float
             if a not in periodic or a not in scene.edges:
                 found[a] = low - cutoff, high + cutoff
     return found
-
-
-def averaged_gradient(scene: Description, request: Request) -> str:
-    """Return what is known of derivatives along averaged axes, see `xcg.fields.formulas.field.Options`."""
-    plane, at = scene.setup.plane, request.at or {}
-    axes = request.axes_of(plane)
-    averaged = [a for a in plane if isinstance(axes, str) and a not in axes and a not in at]
-    if "lattice_velocity" in scene.columns and any(a in scene.setup.periodic for a in averaged):
-        return "box"
-    lost = averaged == list(plane) and not set(plane) <= set(scene.setup.periodic) and not scene.cylindrical
-    return "unknown" if lost else "zero"
 
 
 def takes_gradient(name: str, options: Options) -> bool:

@@ -20,7 +20,6 @@ from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
 from xcg.fields.layout import (
-    averaged_gradient,
     check_differentiable,
     extents_of,
     kernels_of,
@@ -372,6 +371,13 @@ def _options_of(scene: Description, request: Request) -> Options:
         raise ValueError(f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5")
     if size in ("d50", "dmax") and size not in scene.sizes:
         raise ValueError(f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first")
+    axes, at = request.axes_of(setup.plane), request.at or {}
+    averaged = {a for a in setup.plane if isinstance(axes, str) and a not in axes and a not in at}
+    derivatives = "zero"
+    if "lattice_velocity" in scene.columns and averaged & {*setup.periodic}:
+        derivatives = "box"
+    elif averaged == {*setup.plane} and not averaged <= {*setup.periodic} and not scene.cylindrical:
+        derivatives = "unknown"
     return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,
@@ -385,5 +391,5 @@ def _options_of(scene: Description, request: Request) -> Options:
         temperature=request.temperature,
         lag=scene.lag,
         by=request.by,
-        averaged_gradient=averaged_gradient(scene, request),
+        averaged_gradient=derivatives,
     )

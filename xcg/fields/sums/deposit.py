@@ -24,40 +24,30 @@ from xcg.scene.schema import VARIABLES, Frame
 
 
 def grains(step: StepRows) -> list[Pass]:
-    """Flow columns and columns of constants."""
-    at, rows = step.grains, {name: row for name, row in step.spec.of_grains.items() if row.column}
-    # a column that is the same for all grains, as those of one size are, is a multiple of their number
-    single, same = dict[str, NDArray](), dict[str, float]()
-    for name, row in rows.items():
-        if row.width == 1:
-            values = step.column(row, at)
-            # most columns differ in their ends
-            if len(values) and values[0, 0] == values[-1, 0] and (values == values[0]).all():
-                same[name] = float(values[0, 0])
-            else:
-                single[name] = values
-    number = [np.ones((len(at.position), 1))] if same else []
-    # what is wide is made when it is written beside the others
-    rest = {name: row for name, row in rows.items() if name not in same}
-    columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
-    layout = _layout_of_grains(step.spec, same)
-    return [_pass(step, layout, at, *step.flow, step.phase[at.row], chain(columns, number))]
-
-
-def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
     """Flow columns come first, then columns of constants that differ between grains, then the number of grains."""
-    moments, first = dict[str, tuple[NDArray, float | NDArray]](), spec.level
+    spec, at, single, rest = step.spec, step.grains, dict[str, NDArray](), dict[str, Moment]()
+    moments, same, first = dict[str, tuple[NDArray, float | NDArray]](), dict[str, float](), spec.level
     for name, row in spec.of_grains.items():
         if row.level:
             power = CUTOFF_POWERS.get(name, 0)
             moments[name] = (row.first + row.columns, spec.by_phase**power if power else 1.0)
-        elif name not in same:
-            moments[name] = (first + row.columns, 1.0)
-            first += row.width
+            continue
+        if row.width == 1:
+            single[name] = values = step.column(row, at)
+            # a column that is the same for all grains, as those of one size are, is a multiple of their number; most
+            # differ in their ends
+            if len(values) and values[0, 0] == values[-1, 0] and (values == values[0]).all():
+                same[name] = float(single.pop(name)[0, 0])
+                continue
+        moments[name], rest[name] = (first + row.columns, 1.0), row
+        first += row.width
     number = first + MOMENTS["number"].columns
-    columns = -(-(first + bool(same)) // 4) * 4  # as the loop adds four at a time
     moments |= {name: (number, value) for name, value in same.items()}
-    return Layout(spec.phases, columns, moments, spec.level)
+    layout = Layout(spec.phases, -(-(first + bool(same)) // 4) * 4, moments, spec.level)  # the loop adds four at a time
+    # what is wide is made when it is written beside the others
+    columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
+    ones = [np.ones((len(at.position), 1))] if same else []
+    return [_pass(step, layout, at, *step.flow, step.phase[at.row], chain(columns, ones))]
 
 
 def slopes(step: StepRows) -> list[Pass]:

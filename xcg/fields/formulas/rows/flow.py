@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,11 +33,6 @@ from xcg.fields.formulas.field import Field, Function, Options
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 SQUARES = ("square", "square_offset", "square_spread")
 FITS = ("least_squares", "paper")
-
-
-def _drift(f: Any, s: Any, o: Options) -> NDArray:
-    """V - U: the velocity relative to the node's reference, NaN where there are no grains."""
-    return mean_of(s.momentum, s.mass)
 
 
 def _inner(a: NDArray) -> NDArray:
@@ -77,7 +72,6 @@ def _unknown(f: Any, s: Any, o: Options, *, along_seen: Function) -> NDArray:
     return along_seen(f, s, o) + np.nan
 
 
-@lru_cache
 def with_averaged_axes(gradient: Field, kind: str) -> Field:
     """Return a row of the velocity gradient with its derivatives along averaged axes: "box", or "unknown"."""
     if kind == "unknown":
@@ -292,8 +286,10 @@ ROWS: dict[str, Field] = {
         formula="N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2", compute=lambda f, s, o: ratio(s.mass * s.mass, s.square),
         moments=("mass", "square"), weight="density",
     ),
+    # the velocity relative to the node's reference, NaN where there are no grains
     "_drift": Field(
-        rank=1, units="m s^-1", formula="V - U", compute=_drift, moments=("mass", "momentum"), listed=False
+        rank=1, units="m s^-1", formula="V - U", compute=lambda f, s, o: mean_of(s.momentum, s.mass),
+        moments=("mass", "momentum"), listed=False,
     ),
     "_fit": Field(
         rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
