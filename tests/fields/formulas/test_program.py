@@ -100,7 +100,7 @@ def test_phases_of_few_grains():
 
 def test_equal_operations_are_traced_once():
     record = symbols.Trace()
-    a, b = record.load("momentum", 0, np.arange(2))
+    a, b = record.load("momentum", np.arange(2))[0, 0]
     assert (a + b).number == (b + a).number
     assert (a - b).number != (b - a).number
     written = len(record.steps)
@@ -126,7 +126,7 @@ def test_all_fields_of_the_registry_are_traced(gradient, groups):
 
 
 def test_negation_is_traced_to_the_bit():
-    (a,) = symbols.Trace().load("mass", 0, np.arange(1))
+    (a,) = symbols.Trace().load("mass", np.arange(1))[0, 0]
     kind, operands = a.record.steps[(-a).number]
     assert kind == kernel.MULTIPLY
     assert (kernel.CONSTANT, (-1.0,)) in [a.record.steps[k] for k in operands]
@@ -139,13 +139,13 @@ def test_negation_is_traced_to_the_bit():
 ])  # fmt: skip
 def test_unknown_operations_on_symbols_raise(operation):
     """What is let through must give the bits of NumPy, which sums over axes in an order of its own."""
-    x = symbols.Trace().load("contact", 0, np.arange(9).reshape(3, 3))
+    x = symbols.Trace().load("contact", np.arange(9).reshape(3, 3))[0, 0]
     with pytest.raises((symbols.UnknownOperation, TypeError)):
         operation(x)
 
 
 def test_symbols_have_no_truth_value_and_no_cubes():
-    (a,) = symbols.Trace().load("mass", 0, np.arange(1))
+    (a,) = symbols.Trace().load("mass", np.arange(1))[0, 0]
     with pytest.raises(TypeError, match="not known"):
         bool(a)
     with pytest.raises(NotImplementedError, match="only squares"):

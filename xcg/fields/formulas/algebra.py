@@ -7,9 +7,12 @@ UnknownOperation; such formulas are left to NumPy.
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from functools import partialmethod
+from functools import partialmethod, reduce
+from itertools import product
 from typing import Any, NoReturn
 
 import numpy as np
@@ -42,10 +45,16 @@ class Trace:
         """Return a symbol for a value that may be a number."""
         return value if isinstance(value, Symbol) else self.add(loops.CONSTANT, float(value))
 
-    def load(self, name: str, group: int, columns: NDArray) -> NDArray:
-        """Return symbols for the moment of a group of grains that is made of these columns."""
-        loads = [self.add(loops.LOAD, name, group, int(column)) for column in columns.ravel()]
-        return as_symbols(np.array(loads, object).reshape(columns.shape))
+    def load(self, name: str, columns: NDArray, groups: int = 0, *, paired: bool = False) -> NDArray:
+        """Return symbols (phase, 1, ...) for a moment at one node: of the bulk, the sum over groups, and of each group.
+
+        It is made of these columns, in sums of each group, or of each pair of a group with another or with walls.
+        """
+        shape = (max(1, groups), *((groups + 1,) if groups and paired else ()))
+        keys = product(range(math.prod(shape)), columns.ravel().tolist())
+        loads = [self.add(loops.LOAD, name, group, column) for group, column in keys]
+        each = as_symbols(np.array(loads, object).reshape(*shape, *columns.shape))
+        return (np.stack([reduce(operator.add, each), *each]) if groups else each)[:, None]
 
 
 @dataclass(eq=False, slots=True)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache
 from itertools import count
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +20,6 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown
 from xcg.fields.formulas.field import Options
 from xcg.fields.sums.deposit import BlockSums
-from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.step import Layout
 
 
@@ -111,24 +108,10 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     """
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
-    record = Trace()
+    record, found = Trace(), dict[str, Any]()
     wanted = registry.moments_of(fields, options)
-    moments = {name: _moment(record, name, row, groups) for name, row in wanted.items()}
-    moments["reference"] = zero_if_unknown(record.load("reference", 0, np.arange(3)))
-    found = _traced(fields, moments, options)
-    results = {
-        (name, first, number): [record.of(value).number for value in found[name].flat[first : first + number]]
-        for name in fields
-        if name in found
-        for number in [3 ** registry.row(name, options).rank]
-        for first in range(0, found[name].size, number)
-    }
-    return _allocate(record.steps, results) if results else None
-
-
-def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, Any]:
-    """Symbols of some fields and of what they need, except fields that cannot be traced."""
-    found: dict[str, Any] = {}
+    moments = {name: record.load(name, row.columns, groups, paired=row.paired) for name, row in wanted.items()}
+    moments["reference"] = zero_if_unknown(record.load("reference", np.arange(3))[0, 0])
     s = SimpleNamespace(**moments)
     for name in registry.order_of(fields, options):
         row = registry.row(name, options)
@@ -137,18 +120,14 @@ def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opti
                 found[name] = as_symbols(row.compute(SimpleNamespace(**found), s, options))
             except Exception:  # numbers may do; if not, they give an error that says why
                 continue
-    return found
-
-
-def _moment(record: Trace, name: str, row: Moment, groups: int) -> NDArray:
-    """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
-    columns = row.columns
-    if not groups:
-        return record.load(name, 0, columns)[None, None]
-    others = (groups + 1,) if row.paired else ()
-    parts = [record.load(name, group, columns) for group in range(groups * math.prod(others))]
-    each = np.stack(parts).reshape(groups, *others, *columns.shape)
-    return np.stack([reduce(operator.add, each), *each])[:, None]
+    results = {
+        (name, first, number): [record.of(value).number for value in found[name].flat[first : first + number]]
+        for name in fields
+        if name in found
+        for number in [3 ** registry.row(name, options).rank]
+        for first in range(0, found[name].size, number)
+    }
+    return _allocate(record.steps, results) if results else None
 
 
 def _allocate(
