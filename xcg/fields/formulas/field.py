@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal, TypeAlias
 
 from xcg.common.messages import did_you_mean
+from xcg.fields.formulas.algebra import mean_of
 from xcg.scene.schema import Powers, powers_of
 
 # choices of the algebra, the default first
@@ -160,6 +161,16 @@ class Field:
     def powers(self) -> Powers:
         """Powers of (length, mass, time) of the unit."""
         return powers_of(self.units)
+
+
+def sum_of(moment: str, **about: Any) -> Field:
+    """Return the row of a field that is one moment."""
+    return Field(compute=lambda f, s, o: getattr(s, moment), moments=(moment,), additive=True, **about)
+
+
+def mean_of_sums(top: str, bottom: str, **about: Any) -> Field:
+    """Return the row of a field that is one moment over another, the sum of its weights."""
+    return Field(compute=lambda f, s, o: mean_of(getattr(s, top), getattr(s, bottom)), moments=(top, bottom), **about)
 
 
 # --- quantities of variables ----------------------------------------------------------------------------

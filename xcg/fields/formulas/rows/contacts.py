@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import contraction, deviator, mean_of, ratio, restricted, transposed, zero_if_unknown
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
 
 
 def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDArray:
@@ -62,55 +62,47 @@ def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
 
 
 ROWS: dict[str, Field] = {
-    "contact_stress": Field(
-        rank=2, units="Pa", long_name="contact stress",
+    "contact_stress": sum_of(
+        "contact", rank=2, units="Pa", long_name="contact stress",
         formula="sigma^c = sum_c f_ij a_ij int_0^1 Psi(r - r_i + s a_ij) ds, both sides",
-        compute=lambda f, s, o: s.contact, moments=("contact",), additive=True,
     ),
-    "contact_stress_by_pair": Field(
-        rank=2, units="Pa", long_name="contact stress of each phase from contacts with another, or with walls",
-        formula="sigma^c of the phase's sides of its contacts with grains of other_phase",
-        compute=lambda f, s, o: s.pair_contact, moments=("pair_contact",), additive=True, default=False, option="by",
+    "contact_stress_by_pair": sum_of(
+        "pair_contact", rank=2, units="Pa",
+        long_name="contact stress of each phase from contacts with another, or with walls",
+        formula="sigma^c of the phase's sides of its contacts with grains of other_phase", default=False, option="by",
         paired=True,
     ),
-    "wall_traction": Field(
-        rank=1, units="Pa m^-1", long_name="traction of walls on the grains", formula="t = sum_w f_iw Psi(r - c_iw)",
-        compute=lambda f, s, o: s.traction, moments=("traction",), additive=True,
+    "wall_traction": sum_of(
+        "traction", rank=1, units="Pa m^-1", long_name="traction of walls on the grains",
+        formula="t = sum_w f_iw Psi(r - c_iw)",
     ),
-    "contact_force_density": Field(
-        rank=1, units="Pa m^-1", long_name="density of the contact forces on the grains",
-        formula="sum_i Psi sum_c f_ij", compute=lambda f, s, o: s.force, moments=("force",), additive=True,
+    "contact_force_density": sum_of(
+        "force", rank=1, units="Pa m^-1", long_name="density of the contact forces on the grains",
+        formula="sum_i Psi sum_c f_ij",
     ),
-    "fabric": Field(
-        rank=2, long_name="fabric", formula="F = sum V_i Psi sum_c n n", compute=lambda f, s, o: s.fabric,
-        moments=("fabric",), additive=True,
+    "fabric": sum_of("fabric", rank=2, long_name="fabric", formula="F = sum V_i Psi sum_c n n"),
+    "coordination_number": mean_of_sums(
+        "partners", "number", long_name="coordination number", formula="Z = sum z_i Psi / n", weight="number_density",
     ),
-    "coordination_number": Field(
-        long_name="coordination number", formula="Z = sum z_i Psi / n",
-        compute=lambda f, s, o: mean_of(s.partners, s.number), moments=("partners", "number"), weight="number_density",
+    "contact_number_density": sum_of(
+        "contacts", units="m^-3", long_name="number density of contacts", formula="n_c = sum_c Psi(r - c)",
+        default=False,
     ),
-    "contact_number_density": Field(
-        units="m^-3", long_name="number density of contacts", formula="n_c = sum_c Psi(r - c)",
-        compute=lambda f, s, o: s.contacts, moments=("contacts",), additive=True, default=False,
+    "branch_length_density": sum_of(
+        "branch_length", units="m^-2", long_name="length of branches in a unit of volume", formula="sum_c l Psi(r - c)",
+        default=False,
     ),
-    "branch_length_density": Field(
-        units="m^-2", long_name="length of branches in a unit of volume", formula="sum_c l Psi(r - c)",
-        compute=lambda f, s, o: s.branch_length, moments=("branch_length",), additive=True, default=False,
+    "normal_force_density": sum_of(
+        "normal_force", units="Pa m^-1", long_name="sum of normal forces in a unit of volume",
+        formula="sum_c f.n Psi(r - c)", default=False,
     ),
-    "normal_force_density": Field(
-        units="Pa m^-1", long_name="sum of normal forces in a unit of volume", formula="sum_c f.n Psi(r - c)",
-        compute=lambda f, s, o: s.normal_force, moments=("normal_force",), additive=True, default=False,
+    "contact_fabric": mean_of_sums(
+        "normals", "contacts", rank=2, long_name="mean of the contacts' normals",
+        formula="Phi = sum_c n n Psi(r - c) / n_c", weight="contact_number_density", default=False,
     ),
-    "contact_fabric": Field(
-        rank=2, long_name="mean of the contacts' normals", formula="Phi = sum_c n n Psi(r - c) / n_c",
-        compute=lambda f, s, o: mean_of(s.normals, s.contacts), moments=("normals", "contacts"),
-        weight="contact_number_density", default=False,
-    ),
-    "branch_fabric": Field(
-        rank=2, long_name="normals, weighted by the branch length",
-        formula="X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)",
-        compute=lambda f, s, o: mean_of(s.branch_normals, s.branch_length), moments=("branch_normals", "branch_length"),
-        weight="branch_length_density", default=False,
+    "branch_fabric": mean_of_sums(
+        "branch_normals", "branch_length", rank=2, long_name="normals, weighted by the branch length",
+        formula="X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)", weight="branch_length_density", default=False,
     ),
     "normal_force_fabric": Field(
         rank=2, long_name="normals, weighted by the normal force",
@@ -154,10 +146,10 @@ ROWS: dict[str, Field] = {
         ),
         default=False,
     ),
-    "strong_contact_stress": Field(
-        rank=2, units="Pa", long_name="contact stress of contacts that push more than the mean of the step",
-        formula="sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0",
-        compute=lambda f, s, o: s.strong_contact, moments=("strong_contact",), additive=True, default=False,
+    "strong_contact_stress": sum_of(
+        "strong_contact", rank=2, units="Pa",
+        long_name="contact stress of contacts that push more than the mean of the step",
+        formula="sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0", default=False,
     ),
     "weak_contact_stress": Field(
         rank=2, units="Pa", long_name="contact stress of all other contacts",
@@ -165,15 +157,13 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: f.contact_stress - f.strong_contact_stress,
         fields=("contact_stress", "strong_contact_stress"), additive=True, default=False,
     ),
-    "bearing_number_density": Field(
-        units="m^-3", long_name="number density of grains that may bear load", formula="sum Psi over z_i > 1",
-        compute=lambda f, s, o: s.bearing, moments=("bearing",), additive=True, default=False,
+    "bearing_number_density": sum_of(
+        "bearing", units="m^-3", long_name="number density of grains that may bear load",
+        formula="sum Psi over z_i > 1", default=False,
     ),
-    "mechanical_coordination_number": Field(
-        long_name="coordination number of grains that may bear load",
-        formula="Z_mech = sum z_i Psi / sum Psi over z_i > 1",
-        compute=lambda f, s, o: mean_of(s.bearing_partners, s.bearing), moments=("bearing_partners", "bearing"),
-        weight="bearing_number_density", default=False,
+    "mechanical_coordination_number": mean_of_sums(
+        "bearing_partners", "bearing", long_name="coordination number of grains that may bear load",
+        formula="Z_mech = sum z_i Psi / sum Psi over z_i > 1", weight="bearing_number_density", default=False,
     ),
     "redundancy_number": Field(
         long_name="constraints of contacts over degrees of freedom of grains that may bear load",
@@ -181,10 +171,10 @@ ROWS: dict[str, Field] = {
         "s_c = 1 if |f_t| = friction f.n, over z_i > 1",
         compute=_redundancy, moments=("bearing_contacts", "bearing"), weight="bearing_number_density", default=False,
     ),
-    "interphase_force": Field(
-        rank=1, units="Pa m^-1", long_name="density of the contact forces of another phase, or of walls, on each phase",
-        formula="sum_c f_ij Psi(r - c), i in the phase and j in other_phase", compute=lambda f, s, o: s.pair_force,
-        moments=("pair_force",), additive=True, default=False, option="by", paired=True,
+    "interphase_force": sum_of(
+        "pair_force", rank=1, units="Pa m^-1",
+        long_name="density of the contact forces of another phase, or of walls, on each phase",
+        formula="sum_c f_ij Psi(r - c), i in the phase and j in other_phase", default=False, option="by", paired=True,
     ),
     "segregation_flux": Field(
         rank=1, units="kg m^-2 s^-1", long_name="flux of a phase's mass relative to the bulk",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from xcg.fields.formulas.algebra import (
     where_positive,
     zero_if_unknown,
 )
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
 
 # of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I Psi)^2
 WEIGHT, _FIRST, _SECOND, SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
@@ -49,11 +50,10 @@ def _fluctuation_inertia(f: Any, s: Any, o: Options) -> NDArray:
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
     """Traces run over the axes that grains turn about: in a one-layer scene, that across the plane."""
     axes = [k for k in range(3) if k not in o.plane] if o.dimension == 2 else [0, 1, 2]
-    total = sum((f.spin_fluctuation[..., k, k] for k in axes), start=np.zeros(f.density.shape))
     # as of velocities: unknown where the mean leaves less than half of a mean grain
     enough = where_positive(f.fluctuation_inertia - 0.5 * ratio(f.inertia_density, f.sample_count))
     free = f.fluctuation_inertia + (enough - enough)
-    return ratio(at_least_zero(total) * f.inertia_density / free, len(axes) * f.density)
+    return ratio(at_least_zero(trace(f.spin_fluctuation, axes)) * f.inertia_density / free, len(axes) * f.density)
 
 
 def _bulk(f: Any, s: Any) -> NDArray:
@@ -86,125 +86,115 @@ def _contact_heat_flux(f: Any, s: Any, o: Options) -> NDArray:
     return f.contact_energy_flux - times(v[..., None, :], f.contact_stress)[..., 0, :]
 
 
-ROWS: dict[str, Field] = {
+_ROWS: dict[str, Field] = {
     "vorticity": Field(
         rank=1, units="s^-1", long_name="vorticity, twice the rate at which the flow turns",
         formula="curl V, of the velocity gradient G", compute=_vorticity, fields=("velocity_gradient",),
-        weight="density", default=False,
+        weight="density",
     ),
-    "inertia_density": Field(
-        units="kg m^-1", long_name="density of the moments of inertia", formula="sum I_i Psi",
-        compute=lambda f, s, o: s.inertia, moments=("inertia",), additive=True, default=False,
+    "inertia_density": sum_of(
+        "inertia", units="kg m^-1", long_name="density of the moments of inertia", formula="sum I_i Psi",
     ),
-    "spin_density": Field(
-        rank=1, units="kg m^-1 s^-1", long_name="density of the spin", formula="sum I_i omega_i Psi",
-        compute=lambda f, s, o: s.spin, moments=("spin",), additive=True, default=False,
+    "spin_density": sum_of(
+        "spin", rank=1, units="kg m^-1 s^-1", long_name="density of the spin", formula="sum I_i omega_i Psi",
     ),
-    "spin": Field(
-        rank=1, units="s^-1", long_name="mean angular velocity of the grains",
-        formula="omega = sum I_i omega_i Psi / sum I_i Psi", compute=lambda f, s, o: mean_of(s.spin, s.inertia),
-        moments=("spin", "inertia"), weight="inertia_density", default=False,
+    "spin": mean_of_sums(
+        "spin", "inertia", rank=1, units="s^-1", long_name="mean angular velocity of the grains",
+        formula="omega = sum I_i omega_i Psi / sum I_i Psi", weight="inertia_density",
     ),
-    "spin_flux": Field(
-        rank=2, units="kg s^-2", long_name="flux of spin that moving grains carry", formula="sum I_i omega_i v_i Psi",
-        compute=lambda f, s, o: s.spin_flux, moments=("spin_flux",), additive=True, default=False,
+    "spin_flux": sum_of(
+        "spin_flux", rank=2, units="kg s^-2", long_name="flux of spin that moving grains carry",
+        formula="sum I_i omega_i v_i Psi",
     ),
     "spin_fluctuation": Field(
         rank=2, units="Pa", long_name="fluctuations of the angular velocity, twice their energy",
         formula="sum I_i omega'_i omega'_i Psi, omega' = omega_i - omega", compute=_fluctuation, moments=("rotation",),
-        additive=True, default=False,
+        additive=True,
     ),
     "fluctuation_inertia": Field(
         units="kg m^-1", long_name="inertia density less the degree of freedom of the mean spin",
         formula="I_T = sum I_i Psi - sum (I_i Psi)^2 / sum I_i Psi", compute=_fluctuation_inertia,
-        moments=("rotation",), additive=True, default=False,
+        moments=("rotation",), additive=True,
     ),
     "rotational_temperature": Field(
         units="m^2 s^-2", long_name="rotational temperature",
         formula="tr(sum I_i omega'_i omega'_i Psi) / (D_r rho) sum I_i Psi / I_T, D_r = 3, or 1 in a plane",
         compute=_temperature,
-        fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density", "sample_count"), default=False,
+        fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density", "sample_count"),
     ),
-    "torque_density": Field(
-        rank=1, units="Pa", long_name="density of the torques of contact forces on the grains",
-        formula="sum_i Psi sum_c b x f, b = c - r_i", compute=lambda f, s, o: s.torque, moments=("torque",),
-        additive=True, default=False,
+    "torque_density": sum_of(
+        "torque", rank=1, units="Pa", long_name="density of the torques of contact forces on the grains",
+        formula="sum_i Psi sum_c b x f, b = c - r_i",
     ),
-    "contact_couple_density": Field(
-        rank=1, units="Pa",
+    "contact_couple_density": sum_of(
+        "contact_couple", rank=1, units="Pa",
         long_name="couple of contact forces at the contact points, in the mean that of the contact stress",
-        formula="sum_c (b_i - b_j) x f_ij Psi(r - c)", compute=lambda f, s, o: s.contact_couple,
-        moments=("contact_couple",), additive=True, default=False,
+        formula="sum_c (b_i - b_j) x f_ij Psi(r - c)",
     ),
-    "couple_stress": Field(
-        rank=2, units="kg s^-2", long_name="couple stress: flux of spin through contacts",
+    "couple_stress": sum_of(
+        "couple", rank=2, units="kg s^-2", long_name="couple stress: flux of spin through contacts",
         formula="sum_c (b x f) a int_0^1 Psi(r - r_i + s a) ds, both sides, a = r_i - c = -b",
-        compute=lambda f, s, o: s.couple, moments=("couple",), additive=True, default=False,
     ),
-    "kinetic_energy": Field(
-        units="Pa", long_name="density of the kinetic energy", formula="e = sum (m_i v_i^2 + I_i omega_i^2) / 2 Psi",
-        compute=lambda f, s, o: s.energy, moments=("energy",), additive=True, default=False,
+    "kinetic_energy": sum_of(
+        "energy", units="Pa", long_name="density of the kinetic energy",
+        formula="e = sum (m_i v_i^2 + I_i omega_i^2) / 2 Psi",
     ),
     "mean_kinetic_energy": Field(
         units="Pa", long_name="density of the kinetic energy of the mean flow", formula="rho V^2 / 2",
-        compute=_mean_energy, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
+        compute=_mean_energy, fields=("_drift",), moments=("mass", "momentum"), additive=True,
     ),
     "fluctuating_kinetic_energy": Field(
         units="Pa", long_name="density of the kinetic energy of fluctuations about V", formula="tr(sigma^k) / 2",
         compute=lambda f, s, o: 0.5 * trace(f.kinetic_stress, (0, 1, 2)), fields=("kinetic_stress",), additive=True,
-        default=False,
     ),
-    "rotational_kinetic_energy": Field(
-        units="Pa", long_name="density of the kinetic energy of rotation", formula="sum I_i omega_i^2 / 2 Psi",
-        compute=lambda f, s, o: s.rotational_energy, moments=("rotational_energy",), additive=True, default=False,
+    "rotational_kinetic_energy": sum_of(
+        "rotational_energy", units="Pa", long_name="density of the kinetic energy of rotation",
+        formula="sum I_i omega_i^2 / 2 Psi",
     ),
-    "kinetic_energy_flux": Field(
-        rank=1, units="W m^-2", long_name="flux of kinetic energy that moving grains carry",
-        formula="sum (m_i v_i^2 + I_i omega_i^2) / 2 v_i Psi", compute=lambda f, s, o: s.energy_flux,
-        moments=("energy_flux",), additive=True, default=False,
+    "kinetic_energy_flux": sum_of(
+        "energy_flux", rank=1, units="W m^-2", long_name="flux of kinetic energy that moving grains carry",
+        formula="sum (m_i v_i^2 + I_i omega_i^2) / 2 v_i Psi",
     ),
-    "contact_energy_flux": Field(
-        rank=1, units="W m^-2", long_name="flux of energy through contacts",
+    "contact_energy_flux": sum_of(
+        "side_power", rank=1, units="W m^-2", long_name="flux of energy through contacts",
         formula="q_c = sum_c (f.u) a int_0^1 Psi(r - r_i + s a) ds, both sides, "
         "u = v_i + omega_i x b, a = -b = r_i - c",
-        compute=lambda f, s, o: s.side_power, moments=("side_power",), additive=True, default=False,
     ),
     "kinetic_heat_flux": Field(
         rank=1, units="W m^-2", long_name="flux of the energy of fluctuations that moving grains carry",
         formula="sum (m_i v'_i^2 + I_i omega_i^2) / 2 v'_i Psi, v' = v_i - V", compute=_kinetic_heat_flux,
         fields=("_drift",),
         moments=("mass", "momentum", "kinetic", "cubes", "some_rotational_energy", "rotational_energy_flux"),
-        additive=True, default=False,
+        additive=True,
     ),
     "contact_heat_flux": Field(
         rank=1, units="W m^-2", long_name="flux of energy through contacts relative to the mean flow",
         formula="q_c - V.sigma^c, which is q_c with u - V in place of u", compute=_contact_heat_flux,
-        fields=("contact_energy_flux", "contact_stress", "_drift"), additive=True, default=False,
+        fields=("contact_energy_flux", "contact_stress", "_drift"), additive=True,
     ),
     "heat_flux": Field(
         rank=1, units="W m^-2", long_name="flux of the energy of fluctuations, by moving grains and through contacts",
         formula="q = kinetic_heat_flux + contact_heat_flux",
         compute=lambda f, s, o: f.kinetic_heat_flux + f.contact_heat_flux,
-        fields=("kinetic_heat_flux", "contact_heat_flux"), additive=True, default=False,
+        fields=("kinetic_heat_flux", "contact_heat_flux"), additive=True,
     ),
     "stress_power": Field(
         units="W m^-3", long_name="power of the stress on the mean flow: what fluctuations gain",
         formula="-sigma : G, G of the bulk", compute=lambda f, s, o: -double_dot(f.velocity_gradient[:1], f.stress),
-        fields=("stress", "velocity_gradient"), additive=True, default=False,
+        fields=("stress", "velocity_gradient"), additive=True,
     ),
-    "contact_power": Field(
-        units="W m^-3", long_name="power of contact forces on the grains",
-        formula="sum_i Psi sum_c f.u = sum_i Psi (F.v_i + T.omega_i)", compute=lambda f, s, o: s.power,
-        moments=("power",), additive=True, default=False,
+    "contact_power": sum_of(
+        "power", units="W m^-3", long_name="power of contact forces on the grains",
+        formula="sum_i Psi sum_c f.u = sum_i Psi (F.v_i + T.omega_i)",
     ),
-    "dissipation_rate": Field(
-        units="W m^-3", long_name="power that contacts take up: dissipated, or stored while they are loaded",
-        formula="Gamma = -sum_c f_ij.(u_i - u_j) Psi(r - c)", compute=lambda f, s, o: s.taken_up, moments=("taken_up",),
-        additive=True, default=False,
+    "dissipation_rate": sum_of(
+        "taken_up", units="W m^-3",
+        long_name="power that contacts take up: dissipated, or stored while they are loaded",
+        formula="Gamma = -sum_c f_ij.(u_i - u_j) Psi(r - c)",
     ),
-    "wall_power": Field(
-        units="W m^-3", long_name="power of moving walls on the grains",
-        formula="sum_w f_iw.u_w Psi(r - c_iw), u_w of the wall", compute=lambda f, s, o: s.wall_power,
-        moments=("wall_power",), additive=True, default=False,
+    "wall_power": sum_of(
+        "wall_power", units="W m^-3", long_name="power of moving walls on the grains",
+        formula="sum_w f_iw.u_w Psi(r - c_iw), u_w of the wall",
     ),
 }  # fmt: skip
+ROWS = {name: replace(row, default=False) for name, row in _ROWS.items()}

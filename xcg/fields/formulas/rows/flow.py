@@ -28,7 +28,7 @@ from xcg.fields.formulas.algebra import (
     where_positive,
     zero_if_unknown,
 )
-from xcg.fields.formulas.field import Field, Function, Options
+from xcg.fields.formulas.field import Field, Function, Options, mean_of_sums, sum_of
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 SQUARES = ("square", "square_offset", "square_spread")
@@ -195,44 +195,30 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
 
 
 ROWS: dict[str, Field] = {
-    "sample_count": Field(
-        long_name="number of particles that reach the node", formula="sum_i [Psi_i > 0]",
-        compute=lambda f, s, o: s.count, moments=("count",), additive=True,
-    ),
-    "volume_fraction": Field(
-        long_name="volume fraction", formula="phi = sum V_i Psi", compute=lambda f, s, o: s.volume, moments=("volume",),
-        additive=True,
-    ),
+    "sample_count": sum_of("count", long_name="number of particles that reach the node", formula="sum_i [Psi_i > 0]"),
+    "volume_fraction": sum_of("volume", long_name="volume fraction", formula="phi = sum V_i Psi"),
     "void_fraction": Field(
         long_name="void fraction", formula="epsilon = 1 - phi", compute=lambda f, s, o: 1.0 - f.volume_fraction,
         fields=("volume_fraction",), default=False,
     ),
-    "density": Field(
-        units="kg m^-3", long_name="mass density of the mixture", formula="rho = sum m_i Psi",
-        compute=lambda f, s, o: s.mass, moments=("mass",), additive=True,
-    ),
+    "density": sum_of("mass", units="kg m^-3", long_name="mass density of the mixture", formula="rho = sum m_i Psi"),
     "particle_density": Field(
         units="kg m^-3", long_name="density of the particles' material", formula="rho_p = rho / phi",
         compute=lambda f, s, o: mean_of(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
         weight="volume_fraction",
     ),
-    "centre_offset": Field(
-        rank=1, units="m", long_name="centre of mass of the grains at the node, from the node",
-        formula="r_bar - r = sum m_i (r_i - r) Psi / rho", compute=lambda f, s, o: mean_of(s.offset, s.mass),
-        moments=("offset", "mass"), weight="density", default=False,
+    "centre_offset": mean_of_sums(
+        "offset", "mass", rank=1, units="m", long_name="centre of mass of the grains at the node, from the node",
+        formula="r_bar - r = sum m_i (r_i - r) Psi / rho", weight="density", default=False,
     ),
-    "number_density": Field(
-        units="m^-3", long_name="number density", formula="n = sum Psi", compute=lambda f, s, o: s.number,
-        moments=("number",), additive=True,
+    "number_density": sum_of("number", units="m^-3", long_name="number density", formula="n = sum Psi"),
+    "d32": mean_of_sums(
+        "size3", "size2", units="m", long_name="surface-weighted mean diameter",
+        formula="d32 = sum d_i^3 Psi / sum d_i^2 Psi", weight="volume_fraction", harmonic=True,
     ),
-    "d32": Field(
-        units="m", long_name="surface-weighted mean diameter", formula="d32 = sum d_i^3 Psi / sum d_i^2 Psi",
-        compute=lambda f, s, o: mean_of(s.size3, s.size2), moments=("size2", "size3"), weight="volume_fraction",
-        harmonic=True,
-    ),
-    "d43": Field(
-        units="m", long_name="volume-weighted mean diameter", formula="d43 = sum d_i^4 Psi / sum d_i^3 Psi",
-        compute=lambda f, s, o: mean_of(s.size4, s.size3), moments=("size3", "size4"), weight="volume_fraction",
+    "d43": mean_of_sums(
+        "size4", "size3", units="m", long_name="volume-weighted mean diameter",
+        formula="d43 = sum d_i^4 Psi / sum d_i^3 Psi", weight="volume_fraction",
     ),
     "momentum_density": Field(
         rank=1, units="kg m^-2 s^-1", long_name="momentum density", formula="p = sum m_i v_i Psi",
@@ -287,10 +273,7 @@ ROWS: dict[str, Field] = {
         moments=("mass", "square"), weight="density",
     ),
     # the velocity relative to the node's reference, NaN where there are no grains
-    "_drift": Field(
-        rank=1, units="m s^-1", formula="V - U", compute=lambda f, s, o: mean_of(s.momentum, s.mass),
-        moments=("mass", "momentum"), listed=False,
-    ),
+    "_drift": mean_of_sums("momentum", "mass", rank=1, units="m s^-1", formula="V - U", listed=False),
     "_fit": Field(
         rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
     ),

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import mean_of
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import Field, Options, mean_of_sums
 
 
 def _nematic(f: Any, s: Any, o: Options) -> NDArray:
@@ -36,10 +35,9 @@ def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
 
 
 ROWS: dict[str, Field] = {
-    "orientation_tensor": Field(
-        rank=2, long_name="orientation tensor of the directors", formula="<n n> = sum n_i n_i Psi / sum Psi",
-        compute=lambda f, s, o: mean_of(s.directors, s.number), moments=("directors", "number"),
-        weight="number_density", default=False,
+    "orientation_tensor": mean_of_sums(
+        "directors", "number", rank=2, long_name="orientation tensor of the directors",
+        formula="<n n> = sum n_i n_i Psi / sum Psi", weight="number_density", default=False,
     ),
     "nematic_tensor": Field(
         rank=2, long_name="nematic tensor of the directors", formula="Q = (D <n n> - I) / (D - 1)", compute=_nematic,
