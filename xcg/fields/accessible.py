@@ -8,7 +8,7 @@ fractions over points on them, because the marginal is the kernel integrated ove
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, get_args
 
@@ -96,7 +96,14 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
     averaged, faces = _averaged(plan, walls, scene.edges)
     compute = partial(_fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape)
-    chi = _later(compute, shape) if is_lazy(f, plan.fields) else compute()
+    chi: Any
+    if is_lazy(f, plan.fields):
+        import dask.array as da  # slow to import
+        from dask.delayed import delayed
+
+        chi = da.from_delayed(delayed(compute)(), shape, float)
+    else:
+        chi = compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
     about = {"units": "1", "long_name": "share of the kernel on the accessible side of the walls", "source": "walls"}
     about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
@@ -107,14 +114,6 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
         f = per.assign_attrs(per="accessible", per_note=note)
     wanted = plan.fields if request.for_averages else plan.asked
     return f[list(wanted)].assign(accessible_fraction=field).assign_attrs(walls="\n".join(map(repr, walls)))
-
-
-def _later(compute: Callable[[], NDArray], shape: tuple[int, ...]) -> Any:
-    """Array that is computed when it is needed."""
-    import dask.array as da  # slow to import
-    from dask.delayed import delayed
-
-    return da.from_delayed(delayed(compute)(), shape, float)
 
 
 def _averaged(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from typing import Any
@@ -86,57 +86,36 @@ class OwnField:
     what: str
 
     @property
-    def _total(self) -> str:
-        """Name of the moment that weights sum to."""
-        return "contacts" if self.at_contacts else WEIGHTS[self.weight][2]
-
-    @property
-    def _counts(self) -> str:
-        """The field that weighs averages over nodes or steps: that of its weights."""
-        return "contact_number_density" if self.at_contacts else WEIGHTS[self.weight][3]
-
-    @property
-    def _triples(self) -> list[tuple[_Number, _Number, _Number]]:
-        """Numbers whose squares and products are wanted, three a pass."""
-        own: list[_Number] = [(self.quantity.variable, k) for k in range(3**self.rank)]
-        if isinstance(self.quantity, Variance):
-            own += [None] * (-len(own) % 3)
-            return [(own[k], own[k + 1], own[k + 2]) for k in range(0, len(own), 3)]
-        x, y, z = (("velocity", k) for k in range(3))
-        return [triple for q in own for triple in ((q, x, y), (q, z, None))]
-
-    @property
     def moments(self) -> dict[str, Moment]:
         """The sums that it needs and that are not in the registry of moments."""
-        symbol = WEIGHTS[self.weight][0]
-        reads = (self.quantity.variable, *(() if self.weight == "number" else (self.weight,)))
+        q, symbol = self.quantity.variable, WEIGHTS[self.weight][0]
+        reads = (q,) if self.weight == "number" else (q, self.weight)
         if isinstance(self.quantity, Conduction):
-            given, formula = partial(_of_sides, self.quantity.variable), f"{self.quantity.variable} a, along the branch"
-            return {formula: Moment(reads, formula, (3,), column=given, contacts=True, along_branches=True)}
+            formula, column = f"{q} a, along the branch", partial(_of_sides, q)
+            return {formula: Moment(reads, formula, (3,), column=column, contacts=True, along_branches=True)}
+        made = partial(Moment, contacts=self.at_contacts, at_contacts=self.at_contacts)
         if isinstance(self.quantity, (Mean, Sum)):
-            column = partial(_weighted, self.quantity.variable, self.weight)
-            times = "" if symbol == "1" else f"{symbol} "
-            row = Moment(reads, f"{times}{self.quantity.variable}", (3,) * self.rank, column=column)
-            found = {f"{self.weight} {self.quantity.variable}": row}
+            formula, column = q if symbol == "1" else f"{symbol} {q}", partial(_weighted, q, self.weight)
+            return {f"{self.weight} {q}": made(reads, formula, (3,) * self.rank, column=column)}
+        # sums of products, relative to each node, of three numbers a pass
+        numbers: list[_Number] = [(q, k) for k in range(3**self.rank)]
+        if isinstance(self.quantity, Variance):
+            numbers += [None] * (-len(numbers) % 3)
+            triples = [tuple(numbers[k : k + 3]) for k in range(0, len(numbers), 3)]
         else:
-            found = self._relative(reads)
-        return {
-            name: replace(row, contacts=self.at_contacts, at_contacts=self.at_contacts) for name, row in found.items()
-        }
-
-    def _relative(self, reads: tuple[str, ...]) -> dict[str, Moment]:
-        """Return the sums of products, relative to each node."""
-        symbol, of_error = WEIGHTS[self.weight][0], isinstance(self.quantity, _MeanError)
+            x, y, z = (("velocity", k) for k in range(3))
+            triples = [triple for one in numbers for triple in ((one, x, y), (one, z, None))]
+        of_error = isinstance(self.quantity, _MeanError)
         layout = (*_ABOUT, loops.SQUARE) if of_error else _ABOUT
         squares = f", {symbol}^2 Psi" if of_error else ""
         return {
-            _name(self.weight, triple) + squares: Moment(
+            f"{self.weight} about {', '.join(map(_text, triple))}{squares}": made(
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
                 f"{symbol} (1, q, q q){squares} of {', '.join(_text(part) for part in triple if part)}",
                 (len(layout),), loops.FLUCTUATION, loops.MASS, partial(_numbers, triple, self.weight), layout=layout,
                 vector=self.rank == 1 and isinstance(self.quantity, Variance),
             )
-            for triple in self._triples
+            for triple in triples
         }  # fmt: skip
 
     @property
@@ -149,7 +128,9 @@ class OwnField:
     @property
     def row(self) -> Field:
         """The row that it would have in the registry of fields."""
-        names = tuple(self.moments)
+        names, rank = tuple(self.moments), self.rank
+        # what weights sum to: a moment, and the field that weighs averages over nodes or steps
+        total, counts = ("contacts", "contact_number_density") if self.at_contacts else WEIGHTS[self.weight][2:]
         u = {"1": ""}.get(WEIGHTS[self.weight][0], f"{WEIGHTS[self.weight][0]}_i ")
         point = "Psi(r - c)" if self.at_contacts else "Psi"
         by = "number" if self.at_contacts else self.weight
@@ -157,32 +138,38 @@ class OwnField:
         below = f"sum {u}{point}"
         mean = f"<q> = sum {u}q {point} / {below}"
         forms: dict[type[Quantity], tuple[Any, ...]] = {
-            Mean: (f"mean of {self.what}, weighted by {by}", f"sum {u}q {point} / {below}", _mean, (self._total,), ()),
-            Sum: (f"sum of {self.what} in a unit of volume", f"sum {u}q {point}", _sum, (), ()),
+            Mean: (
+                f"mean of {self.what}, weighted by {by}", f"sum {u}q {point} / {below}",
+                lambda f, s, o: mean_of(getattr(s, names[0]), getattr(s, total)), (total,),
+            ),
+            Sum: (
+                f"sum of {self.what} in a unit of volume", f"sum {u}q {point}",
+                lambda f, s, o: getattr(s, names[0]), (),
+            ),
             Variance: (
                 f"variance of {self.what}, weighted by {by}", f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
-                _variance, (), (),
+                partial(_variance, names, rank), (),
             ),
             _MeanError: (
                 f"standard error in one step of the mean of {self.what}", f"sqrt(var(q) sum ({u}{point})^2) / {below}",
-                _mean_error, (), (),
+                partial(_mean_error, names, rank), (),
             ),
             Flux: (
                 f"flux of {self.what} by fluctuations of the velocity", f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
-                _flux, ("mass", "momentum"), ("_drift",),
+                partial(_flux, names, rank), ("mass", "momentum"),
             ),
             Conduction: (
                 f"flux of {self.what} along contacts",
-                "sum_c q [(r_i - c) S_i + (c - r_j) S_j], S_i = int_0^1 Psi(r - c - s (r_i - c)) ds", _sum, (), (),
+                "sum_c q [(r_i - c) S_i + (c - r_j) S_j], S_i = int_0^1 Psi(r - c - s (r_i - c)) ds",
+                lambda f, s, o: getattr(s, names[0]), (),
             ),
         }  # fmt: skip
-        long_name, formula, compute, more, fields = forms[kind]
+        long_name, formula, compute, more = forms[kind]
         return Field(
-            rank=self.rank + (kind in (Flux, Conduction)), units=self.units, long_name=long_name,
-            formula=f"{formula}, q = {q}",
-            compute=partial(compute, names=names, total=self._total, rank=self.rank), fields=fields,
+            rank=rank + (kind in (Flux, Conduction)), units=self.units, long_name=long_name,
+            formula=f"{formula}, q = {q}", compute=compute, fields=("_drift",) * (kind is Flux),
             moments=(*names, *more), additive=kind in (Sum, Flux, Conduction),
-            weight=self._counts if kind in (Mean, Variance) else "",
+            weight=counts if kind in (Mean, Variance) else "",
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
         )  # fmt: skip
 
@@ -340,10 +327,6 @@ def _text(part: _Number) -> str:
     return "0" if part is None else f"{part[0]}[{part[1]}]"
 
 
-def _name(weight: str, triple: Iterable[_Number]) -> str:
-    return f"{weight} about {', '.join(map(_text, triple))}"
-
-
 def _weights(weight: str, frame: Frame, count: int) -> NDArray:
     return np.ones(count) if weight == "number" else frame[weight]
 
@@ -373,20 +356,12 @@ def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts) 
 # --- algebra ---------------------------------------------------------------------------------------------
 
 
-def _sum(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int) -> NDArray:
-    return getattr(s, names[0])
-
-
-def _mean(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int) -> NDArray:
-    return mean_of(getattr(s, names[0]), getattr(s, total))
-
-
 def _bulk_mean(weight: NDArray, first: NDArray) -> NDArray:
     """Mean of the bulk, relative to the node's value, 0 where there are no grains."""
     return zero_if_unknown(mean_of(first[:1], weight[:1]))
 
 
-def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+def _variance(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return S u (q - b)^2 / S u, with S u (q - b)^2 = S u q q - b S u q - (S u q - b S u) b."""
     found = []
     for name, k in product(names, range(3 if rank else 1)):
@@ -398,7 +373,7 @@ def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str,
     return _components(found, rank)
 
 
-def _mean_error(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+def _mean_error(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     found = []
     for name, k in product(names, range(3 if rank else 1)):
         sums = getattr(s, name)
@@ -408,7 +383,7 @@ def _mean_error(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: st
     return _components(found, rank)
 
 
-def _flux(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+def _flux(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return S u (q - b)(v - V) = S u q v - b S u v - V (S u q - b S u).
 
     V is relative to the velocity that the main pass refers to at the node, which is that of the same grain.
