@@ -194,7 +194,10 @@ def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> 
     """
     if not grid.fitted or grid.count < _LARGE:
         return
-    needed, free = 8 * numbers * _steps_at_once(ds), memory_at_hand()
+    # all steps, or those of the longest chunk of a lazy scene
+    chunks = ds["position"].chunksizes.get("time")
+    steps = max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
+    needed, free = 8 * numbers * steps, memory_at_hand()
     shown = " x ".join(map(str, grid.sizes))
     if free is not None and needed > free:
         raise ValueError(
@@ -220,12 +223,6 @@ def memory_at_hand() -> int | None:
         return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):  # Windows, macOS
         return None
-
-
-def _steps_at_once(ds: xr.Dataset) -> int:
-    """Return how many steps of fields are in memory at once: all, or one chunk of a lazy scene, the longest."""
-    chunks = ds["position"].chunksizes.get("time")
-    return max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
 
 
 def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -> str:

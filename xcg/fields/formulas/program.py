@@ -50,7 +50,7 @@ class Program:
     widths: Mapping[str, int]
     stores: NDArray
 
-    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.

@@ -186,15 +186,10 @@ class BlockSums:
         """
         reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
         found = {"reference": np.ascontiguousarray(reference.T).T}
-        for run, sums in zip(self.of.passes, self.filled, strict=True):
-            found |= self._of_pass(run.layout, sums)
-        return found
-
-    def _of_pass(self, layout: Layout, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], self.of.spec.phases
-        found = {}
-        for name, part in layout.turned(records):
-            if layout.groups > phases:  # by phase of the partner
+        nodes, phases = len(reference), self.of.spec.phases
+        turned = (run.layout.turned(sums) for run, sums in zip(self.of.passes, self.filled, strict=True))
+        for name, part in chain.from_iterable(turned):
+            if part.shape[-2] > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
             if self.of.spec.by is not None:
                 bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
@@ -227,9 +222,7 @@ class Sums:
         return block.averages(found) if block.inner else found
 
 
-def sums_of_frame(
-    frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str, threads: int = 1
-) -> Sums:
+def sums_of_frame(frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str, threads: int) -> Sums:
     """Prepare the sums of one frame.
 
     Parameters

@@ -28,7 +28,7 @@ from xcg.fields.formulas.algebra import (
     where_positive,
     zero_if_unknown,
 )
-from xcg.fields.formulas.field import Field, Function, Options, mean_of_sums, sum_of
+from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 SQUARES = ("square", "square_offset", "square_spread")
@@ -64,20 +64,15 @@ def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
     return mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
 
 
-def _with_box_gradient(f: Any, s: Any, o: Options, *, along_seen: Function) -> NDArray:
-    return along_seen(f, s, o) + mean_of(s.box_gradient, s.mass)
-
-
-def _unknown(f: Any, s: Any, o: Options, *, along_seen: Function) -> NDArray:
-    return along_seen(f, s, o) + np.nan
-
-
 def with_averaged_axes(gradient: Field, kind: str) -> Field:
     """Return a row of the velocity gradient with its derivatives along averaged axes: "box", or "unknown"."""
+    along_seen = gradient.compute
     if kind == "unknown":
-        return replace(gradient, compute=partial(_unknown, along_seen=gradient.compute))
+        return replace(gradient, compute=lambda f, s, o: along_seen(f, s, o) + np.nan)
     moments = tuple(dict.fromkeys([*gradient.moments, "mass", "box_gradient"]))
-    return replace(gradient, compute=partial(_with_box_gradient, along_seen=gradient.compute), moments=moments)
+    return replace(
+        gradient, compute=lambda f, s, o: along_seen(f, s, o) + mean_of(s.box_gradient, s.mass), moments=moments
+    )
 
 
 def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
