@@ -262,7 +262,7 @@ def test_the_temperature_of_a_gas_in_large_cells_is_unbiased():
 
 
 def test_sampling_without_cells_raises(scene):
-    with pytest.raises(ValueError, match="sampling='volume': expected one of node, cell"):
+    with pytest.raises(ValueError, match="sampling='volume': expected one of 'node', 'cell'"):
         scene.cg.coarse_grain("density", sampling="volume")
     with pytest.raises(ValueError, match="points, which at= has arrays of, have none"):
         scene.cg.coarse_grain("density", sampling="cell", at={"x": xr.DataArray([1.0], dims="p")})

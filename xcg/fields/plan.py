@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 
-from xcg.common.checks import is_finite, is_positive
+from xcg.common.checks import check_choice, is_finite, is_positive
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
@@ -348,9 +347,7 @@ def _options_of(scene: Description, request: Request) -> Options:
         ("temperature", Temperature),
         ("sampling", Sampling),
     ):
-        value = getattr(request, name)
-        if value not in get_args(known):
-            raise ValueError(f"{name}={value!r}: expected one of {', '.join(get_args(known))}")
+        check_choice(name, getattr(request, name), known)
     if request.sampling == "cell" and request.gradient == "kernel":
         raise ValueError(
             "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "

@@ -97,18 +97,18 @@ class RingBlock:
         """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
         seen_z = bool(squared.grid.active[2])
         low, high = (extreme(axis=0) for extreme in (self.rings.place.min, self.rings.place.max))
-        row, position = squared.images
+        (row, position), cutoff = squared.images, squared.grains.cutoff
         near = np.abs(np.hypot(position[:, 0], position[:, 1]) - 0.5 * (low[0] + high[0])) < (
-            0.5 * (high[0] - low[0]) + squared.cutoff
+            0.5 * (high[0] - low[0]) + cutoff
         )
         if seen_z:
-            near &= np.abs(position[:, 2] - 0.5 * (low[1] + high[1])) < 0.5 * (high[1] - low[1]) + squared.cutoff
+            near &= np.abs(position[:, 2] - 0.5 * (low[1] + high[1])) < 0.5 * (high[1] - low[1]) + cutoff
         row = row[near]
-        grains = position[near], squared.mass[row], squared.phase[row]
+        grains = position[near], squared.grains.mass[row], squared.grains.phase[row]
         out = np.zeros((layout.groups, len(self.places), 10))
         scratch = np.zeros((5, int(np.diff(self.rings.start).max()) + ROOM))
         ring_squares(
-            grains, squared.weights, squared.cutoff, self.rings, seen_z, self.dimension, scratch, np.zeros((4, 3)), out
+            grains, squared.weights, cutoff, self.rings, seen_z, self.dimension, scratch, np.zeros((4, 3)), out
         )
         columns = SQUARES if layout.level >= loops.SQUARED else SQUARES[:1]
         for k, column in enumerate(columns):

@@ -151,7 +151,7 @@ def _pass(
         fill.append(partial(_fill, grains, mesh, weights, (level, meet, by_gradient)))
         if squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
-            squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
+            squared.append(Squared(grains, beyond, of, weights, spec.grid))
     return Pass(layout, fill, squared)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_once
 from xcg.compiled.arrays import bounds_of, transpose_columns
 from xcg.compiled.cell_means import cell_means
-from xcg.compiled.points import NONE
+from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
@@ -83,40 +83,35 @@ class Squared:
 
     Attributes
     ----------
-    rows : array (n,)
-        Which of the places they are.
-    position, mass, phase : array (m, 3), (m,), (m,)
-        Places, weights and groups of all.
+    grains : Grains
+        Places, weights and groups, and which of the places they are.
     lattice : Lattice
         Periodic images beyond these places.
     groups : array
         Groups of this cutoff.
-    cutoff, weights
+    weights
         The kernel.
     grid : Grid
         The nodes.
     """
 
-    rows: NDArray
-    position: NDArray
-    mass: NDArray
-    phase: NDArray
+    grains: Grains
     lattice: Lattice
     groups: NDArray
-    cutoff: float
     weights: AnyKernel
     grid: Grid
 
     @cached_property
     def images(self) -> tuple[NDArray, NDArray]:
         """Rows (k,) and places (k, 3) of the grains, with their periodic images within reach of the nodes."""
-        position, seen = self.position[self.rows], self.grid.active
+        rows, cutoff, seen = self.grains.order, self.grains.cutoff, self.grid.active
+        position = self.grains.position[rows]
         if not len(self.lattice.basis):
-            return self.rows, position
-        low = np.where(seen, self.grid.lower - self.cutoff, -np.inf)
-        high = np.where(seen, self.grid.upper + self.cutoff, np.inf)
+            return rows, position
+        low = np.where(seen, self.grid.lower - cutoff, -np.inf)
+        high = np.where(seen, self.grid.upper + cutoff, np.inf)
         row, shift, _ = self.lattice.images(position, low, high)
-        return self.rows[row], position[row] + shift
+        return rows[row], position[row] + shift
 
 
 @dataclass(frozen=True, eq=False)

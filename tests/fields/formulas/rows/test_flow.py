@@ -135,10 +135,10 @@ def test_directional_temperatures_of_a_layer():
         ({"pressure_dims": "xq"}, "pressure_dims='xq': expected some of the scene's axes 'xyz'"),
         ({"shear_dims": "xx"}, "each once"),
         ({"shear_dims": ""}, "expected some of"),
-        ({"deviatoric": True}, "expected one of stress, rate, both, neither"),
-        ({"size": "d10"}, "expected one of d43, d32, d50, dmax"),
+        ({"deviatoric": True}, "expected one of 'stress', 'rate', 'both', 'neither'"),
+        ({"size": "d10"}, "expected one of 'd43', 'd32', 'd50', 'dmax'"),
         ({"fluid_viscosity": 0.0}, "positive viscosity"),
-        ({"gradient": "fd"}, "least_squares, kernel, finite_difference, paper"),
+        ({"gradient": "fd"}, "'least_squares', 'kernel', 'finite_difference', 'paper'"),
     ],
 )
 def test_wrong_choices_raise(options, message):

@@ -120,7 +120,7 @@ def test_the_biased_definition_is_a_choice():
     trace = sum(new.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz") / 3
     np.testing.assert_allclose(old.granular_temperature.where(known), (trace / new.density).where(known), rtol=1e-12)
     xr.testing.assert_allclose(new.granular_temperature, (trace / new.fluctuation_density).where(known), rtol=1e-12)
-    with pytest.raises(ValueError, match="temperature='true': expected one of unbiased, biased"):
+    with pytest.raises(ValueError, match="temperature='true': expected one of 'unbiased', 'biased'"):
         ds.cg.coarse_grain(NAMES, width=1.0, temperature="true")
 
 

@@ -47,13 +47,10 @@ def _fabric_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _redundancy(f: Any, s: Any, o: Options) -> NDArray:
-    d = o.dimension
-    return ratio(d * s.bearing_contacts, d * (d + 1) / 2 * s.bearing)
-
-
-def _redundancy_with_sliding(f: Any, s: Any, o: Options) -> NDArray:
-    d = o.dimension
-    return ratio(d * s.bearing_contacts - (d - 1) * s.sliding_contacts, d * (d + 1) / 2 * s.bearing)
+    d, constraints = o.dimension, o.dimension * s.bearing_contacts
+    if o.sliding:
+        constraints = constraints - (d - 1) * s.sliding_contacts
+    return ratio(constraints, d * (d + 1) / 2 * s.bearing)
 
 
 def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
@@ -190,9 +187,6 @@ ROWS: dict[str, Field] = {
 # other ways to a field, as in `xcg.fields.formulas.rows.flow`
 WAYS: dict[str, tuple[str, dict[Any, Field]]] = {
     "redundancy_number": ("sliding", {
-        True: replace(
-            ROWS["redundancy_number"], compute=_redundancy_with_sliding,
-            moments=("bearing_contacts", "sliding_contacts", "bearing"),
-        ),
+        True: replace(ROWS["redundancy_number"], moments=("bearing_contacts", "sliding_contacts", "bearing")),
     }),
 }  # fmt: skip

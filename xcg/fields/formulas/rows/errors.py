@@ -39,11 +39,6 @@ def _share(f: Any, s: Any, o: Options) -> NDArray:
     return s.square / (mass * mass)
 
 
-def _covariance(f: Any, s: Any, o: Options) -> NDArray:
-    """Covariance of the components of one grain's fluctuation."""
-    return ratio(f.fluctuation_stress, f._free)
-
-
 def _slopes(f: Any, s: Any, o: Options) -> NDArray:
     """Return A Q A with G = sum_i w_i v_i (r_i - r_bar) A, Q = sum w_i^2 (r_i - r_bar)(r_i - r_bar)."""
     centre = zero_if_unknown(mean_of(s.offset, s.mass))
@@ -188,9 +183,10 @@ ROWS: dict[str, Field] = {
     "_share": Field(
         formula="1 / N_eff = sum w^2 / (sum w)^2, w = m_i Psi", compute=_share, moments=("mass", "square"), listed=False
     ),
-    "_covariance": Field(
-        rank=2, units="m^2 s^-2", formula="Theta = sum m_i v'_i v'_i Psi / rho_T", compute=_covariance,
-        fields=("fluctuation_stress", "_free"), listed=False,
+    "_covariance": Field(  # of the components of one grain's fluctuation
+        rank=2, units="m^2 s^-2", formula="Theta = sum m_i v'_i v'_i Psi / rho_T",
+        compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free), fields=("fluctuation_stress", "_free"),
+        listed=False,
     ),
     "_slopes": Field(
         rank=2, units="m^-2", formula="S = A Q A, A = M^+, Q = sum w^2 (r_i - r_bar)(r_i - r_bar)", compute=_slopes,

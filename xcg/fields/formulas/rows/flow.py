@@ -60,10 +60,6 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     )  # fmt: skip
 
 
-def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
-    return mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
-
-
 def with_averaged_axes(gradient: Field, kind: str) -> Field:
     """Return a row of the velocity gradient with its derivatives along averaged axes: "box", or "unknown"."""
     along_seen = gradient.compute
@@ -286,7 +282,8 @@ ROWS: dict[str, Field] = {
 WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     "velocity_gradient": ("gradient", {
         "kernel": replace(
-            ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
+            ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho",
+            compute=lambda f, s, o: mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass),
             fields=("_drift",), moments=("mass", "mass_slope", "momentum_slope"),
         ),
         "finite_difference": replace(
