@@ -82,16 +82,13 @@ class OwnRow:
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the rows needed for some fields, each after its own inputs."""
-    found: dict[str, None] = {}
-
-    def add(name: str) -> None:
-        if name not in found:
-            for need in row(name, options).fields:
-                add(need)
-            found[name] = None
-
-    for name in fields:
-        add(name)
+    found, waiting = dict[str, None](), [*fields][::-1]
+    while waiting:
+        lacking = [need for need in row(waiting[-1], options).fields if need not in found]
+        if lacking:
+            waiting += reversed(lacking)
+        else:
+            found[waiting.pop()] = None
     return tuple(found)
 
 
