@@ -47,6 +47,11 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
 Sampling: TypeAlias = Literal["node", "cell"]
 Preset: TypeAlias = Literal["pysammos", "lammps"]
 Per: TypeAlias = Literal["accessible"]
+# defaults of presets in place of those below
+_OF_PRESETS: dict[Any, dict[str, Any]] = {
+    "lammps": {"kernel": "shifted gaussian", "gradient": "finite_difference"},
+    "pysammos": {"temperature": "biased"},
+}
 P = ParamSpec("P")
 A = TypeVar("A")
 R = TypeVar("R")
@@ -236,7 +241,8 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            result = function(scene, request(*args, **options))
+            usual = _OF_PRESETS.get(str(options.get("preset")), {})
+            result = function(scene, request(*args, **(usual | options)))
             return result if scene is ds else as_selected(result, ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
