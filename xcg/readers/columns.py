@@ -380,8 +380,12 @@ class Columnar(Engine):
                 low, high = ref.box[k]
                 values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
                 for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
-                    if other != axis and vector[k]:
-                        values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
+                    if other == axis or not vector[k]:
+                        continue
+                    if f"scaled_{other}" not in values:
+                        what = f"the box is tilted, so {axis} follows from {axis}s and {other}s, and {other}s is missing"
+                        raise SceneError(f"{source_of(ref)}: {what}; dump xs ys zs, or x y z")
+                    values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
         frame["position"] = _stacked(values, "position")
         for slot in ("velocity", "angular_velocity"):
