@@ -383,7 +383,9 @@ class Columnar(Engine):
                     if other == axis or not vector[k]:
                         continue
                     if f"scaled_{other}" not in values:
-                        what = f"the box is tilted, so {axis} follows from {axis}s and {other}s, and {other}s is missing"
+                        what = (
+                            f"the box is tilted, so {axis} follows from {axis}s and {other}s, and {other}s is missing"
+                        )
                         raise SceneError(f"{source_of(ref)}: {what}; dump xs ys zs, or x y z")
                     values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}

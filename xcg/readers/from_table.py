@@ -41,7 +41,8 @@ def scene_from_table(
     names : mapping, optional
         From other columns to these names; None drops a column.
     **options
-        All else that `xcg.scene_from_arrays` takes: ``density``, ``box``, ``periodic``, ``units``, ...
+        All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables that the tables do
+        not hold. ``density`` is used where the tables hold neither mass nor density.
 
     Returns
     -------
@@ -51,8 +52,8 @@ def scene_from_table(
     Raises
     ------
     SceneError
-        If a column is missing, holds something other than numbers, or the tables disagree; the message names table,
-        column and row.
+        If a column is missing, holds something other than numbers, is also given as an argument, or the tables
+        disagree; the message names table, column and row.
 
     Examples
     --------
@@ -81,8 +82,13 @@ def scene_from_table(
             )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
-    position = given.pop("position")
-    return scene_from_arrays(position, **(options | given))
+    twice = [name for name, value in options.items() if name in given and value is not None and name != "density"]
+    if twice:
+        raise SceneError(
+            f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
+            "names={'column': None}"
+        )
+    return scene_from_arrays(**(options | given))
 
 
 def _with_vectors(

@@ -184,6 +184,16 @@ def test_wrong_tables_in_memory_raise():
         xcg.scene_from_table(good, contacts=pd.DataFrame(), density=1.0)
 
 
+@pytest.mark.parametrize("name", ["time", "diameter", "particle_id", "mass", "position"])
+def test_arguments_do_not_repeat_columns(name):
+    table = pd.DataFrame({"time": [1.0, 2.0], "id": 3, "x": 0.0, "y": 0.0, "z": 0.0, "radius": 0.5, "mass": 1.0})
+    with pytest.raises(xcg.SceneError, match=f"{name}= is given, and the tables hold '{name}', too"):
+        xcg.scene_from_table(table, **{name: [[7.0], [7.0]]})
+    ds = xcg.scene_from_table(table, **{name: None}, density=5.0, velocity=[[[1.0, 0, 0]]] * 2)
+    assert (ds.mass == 1).all()
+    assert (ds.velocity[:, :, 0] == 1).all()
+
+
 @pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
 def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
     grains = pd.DataFrame({"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
