@@ -160,6 +160,26 @@ def _axes(filled: Iterable[str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
+_SIZES = (("diameter", "radius", 2.0), *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS))
+_ROUNDED = 1e-4  # dumps of LAMMPS have six digits
+
+
+def unify_sizes(frame: Frame, ref: StepRef) -> None:
+    """Replace radii by diameters, and whole axes by half-axes. Raise SceneError if both are there and disagree."""
+    for name, other, factor in _SIZES:
+        if other not in frame:
+            continue
+        values = factor * frame.pop(other)
+        differ = ~np.isclose(frame[name], values, _ROUNDED, 0, equal_nan=True) if name in frame else np.False_
+        if differ.any():
+            row = int(np.argmax(differ))
+            raise SceneError(
+                f"{source_of(ref)}: {name} {frame[name][row]:.6g} of row {row} is not {factor:g} times {other} "
+                f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
+            )
+        frame.setdefault(name, values)
+
+
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
     vector = np.empty((len(next(iter(values.values()))), 3))
@@ -393,12 +413,7 @@ class Columnar(Engine):
         for slot in ("velocity", "angular_velocity"):
             if _axes(values, slot):
                 frame[slot] = _stacked(values, slot)
-        if "radius" in frame:
-            radius = frame.pop("radius")
-            frame.setdefault("diameter", 2 * radius)
-        for axis in _axes(frame, "whole_axis"):
-            whole = frame.pop(f"whole_axis_{axis}")
-            frame.setdefault(f"half_axis_{axis}", whole / 2)
+        unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
         return frame

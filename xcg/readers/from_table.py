@@ -10,10 +10,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
+from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import unit_vectors
@@ -47,7 +48,7 @@ def scene_from_table(
     Returns
     -------
     xarray.Dataset
-        The scene, in memory.
+        The scene, in memory. Its attribute `ignored_columns` lists the columns that are not read.
 
     Raises
     ------
@@ -64,7 +65,8 @@ def scene_from_table(
     {'time': 2, 'particle': 2, 'component': 3}
     """
     said = ReadOptions(dict(names or {}))
-    grains = _frames(_table(particles), "particles", said, contacts=False)
+    tables = {"particles": _table(particles)}
+    grains = _frames(tables["particles"], "particles", said, contacts=False)
     steps = sorted(grains)
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
@@ -73,7 +75,9 @@ def scene_from_table(
         if periodic and options.get("box") is not None:
             boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
             lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
-        rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
+        tables["contacts"] = rows = _with_vectors(
+            _table(contacts), grains, said, dict(zip(steps, lattices, strict=True))
+        )
         touching = _frames(rows, "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps)) if len(rows) else []
         if unknown:
@@ -88,7 +92,10 @@ def scene_from_table(
             f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
             "names={'column': None}"
         )
-    return scene_from_arrays(**(options | given))
+    refs = {what: [StepRef(what, len(table), columns=tuple(table.columns))] for what, table in tables.items()}
+    ignored = printable(ignored_columns(Table(), refs, said))
+    scene = scene_from_arrays(**(options | given))
+    return scene.assign_attrs(ignored_columns=ignored) if ignored else scene
 
 
 def _with_vectors(

@@ -226,8 +226,10 @@ def test_scaled_coordinates_in_a_tilted_box_need_those_that_the_tilt_couples(tmp
 
 
 def test_diameters_come_from_diameter_or_radius(tmp_path):
-    _, frame = particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
-    np.testing.assert_array_equal(frame["diameter"], 3)
+    _, frame = particles(tmp_path, dump_text(["1 0 0 0 0.333333 0.166667"], "id x y z diameter radius"))
+    np.testing.assert_array_equal(frame["diameter"], 0.333333)
+    with pytest.raises(SceneError, match="diameter 3 of row 0 is not 2 times radius 1; drop one of the two"):
+        particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
     mapped = ReadOptions({"c_r": "radius"})
     text = dump_text(["1 0 0 0 3 1"], "id x y z diameter c_r")
     _, frame = particles(tmp_path, text, options=mapped)

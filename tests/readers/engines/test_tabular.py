@@ -194,6 +194,20 @@ def test_arguments_do_not_repeat_columns(name):
     assert (ds.velocity[:, :, 0] == 1).all()
 
 
+def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
+    table = pd.DataFrame({"x": [0.0, 1.0], "position_x": 7.0, "y": 0.0, "z": 0.0, "radius": 0.5, "diameter": 1.0})
+    table = table.assign(id=[3, 4], particle_id=[5, 6], type=1, species=2)
+    contacts = pd.DataFrame({"id1": [5], "id2": [6], "fx": [1.0], "fy": 0.0, "fz": 0.0, "age": 3.0})
+    paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
+    for path, rows in zip(paths, (table, contacts), strict=True):
+        rows.to_csv(path, index=False)
+    ignored = "particles: x, id, type\ncontacts: age"
+    assert xcg.open_scene(paths[0], contacts=paths[1], density=1.0).attrs["ignored_columns"] == ignored
+    assert xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"] == ignored
+    with pytest.raises(xcg.SceneError, match=r"particles.*: diameter 3 of row 1 is not 2 times radius 0\.5"):
+        xcg.scene_from_table(table.assign(diameter=[1.0, 3.0]), density=1.0)
+
+
 @pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
 def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
     grains = pd.DataFrame({"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})

@@ -15,6 +15,7 @@ import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
@@ -244,8 +245,7 @@ class Vtk(Engine):
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step; radii become diameters."""
         frame = read_arrays(ref, self.targets(ref, options))
-        if "radius" in frame:
-            frame.setdefault("diameter", 2 * frame.pop("radius"))
+        unify_sizes(frame, ref)
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
