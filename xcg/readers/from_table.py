@@ -37,6 +37,7 @@ def scene_from_table(
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
         ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.
+        In a step without rows nothing touches; a warning lists such steps, unless the table has no rows at all.
         Magnitudes ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists them, have
         the direction n of the centres, from j to i: the force on i is ``normal_force n + tangential_force (z x n)``.
     names : mapping, optional
@@ -83,6 +84,13 @@ def scene_from_table(
         if unknown:
             raise SceneError(
                 f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
+            )
+        lacking = [key for key in steps if key not in touching] if len(rows) else []
+        if lacking:
+            shown = ", ".join([*(f"{key:g}" for key in lacking[:3]), *(["..."] if len(lacking) > 3 else [])])
+            warn_user(
+                f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles ({shown}), in which "
+                "nothing touches then; if their contacts are unknown, leave these steps out of both tables"
             )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
