@@ -209,7 +209,7 @@ def complete_contacts(
         given["contact_normal"] = unit_vectors(lattice.shortest(branch))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
-        raise SceneError(f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}")
+        raise SceneError(f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names=")
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]

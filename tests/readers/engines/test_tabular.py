@@ -270,6 +270,9 @@ def test_empty_cells_and_names_of_columns_raise(tmp_path):
     shifted = write(tmp_path / "a.csv", "id,x,y,z,radius,note\n1,0,0,0,0.5,7\n2,0.5,,0.9,0.05,1,5\n")
     with pytest.raises(xcg.SceneError, match=r"1 more ',' than 6 columns have.*every cell must hold a number"):
         xcg.open_scene(shifted, density=1.0)
+    short = write(tmp_path / "s.csv", "id,x,y,z,radius\n1,0,0,0,0.5\n2,0.5,,0.9,0.05\n")
+    with pytest.raises(xcg.SceneError, match=r"row 1 has 4 values, expected 5 .*; the columns are id x y z radius"):
+        xcg.open_scene(short, density=1.0)
     named = write(tmp_path / "b.csv", "ID,x,y,z,radius\n1,0,0,0,0.5\n")
     with pytest.raises(xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"):
         xcg.open_scene(named, density=1.0, names={"ID": "id"})
