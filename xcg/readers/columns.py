@@ -170,14 +170,13 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
         if other not in frame:
             continue
         values = factor * frame.pop(other)
-        differ = ~np.isclose(frame[name], values, _ROUNDED, 0, equal_nan=True) if name in frame else np.False_
-        if differ.any():
-            row = int(np.argmax(differ))
+        there = frame.setdefault(name, values)
+        if there is not values and not (same := np.isclose(there, values, _ROUNDED, 0, equal_nan=True)).all():
+            row = int(np.argmin(same))
             raise SceneError(
-                f"{source_of(ref)}: {name} {frame[name][row]:.6g} of row {row} is not {factor:g} times {other} "
+                f"{source_of(ref)}: {name} {there[row]:.6g} of row {row} is not {factor:g} times {other} "
                 f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
             )
-        frame.setdefault(name, values)
 
 
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:

@@ -87,10 +87,9 @@ def scene_from_table(
             )
         lacking = [key for key in steps if key not in touching] if len(rows) else []
         if lacking:
-            shown = ", ".join([*(f"{key:g}" for key in lacking[:3]), *(["..."] if len(lacking) > 3 else [])])
             warn_user(
-                f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles ({shown}), in which "
-                "nothing touches then; if their contacts are unknown, leave these steps out of both tables"
+                f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles, such as {lacking[0]:g}, "
+                "and nothing touches in them; if their contacts are unknown, leave these steps out of both tables"
             )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])

@@ -171,9 +171,8 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
         if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3) and not scalar)):
             n = "(steps, n" if stacked else "(n"
             expected = f"{n})" if scalar else f"{n}), {n}, 2) or {n}, 3)"
-            why = ", as steps are along the first dimension of all datasets" if stacked else ""
             raise SceneError(
-                f"{source_of(ref)}: {_filled(path, ref)!r} has the shape {whole}, expected {expected} for {name!r}{why}"
+                f"{source_of(ref)}: {_filled(path, ref)!r} has the shape {whole}, expected {expected} for {name!r}"
             )
         names += [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
         rows[_filled(path, ref)] = shape[0]

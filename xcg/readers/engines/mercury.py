@@ -213,7 +213,7 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
     path = str(given) if given else re.sub(r"\.data\b.*$", ".restart", data)
     if given is None and not Path(path).is_file():
         return None
-    restart, density, edges = Restart(path), {}, {}
+    restart, density, edges = Restart(path), {}, dict[int, tuple[float, float]]()
     with scanned(path) as scanner:
         while raw := scanner.line():
             words = raw.decode("utf-8", "replace").split()
@@ -226,14 +226,13 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
                 (number,), (value,) = (_numbers_after(words, word, 1, path) for word in ("id", "density"))
                 density[number] = value
             if words and words[0] == "PeriodicBoundary":
-                axis, sides = _period(words, path)
-                edges[axis] = sides
+                edges |= _period(words, path)
     periodic = "".join(COMPONENTS[axis] for axis in sorted(edges))
     return replace(restart, density=density, periodic=periodic, edges=edges)
 
 
-def _period(words: Sequence[str], path: str) -> tuple[int, tuple[float, float]]:
-    """Return the axis of a periodic boundary and its two edges; names of the distances depend on the version."""
+def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
+    """Return the two edges of a periodic boundary by its axis; names of the distances depend on the version."""
     given = ("normal", "shift") if "shift" in words else ("normal",)
     vectors = np.array([_numbers_after(words, name, 3, path) for name in given])
     axis = int(np.argmax(np.abs(vectors[0])))
@@ -245,7 +244,7 @@ def _period(words: Sequence[str], path: str) -> tuple[int, tuple[float, float]]:
         )
     names = [next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}") for end in ("left", "right")]
     low, high = sorted(_numbers_after(words, name, 1, path)[0] / float(along[0]) for name in names)
-    return axis, (low, high)
+    return {axis: (low, high)}
 
 
 def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> list[float]:
