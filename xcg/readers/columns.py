@@ -408,10 +408,8 @@ class Columnar(Engine):
                         raise SceneError(f"{source_of(ref)}: {what}; dump xs ys zs, or x y z")
                     values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-        frame["position"] = _stacked(values, "position")
-        for slot in ("velocity", "angular_velocity"):
-            if _axes(values, slot):
-                frame[slot] = _stacked(values, slot)
+        vectors = ("position", "velocity", "angular_velocity")
+        frame |= {slot: _stacked(values, slot) for slot in vectors if _axes(values, slot)}
         unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])

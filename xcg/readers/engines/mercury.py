@@ -227,8 +227,7 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
                 density[number] = value
             if words and words[0] == "PeriodicBoundary":
                 edges |= _period(words, path)
-    periodic = "".join(COMPONENTS[axis] for axis in sorted(edges))
-    return replace(restart, density=density, periodic=periodic, edges=edges)
+    return replace(restart, density=density, periodic="".join(COMPONENTS[k] for k in sorted(edges)), edges=edges)
 
 
 def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
