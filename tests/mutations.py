@@ -100,7 +100,11 @@ TABLE = [
         "test_half_axes_of_superquadrics_are_those_of_the_phase_times_the_scale",
     ),
     Mutation(
-        "readers/columns.py", "whole / 2)", "whole)", "test_dumps_of_superquadrics_need_no_names",
+        "readers/engines/mercury.py", "/ float(along[0])", "* float(along[0])",
+        "test_periods_are_those_of_periodic_boundaries",
+    ),
+    Mutation(
+        "readers/columns.py", "0.5) for axis", "1.0) for axis", "test_dumps_of_superquadrics_need_no_names",
     ),
     Mutation(
         "compiled/lines.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
