@@ -230,6 +230,11 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
 
+def as_preset(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments together with the defaults of the preset that they name."""
+    return _OF_PRESETS.get(str(options.get("preset")), {}) | dict(options)
+
+
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
@@ -241,8 +246,7 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            usual = _OF_PRESETS.get(str(options.get("preset")), {})
-            result = function(scene, request(*args, **(usual | options)))
+            result = function(scene, request(*args, **as_preset(options)))
             return result if scene is ds else as_selected(result, ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
