@@ -68,6 +68,16 @@ def test_the_base_carries_the_weight():
     assert d.earth_pressure.sel(component="z").item() == pytest.approx(1.0)
 
 
+def test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow():
+    """Brute force: the stress at nodes, whose kinetic part is about the velocity there, integrated along z."""
+    ds = xcg.datasets.open("chute").isel(time=[0])
+    d = ds.cg.depth_average("z", axes="")
+    profile = ds.cg.coarse_grain("stress", axes="z", spacing=0.1).stress.fillna(0.0).integrate("z")
+    np.testing.assert_allclose(d.depth_stress, profile, atol=2e-3 * float(profile.max()))
+    normal = np.diag(profile[0])
+    np.testing.assert_allclose(d.earth_pressure[0], normal / normal[2], rtol=1e-3)
+
+
 @pytest.mark.parametrize("chunks", [False, True])
 def test_the_surface_of_a_slab(chunks):
     z, x = np.linspace(-1, 6, 71), np.arange(4.0)

@@ -190,9 +190,9 @@ def depth_average(
 ) -> xr.Dataset:
     """Integrate fields over the depth of a flow: what models of avalanches are made of; lazy where the scene is.
 
-    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). The shape factor takes the
-    smoothed velocity u along the axis, ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, from nodes a
-    quarter of the width apart.
+    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral is a sum over nodes
+    a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity u along the axis: it gives the shape
+    factor ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
 
     Parameters
     ----------
@@ -255,27 +255,25 @@ def depth_average(
     order = "".join(a for a in plane if a in axes + axis)
     along = {**apart, axis: 0.25 * smooth.width}
     u = coarse_grain(ds, names[:2], axes=order, spacing=along, extent=lengths or None, **shared)
-    transport = (u["momentum_density"] ** 2 / u["density"].where(u["density"] > 0)).fillna(0.0).integrate(axis)
+    transport = _transport(u).integrate(axis)
     mass, momentum = sums["density"], sums["momentum_density"]
+    shape = _diagonal(transport) * mass / (momentum**2).where(momentum != 0)
     found = {
         "mass_per_area": (mass, "kg m^-2", "mass per area"),
         "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
         "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
         "depth_averaged_velocity": (momentum / mass.where(mass > 0), "m s^-1", "depth-averaged velocity"),
-        "shape_factor": (transport * mass / (momentum**2).where(momentum != 0), "1", "shape factor of the velocity"),
+        "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
     if forces:
-        stress = sums["stress"]
-        normal = xr.concat([stress.sel(component=a, direction=a, drop=True) for a in COMPONENTS], "component")
-        normal = normal.assign_coords(component=list(COMPONENTS))
+        # the kinetic stress of the column is about its mean velocity, that of the flow about u
+        stress = sums["stress"] + _transport(sums) - transport
+        normal = _diagonal(stress)
         across = normal.sel(component=axis, drop=True)
+        pressure = normal / across.where(across != 0)
         found |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
-            "earth_pressure": (
-                (normal / across.where(across != 0)).transpose(..., "component"),
-                "1",
-                f"normal stress over that along {axis}",
-            ),
+            "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
             "basal_traction": (sums["wall_traction"], "Pa", "force of walls on the grains per area"),
         }
     system = scene.setup.unit_system
@@ -284,3 +282,15 @@ def depth_average(
         for name, (values, units, text) in found.items()
     }
     return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(provenance(ds, call), depth_axis=axis)
+
+
+def _transport(f: xr.Dataset) -> xr.DataArray:
+    """Return the transport of momentum by the mean flow, p p / rho, zero in empty nodes."""
+    p, mass = f["momentum_density"], f["density"]
+    return (p * p.rename(component="direction") / mass.where(mass > 0)).fillna(0.0)
+
+
+def _diagonal(tensor: xr.DataArray) -> xr.DataArray:
+    """Return the diagonal of a tensor as a vector, its component last."""
+    parts = [tensor.sel(component=a, direction=a, drop=True) for a in COMPONENTS]
+    return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(..., "component")
