@@ -61,7 +61,8 @@ def flow_rate(
     surface : Plane, Cylinder or Surface
         A plane without `bounds` is taken whole, exactly: ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the
         kernel's marginal along n, along periodic axes over one period. Planes with `bounds`, the side of a cylinder
-        between `low` and `high` and triangles are sums over points, see `spacing`.
+        between `low` and `high` and triangles are sums over points, see `spacing`. In a scene of one layer, planes and
+        cylinders across it count within its thickness.
     of : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
@@ -202,8 +203,16 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
     """Centres (n, 3) and areas (n,) of small cells of a surface; of triangles that are divided until they are small."""
     if not isinstance(surface, Surface):
         lower, upper = np.array(scene.corners if scene.corners is not None else np.full((2, 3), np.nan))
+        inside, layer = 1.0, scene.layer
+        if layer is not None:  # fields are the same all across it
+            k, lower[k], upper[k] = layer
         cells = surface.cells(lower, upper, spacing)
-        return cells.centre, cells.area
+        if layer is not None:
+            ends = np.sort(surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0)
+            for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
+                if np.isclose(high - low, upper[k] - lower[k]):
+                    inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
+        return cells.centre, cells.area * inside
     centres, areas = [], []
     for a, b, c in surface.corners:
         longest = max(np.linalg.norm(one - other) for one, other in ((a, b), (b, c), (c, a)))
@@ -249,8 +258,9 @@ def wall_stress(
 
     The force of each contact with a wall is smeared over the cells of the surface by the kernel,
     ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells at x_k of area A_k,
-    distances through space. Weights of a contact add up to one, also at the rim, so that the sum of traction times
-    area is the sum of the forces. Where a cell is larger than the support, the nearest one takes the whole force.
+    distances through space, in a scene of one layer within its plane. Weights of a contact add up to one, also at the
+    rim, so that the sum of traction times area is the sum of the forces. Where a cell is larger than the support, the
+    nearest one takes the whole force.
 
     Parameters
     ----------
@@ -337,7 +347,7 @@ def wall_stress(
 
 
 def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
-    """Corners of what the grains fill: the period along periodic axes, else the centres with half a diameter."""
+    """Corners of what the grains fill: period or layer where there is one, else the centres with half a diameter."""
     edges = scene.edges
     low, high = (np.array([edges.get(a, (0.0, 0.0))[k] for a in COMPONENTS]) for k in (0, 1))
     if scene.corners is not None:
@@ -347,6 +357,8 @@ def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
     for a in scene.periods:
         k = COMPONENTS.index(a)
         low[k], high[k] = edges[a]
+    if layer := scene.layer:
+        k, low[k], high[k] = layer
     return low, high
 
 
@@ -398,12 +410,13 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     from scipy.spatial import cKDTree  # slow to import
 
     cells, cutoff = task.cells, task.kernel.cutoff
+    seen = np.array([float(a in task.setup.plane) for a in COMPONENTS])  # the same all across a layer
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
         return out
     shifts = _images(lattice, int(np.ceil(cutoff / lattice.closest[0])))
-    tree = cKDTree(cells.centre)
-    pairs = [tree.sparse_distance_matrix(cKDTree(point + shift), cutoff, output_type="ndarray") for shift in shifts]
+    tree, trees = cKDTree(cells.centre * seen), [cKDTree((point + shift) * seen) for shift in shifts]
+    pairs = [tree.sparse_distance_matrix(other, cutoff, output_type="ndarray") for other in trees]
     cell, contact, distance = (np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v"))
     weight = task.kernel.value(distance) * cells.area[cell]
     total = np.bincount(contact, weight, len(point))
