@@ -17,6 +17,7 @@ from xcg.common.messages import unknown, warn_once
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.field import Sum
 from xcg.fields.grids.frames import Rotated, axis_of
+from xcg.fields.grids.grid import warn_beyond
 from xcg.fields.grids.walls import Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
@@ -370,7 +371,7 @@ def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
 
 def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str, NDArray]:
     _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
-    point, force = _over_surface(task, point, -force, lattice)
+    point, force = _over_surface(task, point, -force, lattice, source)
     if not len(point):
         warn_once("wall stress", f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}")
     normal, along = task.surface.in_surface(point, force)
@@ -385,16 +386,21 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
     }
 
 
-def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice) -> tuple[NDArray, NDArray]:
+def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, ...]:
     """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
     if not len(point):
         return point, force
     images = _images(lattice, 1)
-    all_points = (point + images[:, None]).reshape(-1, 3)
-    over, distance = task.surface.covers(all_points, task.cells), np.abs(task.surface.distance(all_points))
-    distance = np.where(over, distance, np.inf).reshape(len(images), -1)
-    image = np.argmin(distance, axis=0)
-    near = distance[image, np.arange(len(point))] <= task.within
+    places = (point + images[:, None]).reshape(-1, 3)
+    apart = np.abs(task.surface.distance(places)).reshape(len(images), -1)
+    distance = np.where(task.surface.covers(places, task.cells).reshape(apart.shape), apart, np.inf)
+    image, near = np.argmin(distance, axis=0), distance.min(axis=0) <= task.within
+    lost = ~near & (apart <= task.within).any(axis=0)
+    if lost.any() and all(getattr(task.surface, end, None) is None for end in ("bounds", "low", "high")):
+        dims = [*task.cells.coords][-len(task.cells.bounds) :]
+        for a, x, (low, high) in zip(dims, task.surface.coordinates(point[lost]).T, task.cells.bounds, strict=True):
+            if a not in task.setup.periodic:
+                warn_beyond(a, x, low, high, source, what="contacts with the wall")
     return (point + images[image])[near], force[near]
 
 
