@@ -104,6 +104,37 @@ def test_the_surface_of_a_packing_is_where_its_grains_end():
     np.testing.assert_allclose(s.base.mean(), 0.0, atol=0.02)
 
 
+def test_the_surface_does_not_depend_on_the_order_of_the_nodes():
+    f = flow(np.ones_like, 3000).cg.coarse_grain("volume_fraction", axes="xz", width=1.0)
+    xr.testing.assert_equal(f.isel(z=slice(None, None, -1)).cg.free_surface(), f.cg.free_surface())
+
+
+def test_selected_phases_have_a_surface_each():
+    position = np.random.default_rng(1).uniform(0, 1, (4000, 3)) * [L, 4, H]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.full(4000, 0.3), density=1.0, species=1 + (position[:, 2] > H / 2), periodic="xy",
+        box={"x": (0, L), "y": (0, 4)},
+    )  # fmt: skip
+    f = ds.cg.coarse_grain("volume_fraction", axes="z", by="species", width=0.5)
+    s = f.sel(phase=["2", "1"]).cg.free_surface()
+    assert s.height.sel(phase="1").item() == pytest.approx(H / 2, abs=0.1)
+    assert s.base.sel(phase="2").item() == pytest.approx(H / 2, abs=0.1)
+    for phase in "12":
+        xr.testing.assert_equal(s.sel(phase=phase, drop=True), f.sel(phase=phase).cg.free_surface().drop_vars("phase"))
+    for bulk in (f, f.sel(phase=["1", "bulk"])):
+        assert bulk.cg.free_surface().height.dims == ("time",)
+        assert bulk.cg.free_surface().height.item() == pytest.approx(H, abs=0.1)
+
+
+def test_heights_hold_what_their_slope_and_their_history_need():
+    f = flow(np.ones_like, 3000).cg.coarse_grain("volume_fraction", axes="xz", width=1.0)
+    s = f.cg.free_surface()
+    xr.testing.assert_identical(xcg.fit_slope(s.height), s.cg.fit_slope())
+    assert "free_surface(axis='z', threshold=0.5, of='volume_fraction')" in s.attrs["history"].splitlines()[-1]
+    assert "formula" not in s.height.attrs
+    assert s.attrs["width"] == 1.0
+
+
 @pytest.mark.parametrize("plane", [False, True])
 def test_a_heap_of_known_slope(plane):
     rng = np.random.default_rng(5)

@@ -43,8 +43,9 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
     Returns
     -------
     xarray.Dataset
-        ``height`` and ``base`` (m), without the axis; NaN where nothing is above the threshold, or where the mesh ends
-        before the field falls through it. Lazy where the result is.
+        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase that was selected;
+        NaN where nothing is above the threshold, or where the mesh ends before the field falls through it. Lazy where
+        the result is.
 
     Raises
     ------
@@ -64,23 +65,23 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
         raise ValueError(f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}")
     if not (is_finite(threshold) and 0 < threshold < 1):
         raise ValueError(f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5")
-    values = f[of].isel(phase=0, drop=True) if "phase" in f[of].dims else f[of]
+    values = f[of].sortby(axis)
+    if "phase" in values.dims and "bulk" in values["phase"]:
+        values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
     found = xr.apply_ufunc(
-        partial(_crossings, z=f[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
+        partial(_crossings, z=values[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
         threshold * bulk, input_core_dims=[[axis], []], output_core_dims=[["end"]], dask="parallelized",
         output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"end": 2}},
     )  # fmt: skip
-    units = {"units": f[axis].attrs.get("units", "m")}
-    share = f"where {of} is {threshold:g} of its bulk value"
-    return xr.Dataset(
-        {
-            "height": found.isel(end=1).assign_attrs(units, long_name=f"free surface along {axis}, {share}"),
-            "base": found.isel(end=0).assign_attrs(units, long_name=f"base along {axis}, {share}"),
-        },
-        attrs=f.attrs | {"surface_axis": axis},
-    )
+    about = {"units": f[axis].attrs.get("units", "m")} | ({"cutoff": f.attrs["cutoff"]} if "cutoff" in f.attrs else {})
+    data, share = {}, f"where {of} is {threshold:g} of its bulk value"
+    for end, name, what in ((1, "height", "free surface"), (0, "base", "base")):
+        data[name] = found.isel(end=end).drop_attrs(deep=False)
+        data[name].attrs = about | {"long_name": f"{what} along {axis}, {share}"}
+    call = format_call("free_surface", {"axis": axis, "threshold": threshold, "of": of})
+    return xr.Dataset(data, attrs=f.attrs | provenance(f, call) | {"surface_axis": axis})
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
@@ -113,7 +114,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     xarray.Dataset
         ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level (degrees); and their
         standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
-        for each support of the kernel. NaN for fewer nodes than the fit takes.
+        for each support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
     places = np.stack([c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1)
-    support = 2 * float(np.max(surface.attrs.get("cutoff", 0.0)))
+    support = 2 * float(np.max(height.attrs.get("cutoff", surface.attrs.get("cutoff", 0.0))))
     steps = [float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes]
     shared = float(np.prod([max(1.0, support / step) for step in steps]))
     dims = dict.fromkeys(axes, -1)
