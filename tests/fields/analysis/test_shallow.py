@@ -33,6 +33,9 @@ def test_shape_factors_of_known_profiles(profile, factor):
 def test_integrals_over_the_depth_equal_those_of_the_grains():
     ds = flow(lambda z: z)
     d = ds.cg.depth_average("z", axes="", width=0.5)
+    assert "depth_average(axis='z', axes='', width=0.5, kernel='lucy')" in d.attrs["history"]
+    x = ds.cg.depth_average("z", axes="x", width=0.5, spacing=0.7, bounds={"x": (1.0, 5.0)}, extent={"y": 2.0})
+    assert "spacing=0.7, bounds={'x': (1.0, 5.0)}, extent={'y': 2.0})" in x.attrs["history"]
     area = L * 4.0
     mass = d.mass_per_area.item() * area
     assert mass == pytest.approx(float(ds.mass.sum()), rel=1e-10)

@@ -192,6 +192,21 @@ def test_energy_of_grains_without_contacts():
     assert "comment" in alone.momentum_flow_rate.attrs
 
 
+@pytest.mark.parametrize(
+    "lacking", [["angular_velocity"], ["moment_of_inertia"], ["angular_velocity", "contact_force"]]
+)
+def test_energy_without_rotation_says_so(lacking):
+    ds, plane = xcg.datasets.random_scene(50), xcg.Plane((0, 0, 2.0), (0, 0, 1))
+    ds = ds.assign(angular_velocity=ds.velocity / 0.5)
+    assert "comment" not in ds.cg.flow_rate(plane, "energy").energy_flow_rate.attrs
+    part = ds.drop_vars(lacking)
+    comment = part.cg.coarse_grain("kinetic_energy_flux", axes="z").kinetic_energy_flux.attrs["comment"]
+    found = part.cg.flow_rate(plane, ["energy", "mass"])
+    assert comment in found.energy_flow_rate.attrs["comment"]
+    assert ("particles alone" in found.energy_flow_rate.attrs["comment"]) == ("contact_force" in lacking)
+    assert "comment" not in found.mass_flow_rate.attrs
+
+
 @pytest.mark.parametrize(("surface", "of", "message"), [
     ("z", "mass", "expected an xcg.Plane"), (xcg.Plane((0, 0, 1), (0, 0, 1)), "maß", "unknown flow 'maß'"),
 ])  # fmt: skip

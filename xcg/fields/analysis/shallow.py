@@ -242,7 +242,9 @@ def depth_average(
     axes = "".join(a for a in plane if a != axis) if axes is None else axes
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
-    call = format_call("depth_average", {"axis": axis, "axes": axes, "width": width})
+    given = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
+    further = {"spacing": spacing, "bounds": bounds, "extent": extent}
+    call = format_call("depth_average", given | {name: value for name, value in further.items() if value is not None})
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if spacing is not None and not is_positive(spacing):
         raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")

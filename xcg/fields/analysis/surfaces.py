@@ -25,7 +25,7 @@ from xcg.scene.contacts import Contacts, Walls, select_walls
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, Variable, units_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Setup, Variable, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, label, provenance, results_of
 from xcg.steps.mapping import map_over_time
@@ -83,7 +83,8 @@ def flow_rate(
     xarray.Dataset
         ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s), ``momentum_flow_rate``
         (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase). Without contact forces
-        the last two are carried by the particles alone, and their attribute ``comment`` says so.
+        the last two are carried by the particles alone, without angular velocities energy is without rotation, and
+        their attribute ``comment`` says so.
 
     Raises
     ------
@@ -138,12 +139,14 @@ def _fields(flow: Flow, scene: Description) -> list[str | Sum]:
 def _rate(flux: xr.Dataset, flow: Flow, scene: Description) -> xr.DataArray:
     """Sum what the flow of a quantity consists of, and label it."""
     parts = [flux[field if isinstance(field, str) else field.name] for field in _fields(flow, scene)]
-    units = units_in(_UNITS[flow], scene.setup.unit_system)
     found = sum(parts[1:], start=parts[0]).drop_attrs(deep=False)
-    found.attrs = {"units": units, "long_name": f"flow rate of {flow} along the normal"}
-    if flow in ("momentum", "energy") and "contact_force" not in scene.columns:
-        found.attrs["comment"] = "carried by particles alone, as the scene holds no contact forces"
-    return found
+    found.attrs = {"units": units_in(_UNITS[flow], scene.setup.unit_system)}
+    found.attrs["long_name"] = f"flow rate of {flow} along the normal"
+    alone = flow in ("momentum", "energy") and "contact_force" not in scene.columns
+    comments = ["carried by particles alone, as the scene holds no contact forces"] * alone
+    if flow == "energy" and (lacking := [name for name in ROTATION if name not in scene.columns]):
+        comments.append(f"without rotation, as the scene holds no {' and no '.join(lacking)}")
+    return found.assign_attrs({"comment": "; ".join(comments)} if comments else {})
 
 
 def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
@@ -176,11 +179,9 @@ def _through_plane(
         frame = Rotated(**{along: normal.tolist(), **{a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in across}},
                         origin=surface.point)  # fmt: skip
         at, options, turn = {along: 0.0}, {"frame": frame}, np.asarray(frame.axes)
-    here = next(iter(at))
-    extent = {a: 1.0 for a in plane if a != here}
+    extent = {a: 1.0 for a in plane if a not in at}
     flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **options, **shared) * _depth(scene)
-    toward = turn @ normal  # the normal in the axes of the fields
-    flux = _across(flux, toward)
+    flux = _across(flux, turn @ normal)  # the normal in the axes of the fields
     if k is None and "momentum_transport" in flux:  # back to the axes of the scene
         back = xr.DataArray(turn, dims=("component", "own"))
         for name in {"momentum_transport", "contact_stress"} & {*map(str, flux.data_vars)}:
