@@ -199,11 +199,9 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
     axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and open_axes[k]]
     if not len(position) or not axes or not grid.count:
         return
-    first, last = grid.lower, grid.upper
-    x = position
+    first, last, x = grid.lower, grid.upper, position
     if not np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0).any():
-        spans = [(COMPONENTS[k], position[:, k].min(), position[:, k].max()) for k in axes]
-        grains = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, low, high in spans)
+        grains = ", ".join(f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes)
         nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
         warn_once(
             "reach",
@@ -216,7 +214,7 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
 
 
 def warn_beyond(
-    a: str, x: NDArray, first: float, last: float, source: str, *, room: float | NDArray = 0.0, what: str = "grains"
+    a: str, x: NDArray, first: float, last: float, source: str, room: float | NDArray = 0.0, what: str = "grains"
 ) -> None:
     """Warn where coordinates x (n,), and some room, reach beyond a mesh that was laid around two steps."""
     hair = 1e-9 * (last - first)
