@@ -226,12 +226,12 @@ def test_a_layer_has_its_thickness():
     assert q.mass_flow_rate.item() == pytest.approx((np.array([3.0, 10.0]) * psi).sum(), rel=1e-9)
 
 
-def layer(**more):
-    """Twenty discs side by side on the floor of a layer, 1 m thick about z = 0."""
+def layer(box=(), **more):
+    """Twenty discs side by side on the floor of a layer about z = 0."""
     place = np.stack([np.arange(20) * 0.25 + 0.1, np.full(20, 0.1), np.zeros(20)], axis=1)
     return xcg.scene_from_arrays(
         place, velocity=np.tile([1.0, 0.5, 0], (20, 1)), diameter=np.full(20, 0.2), density=1.0, dimension=2,
-        box={"x": (0, 5), "y": (0, 5)}, periodic="x", contact_i=np.arange(20), contact_j=np.full(20, -2),
+        box={"x": (0, 5), "y": (0, 5), **dict(box)}, periodic="x", contact_i=np.arange(20), contact_j=np.full(20, -2),
         contact_force=np.tile([0, 1.0, 0], (20, 1)), contact_point=place * [1, 0, 1], **more,
     )  # fmt: skip
 
@@ -251,11 +251,13 @@ def test_a_surface_counts_within_the_thickness_of_a_layer(normal, bounds, part):
     assert drum[0].mass_flow_rate.item() == pytest.approx(part * drum[1].mass_flow_rate.item(), rel=1e-9, abs=1e-15)
 
 
-@pytest.mark.parametrize(("more", "traction"), [({"thickness": 1.0}, 4.0), ({"thickness": 0.1}, 40.0), ({}, 20.0)])
-def test_the_traction_on_the_wall_of_a_layer_is_per_its_thickness(more, traction):
-    """20 N on 5 m, without a thickness by the largest diameter; the same all across the layer."""
+@pytest.mark.parametrize(("more", "depth"), [
+    ({"thickness": 1.0}, 1.0), ({"thickness": 0.1}, 0.1), ({"box": {"z": (-0.1, 0.4)}}, 0.5), ({}, 0.2),
+])  # fmt: skip
+def test_the_traction_on_the_wall_of_a_layer_is_per_its_thickness(more, depth):
+    """20 N on 5 m, without thickness and box by the largest diameter; the same all across the layer."""
     f = layer(**more).cg.wall_stress(xcg.Plane((0, 0, 0), (0, 1, 0)), 0.5)
-    np.testing.assert_allclose(f.normal_traction, traction, rtol=1e-9)
+    np.testing.assert_allclose(f.normal_traction, 4.0 / depth, rtol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:.*no grain reaches any node")  # before and after

@@ -77,7 +77,7 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         )
     spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
     wraps = [
-        axis in str(f.attrs.get("wrapped_axes", "")) and np.isclose(f[axis].attrs.get("period", size), size)
+        axis in str(f.attrs.get("wrapped_axes", "")) and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
         for axis, size in ((axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True))
     ]
     lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]

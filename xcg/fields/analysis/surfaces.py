@@ -212,7 +212,7 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
         if layer is not None:
             ends = np.sort(surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0)
             for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
-                if np.isclose(high - low, upper[k] - lower[k]):
+                if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
                     inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
         return cells.centre, cells.area * inside
     centres, areas = [], []
