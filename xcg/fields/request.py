@@ -22,6 +22,7 @@ from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -161,6 +162,11 @@ class SharedOptions:
     def ask(self, **own: Any) -> Request:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
         return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
+
+    def call(self, function: str) -> str:
+        """Write the call of a function with these arguments, for its history."""
+        given = self.given()
+        return format_call(function, {k: v for k, v in given.items() if k != "on_error" or v != "raise"})
 
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
