@@ -100,7 +100,11 @@ TABLE = [
         "test_half_axes_of_superquadrics_are_those_of_the_phase_times_the_scale",
     ),
     Mutation(
-        "readers/columns.py", "whole / 2)", "whole)", "test_dumps_of_superquadrics_need_no_names",
+        "readers/engines/mercury.py", "/ float(along[0])", "* float(along[0])",
+        "test_periods_are_those_of_periodic_boundaries",
+    ),
+    Mutation(
+        "readers/columns.py", "0.5) for axis", "1.0) for axis", "test_dumps_of_superquadrics_need_no_names",
     ),
     Mutation(
         "compiled/lines.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
@@ -321,7 +325,7 @@ TABLE = [
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
     Mutation(
-        "fields/analysis/surfaces.py", "<= task.within", "<= 2 * task.within",
+        "fields/analysis/surfaces.py", "distance.min(axis=0) <= task.within", "distance.min(axis=0) <= 2 * task.within",
         "test_contacts_farther_than_within_are_left_out",
     ),
     Mutation(
@@ -330,6 +334,14 @@ TABLE = [
     Mutation(
         "fields/analysis/surfaces.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
         "test_parts_of_a_triangle_have_its_area_and_its_centre",
+    ),
+    Mutation(
+        "fields/analysis/shallow.py", "_transport(sums) - transport", "_transport(sums) + transport",
+        "test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow",
+    ),
+    Mutation(
+        "fields/analysis/surfaces.py", "min(last, high) - max(first, low)", "min(last, high) - first",
+        "test_a_surface_counts_within_the_thickness_of_a_layer",
     ),
     Mutation(
         "fields/analysis/shallow.py", "len(matrix) - count - 1", "len(matrix) - count",

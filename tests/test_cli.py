@@ -19,7 +19,7 @@ from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
-from xcg.cli import group
+from xcg.cli import group, statistics_table
 from xcg.jobs import config
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
@@ -508,3 +508,10 @@ def test_commands_accept_a_single_saved_step(tmp_path):
     assert str(int(expected.step)) in xcg_run("chains", path)
     selected("none").cg.save(tmp_path / "one.zarr", overwrite=True)
     assert "the scene has no steps" in xcg_run("run", job, "--overwrite", code=1)
+
+
+def test_skipped_steps_have_no_statistics_of_chains():
+    fc = xcg.datasets.random_scene(60).cg.force_chains()
+    assert statistics_table(fc).splitlines()[1].split()[2] == str(fc.chain_count.item())
+    skipped = fc.assign_coords(step=("time", [7]), skipped=("time", [True]))
+    assert statistics_table(skipped).splitlines()[1].split() == ["7", "0", "skipped"]

@@ -224,7 +224,8 @@ def statistics_table(fc: xr.Dataset) -> str:
     lines = [f"{'step':>10s}{'time':>12s}{heads}"]
     for t in range(fc.sizes["time"]):
         step = fc.isel(time=t)
-        values = "".join(f"{step[name].item():9.4g}" for name in names)
+        skipped = "skipped" in step.coords and step["skipped"].item()
+        values = f"{'skipped':>9s}" if skipped else "".join(f"{step[name].item():9.4g}" for name in names)
         lines.append(f"{step['step'].item():10d}{step['time'].item():12.5g}{values}")
     return "\n".join(lines)
 
@@ -340,6 +341,8 @@ def run(
     from xcg.jobs.run import open_job, outputs_of, run_job
     from xcg.steps.mapping import shown
 
+    if resume and overwrite:
+        raise click.UsageError("--resume goes on with a run, and --overwrite starts anew: pass one of them")
     with plain_messages(quiet):
         job = read_config(config)
         if on_error is not None:
@@ -368,7 +371,7 @@ def run(
                     for done, _ in steps:
                         bar.update(done - bar.n)
             except OSError as error:
-                if error.errno is not None or isinstance(error, FileExistsError):  # not of a full disk
+                if error.errno is not None or isinstance(error, (FileExistsError, FileNotFoundError)):
                     raise
                 raise click.ClickException(f"{error}\n{kept()}") from error
             finally:

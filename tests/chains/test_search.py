@@ -464,6 +464,7 @@ def test_births_deaths_and_lifetimes_of_tracked_chains():
     assert tracks.lifetime.values.tolist() == [1.0, 0.5, 0.5]
     assert tracks.steps.values.tolist() == [3, 2, 2]
     assert tracks.lifetime.attrs["units"] == "s"
+    assert all(tracks[name].attrs["units"] == "1" for name in ("track_id", "births", "deaths", "survivors", "steps"))
     assert tracks.equals(fc.chunk(time=1).cg.track_chains(overlap=0.5))
 
 

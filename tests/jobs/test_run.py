@@ -137,6 +137,26 @@ def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypa
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names
 
 
+@pytest.mark.parametrize("images", ["temporal", "steps"])
+def test_images_of_a_run_that_is_overwritten_go(job, tmp_path, images):
+    job.write_text(JOB.replace("temporal", images))
+    xcg_run("run", job, "-q")
+    kept = tmp_path / "out" / "fields_9999.vtkhdf"
+    kept.write_text("not of a run")
+    job.write_text(JOB.replace('vtkhdf = "temporal"', "").replace("width = 1.0", "width = 1.2"))
+    xcg_run("run", job, "-q", "--overwrite")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fields.nc", kept.name]
+
+
+def test_a_run_either_goes_on_or_starts_anew(job, tmp_path):
+    xcg_run("run", job, "-q")
+    assert "pass one of them" in xcg_run("run", job, "--resume", "--overwrite", code=2)
+    job.write_text(JOB.replace("p.*.dump", "q.*.dump"))
+    said = xcg_run("run", job, "--overwrite", code=1)
+    assert "q.*.dump" in said
+    assert "kept" not in said
+
+
 def test_finished_steps_are_not_computed_again(job, reads):
     steps = run_job(read_config(job), jobs=5)
     for _ in range(3):

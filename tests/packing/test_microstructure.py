@@ -363,6 +363,13 @@ def test_the_default_is_all_quantities_the_scene_allows():
         bare.cg.find_contacts().cg.microstructure("stress")
 
 
+def test_a_layer_has_no_region_along_its_normal():
+    ds = xcg.scene_from_arrays([[0.5, 0.5, 0.0]], diameter=[1.0], dimension=2, box={"x": (0, 1), "y": (0, 1)})
+    assert one(ds.cg.microstructure("particle_count", bounds={"x": (0, 1)}), "particle_count") == 1
+    with pytest.raises(ValueError, match=r"axes of the scene \(x, y\), for example {'y': \(0.0, 0.1\)}"):
+        ds.cg.microstructure("particle_count", bounds={"z": (0.2, 1)})
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_scenes_of_up_to_two_particles(count):
     m = xcg.datasets.random_scene(count).cg.microstructure()
@@ -394,6 +401,9 @@ def test_without_a_box_volumes_come_from_bounds():
         ({"force_bins": [1, 1]}, "increasing edges"),
         ({"bounds": {"z": (1, 0)}}, "expected .low, high."),
         ({"bounds": {"q": (0, 1)}}, "expected .low, high."),
+        ({"bounds": "x"}, "bounds='x': expected .low, high."),
+        ({"bounds": {"z": (None, 1)}}, "expected .low, high."),
+        ({"strain_rate": np.ones(3)}, "expected one rate"),
         ({"by": "mass"}, "integer variable"),
         ({"max_connectivity": 2.5}, "max_connectivity=2.5"),
         ({"axis": "q"}, "axis='q'"),

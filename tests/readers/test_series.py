@@ -527,6 +527,8 @@ def test_wrong_arguments_raise(series, tmp_path):
         open_scene(path, names={"c_cn": "coordination_number"})
     with pytest.raises(SceneError, match=r"no engine recognises .*x\.txt; name one with engine=: lammps, lig"):
         open_scene(write(tmp_path / "x.txt", "hello\n"))
+    with pytest.raises(SceneError, match=r"x\.txt: the file is empty; write it again"):
+        open_scene(write(tmp_path / "x.txt", ""))
 
 
 def test_vtk_is_imported_only_when_needed():

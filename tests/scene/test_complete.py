@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import xcg
@@ -184,3 +185,23 @@ def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
         plain.append(complete._plain_points(particles, *rows, lattice) is not None)
     assert any(plain)
     assert not periodic or seen or not all(plain)
+
+
+@pytest.mark.parametrize("name", ["particle_id", "species"])
+@pytest.mark.parametrize("value", [2.0**53, -(2.0**53), 1e20, 0.5, np.nan, np.inf])
+def test_whole_numbers_that_floats_do_not_hold_raise(name, value):
+    x = [[0.0, 0, 0], [2.0, 0, 0]]
+    with pytest.raises(xcg.SceneError, match=f"'{name}' must hold whole numbers below 2.53, but row 1 is "):
+        xcg.scene_from_arrays(x, **{name: [3.0, value]})
+    large = 2**53 + 1
+    assert xcg.scene_from_arrays(x, **{name: [3, large]})[name][0, 1] == large
+    with pytest.raises(xcg.SceneError, match="but row 0 is 9007199254740992"):  # which 2^53 + 1 became
+        xcg.scene_from_table(pd.DataFrame({"id": [large], "x": 0.0, "y": 0.0, "z": 0.0, "radius": 1.0}), density=1.0)
+
+
+def test_contacts_without_forces_name_the_argument():
+    x = np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    with pytest.raises(
+        xcg.SceneError, match="contacts lack contact_force; pass contact_force=, or map columns by names="
+    ):
+        xcg.scene_from_arrays(x, contact_i=[0], contact_j=[1], contact_point=x[:1])

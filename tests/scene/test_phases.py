@@ -114,6 +114,8 @@ def test_phases_by_edges_and_by_type():
         ({"edges": [2, 1]}, "that rise"),
         ({"mapping": {}}, "expected whole numbers"),
         ({"mapping": {1: 1, 2: 1.5}}, "expected whole numbers"),
+        ({"mapping": {"a": 1}}, "expected whole numbers"),
+        ({"edges": [0.004], "by": "nonexistent"}, "by='nonexistent': edges= are between diameters"),
     ):
         with pytest.raises(ValueError, match=message):
             ds.cg.assign_phases(**options)

@@ -270,3 +270,15 @@ def test_bounds_that_the_spacing_does_not_divide_are_continued(tmp_path):
         with xcg.record(tmp_path / "live.nc", **given) as live:
             live.append(ds.assign_coords(time=ds.time + k))
     assert live.steps == 2
+
+
+def test_unknown_arguments_are_named(tmp_path):
+    with pytest.raises(TypeError, match=r"record\(\) got an unexpected keyword argument 'axez'; did you mean 'axes'"):
+        xcg.record(tmp_path / "a.nc", "density", axez="z")
+
+
+def test_records_take_the_kernel_of_their_preset(tmp_path):
+    scene = xcg.datasets.random_scene(30)
+    with xcg.record(tmp_path / "a.nc", "density", axes="z", width=1.0, preset="lammps") as live:
+        live.append(scene)
+    assert xr.open_dataset(tmp_path / "a.nc").attrs["kernel"] == "shifted gaussian"

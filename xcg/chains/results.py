@@ -81,18 +81,26 @@ def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDA
     return found
 
 
-def require_chains(fc: xr.Dataset, purpose: str) -> None:
-    """Raise SceneError unless a Dataset is a result of `force_chains`.
+def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -> None:
+    """Raise SceneError unless a Dataset is a result of `force_chains`, whole along some dimensions.
 
     Raises
     ------
     SceneError
-        If it lacks ``chain_id`` or ``link_chain``; the message says how to get them.
+        If it lacks ``chain_id`` or ``link_chain``, or parts of it; the message says what to do.
     """
     missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
     if missing:
         raise SceneError(
             f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
+        )
+    full = result_sizes(fc.sizes.get("particle", 1), 0, int(fc.attrs.get("min_length", 3)))
+    given = {dim: fc.sizes.get(dim, full[dim]) for dim in full}
+    part = {"chain": given["chain"] < full["chain"], "length": given["length"] != full["length"]}
+    if any(part[dim] for dim in whole):
+        raise SceneError(
+            f"{purpose} needs all particles and chains of a step, and this Dataset holds a part of them: select chains "
+            "by fc.cg.select_chains(...), steps by fc.isel(time=...)"
         )
 
 

@@ -287,7 +287,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     ValueError
         If `overlap` is out of range, or the chains have no time dimension.
     """
-    require_chains(fc, "track_chains")
+    require_chains(fc, "track_chains", whole=("chain",))
     fc = with_time(fc)
     if not (is_positive(overlap) and overlap <= 1):
         raise ValueError(f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5")
@@ -320,14 +320,18 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     birth, end = times[first], times[first + seen - 1]
     second = units_in("s", fc.attrs.get("unit_system", "SI"))
     data = {
-        "track_id": (("time", "chain"), track, {"long_name": "track of the chain, -1 where there is none"}),
-        "births": ("time", births, {"long_name": "chains that continue none of the step before"}),
-        "deaths": ("time", deaths, {"long_name": "chains of the step before that none continues"}),
-        "survivors": ("time", survivors, {"long_name": "chains that continue one of the step before"}),
+        "track_id": (
+            ("time", "chain"),
+            track,
+            {"units": "1", "long_name": "track of the chain, -1 where there is none"},
+        ),
+        "births": ("time", births, {"units": "1", "long_name": "chains that continue none of the step before"}),
+        "deaths": ("time", deaths, {"units": "1", "long_name": "chains of the step before that none continues"}),
+        "survivors": ("time", survivors, {"units": "1", "long_name": "chains that continue one of the step before"}),
         "birth_time": ("track", birth, {"units": second, "long_name": "first time of the track"}),
         "last_time": ("track", end, {"units": second, "long_name": "last time of the track"}),
         "lifetime": ("track", end - birth, {"units": second, "long_name": "time from first to last step"}),
-        "steps": ("track", seen, {"long_name": "steps of the track"}),
+        "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))

@@ -226,7 +226,7 @@ def select_chains(
         If an argument is wrong.
     """
     given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
-    require_chains(fc, "select_chains")
+    require_chains(fc, "select_chains", whole=("chain", "length"))
     if of not in OF:
         raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:

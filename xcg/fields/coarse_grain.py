@@ -297,10 +297,12 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
     length = units_in("m", system)
     # those of the scene may be changed in place
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
+    wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
-        attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        attrs: dict[str, Any] = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
         if scene.cylindrical:
             attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
+        attrs |= {"period": wrapped[name]} if name in wrapped else {}  # also of a part of the nodes
         coords[name] = (coord.dims, coord, attrs | coord.attrs if name in _AXES else coord.attrs)
     if plan.deposit.by:
         attrs = {"long_name": f"phase by {plan.deposit.by}"}

@@ -76,7 +76,7 @@ def _check_pointwise(request: Request) -> None:
     if request.gradient == "finite_difference":
         raise ValueError(
             "gradient='finite_difference' takes differences between the nodes of a mesh, and points have no "
-            "neighbours: take gradient='least_squares' (the default) or 'kernel'"
+            "neighbours: take gradient='least_squares' or 'kernel'"
         )
 
 

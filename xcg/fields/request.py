@@ -22,6 +22,7 @@ from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -47,6 +48,11 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
 Sampling: TypeAlias = Literal["node", "cell"]
 Preset: TypeAlias = Literal["pysammos", "lammps"]
 Per: TypeAlias = Literal["accessible"]
+# defaults of presets in place of those below
+_OF_PRESETS: dict[Any, dict[str, Any]] = {
+    "lammps": {"kernel": "shifted gaussian", "gradient": "finite_difference"},
+    "pysammos": {"temperature": "biased"},
+}
 P = ParamSpec("P")
 A = TypeVar("A")
 R = TypeVar("R")
@@ -157,6 +163,11 @@ class SharedOptions:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
         return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
 
+    def call(self, function: str) -> str:
+        """Write the call of a function with these arguments, for its history."""
+        given = self.given()
+        return format_call(function, {k: v for k, v in given.items() if k != "on_error" or v != "raise"})
+
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
         kind: Any = type(self)
@@ -225,6 +236,11 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
 
+def as_preset(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments together with the defaults of the preset that they name."""
+    return _OF_PRESETS.get(str(options.get("preset")), {}) | dict(options)
+
+
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
@@ -236,7 +252,7 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            result = function(scene, request(*args, **options))
+            result = function(scene, request(*args, **as_preset(options)))
             return result if scene is ds else as_selected(result, ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]

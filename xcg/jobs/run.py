@@ -6,6 +6,7 @@ import glob
 import hashlib
 import inspect
 import os
+import re
 import shutil
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
@@ -168,6 +169,10 @@ def run_job(
         for output in outputs:
             shutil.rmtree(output.work, ignore_errors=True)
         yield from _run(outputs, count, jobs, about)
+    for path in job.folder.glob(f"{glob.escape(job.name)}*.vtkhdf") if overwrite else ():
+        image = re.fullmatch(rf"{re.escape(job.name)}(_\d+)?", path.stem)
+        if image and path not in targets and _made_by(path):  # of the run that this one replaces
+            path.unlink()
 
 
 def outputs_of(job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = "") -> list[_Output]:

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import check_choice, floats, is_positive
-from xcg.common.messages import unknown
+from xcg.common.checks import check_choice, floats, is_finite, is_positive
+from xcg.common.messages import plain, unknown
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.packing.samples import Bounds, Measure
 from xcg.scene.conform import require_scene, storable, takes_scene
@@ -204,8 +204,8 @@ def microstructure(
     check_choice("rattlers", rattlers, RattlerRule)
     check_choice("strain", strain, StrainMeasure)
     check_choice("mixing_weight", mixing_weight, MixingWeight)
-    scene, regions = describe(ds, by), _regions(bounds)
-    setup = scene.setup
+    scene = describe(ds, by)
+    setup, regions = scene.setup, _regions(bounds, scene.setup.plane)
     neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
     counts = {"min_contacts": min_contacts, "max_connectivity": max_connectivity, "neighbours": neighbours}
     for name, value in counts.items():
@@ -247,16 +247,18 @@ def _force_bins(edges: ArrayLike | None) -> NDArray:
     return bins
 
 
-def _regions(bounds: Bounds | Mapping[str, Bounds] | None) -> dict[str, Bounds]:
+def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[str, Bounds]:
     """Bounds by name of the region; the name is empty where there is one region only."""
-    nested = bool(bounds) and all(isinstance(value, Mapping) for value in (bounds or {}).values())
-    regions: dict[str, Any] = dict(bounds or {}) if nested else {"": bounds or {}}
+    given: Any = {} if bounds is None else bounds
+    nested = isinstance(given, Mapping) and given and all(isinstance(value, Mapping) for value in given.values())
+    regions: dict[str, Any] = dict(given) if nested else {"": given}
     for region in regions.values():
-        for axis, edges in region.items():
-            if axis not in COMPONENTS or np.shape(edges) != (2,) or not float(edges[0]) < float(edges[1]):
+        pairs = region.items() if isinstance(region, Mapping) else [("", region)]
+        for axis, edges in ((axis, floats(ends)) for axis, ends in pairs):
+            if axis not in [*plane] or edges.shape != (2,) or not edges[0] < edges[1]:
                 raise ValueError(
-                    f"bounds={bounds!r}: expected (low, high) for axes x, y or z, for example {{'z': (0.0, 0.1)}}, "
-                    "or several such mappings by name of the region"
+                    f"bounds={bounds!r}: expected (low, high) for axes of the scene ({', '.join(plane)}), for example "
+                    f"{{{plane[-1]!r}: (0.0, 0.1)}}, or several such mappings by name of the region"
                 )
     return regions
 
@@ -273,7 +275,11 @@ def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> st
         if given == "box" and "lattice" in ds:
             raise ValueError("strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'")
         return given
-    return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))
+    if isinstance(given, xr.DataArray):
+        return given
+    if not is_finite(given):
+        raise ValueError(f"strain_rate={plain(given)}: expected one rate (s-1), or a DataArray of one for each time")
+    return xr.DataArray(float(given))
 
 
 def _choose(

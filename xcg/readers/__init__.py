@@ -1,4 +1,4 @@
-"""Readers: one module for each DEM code, and the series that they make one lazy scene of.
+"""Readers: engines for DEM codes and file layouts, and the series that they make one lazy scene of.
 
 `Engine` is what a reader of another format derives from.
 """

@@ -160,6 +160,25 @@ def _axes(filled: Iterable[str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
+_SIZES = (("diameter", "radius", 2.0), *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS))
+_ROUNDED = 1e-4  # dumps of LAMMPS have six digits
+
+
+def unify_sizes(frame: Frame, ref: StepRef) -> None:
+    """Replace radii by diameters, and whole axes by half-axes. Raise SceneError if both are there and disagree."""
+    for name, other, factor in _SIZES:
+        if other not in frame:
+            continue
+        values = factor * frame.pop(other)
+        there = frame.setdefault(name, values)
+        if there is not values and not (same := np.isclose(there, values, _ROUNDED, 0, equal_nan=True)).all():
+            row = int(np.argmin(same))
+            raise SceneError(
+                f"{source_of(ref)}: {name} {there[row]:.6g} of row {row} is not {factor:g} times {other} "
+                f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
+            )
+
+
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
     vector = np.empty((len(next(iter(values.values()))), 3))
@@ -380,19 +399,18 @@ class Columnar(Engine):
                 low, high = ref.box[k]
                 values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
                 for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
-                    if other != axis and vector[k]:
-                        values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
+                    if other == axis or not vector[k]:
+                        continue
+                    if f"scaled_{other}" not in values:
+                        what = (
+                            f"the box is tilted, so {axis} follows from {axis}s and {other}s, and {other}s is missing"
+                        )
+                        raise SceneError(f"{source_of(ref)}: {what}; dump xs ys zs, or x y z")
+                    values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-        frame["position"] = _stacked(values, "position")
-        for slot in ("velocity", "angular_velocity"):
-            if _axes(values, slot):
-                frame[slot] = _stacked(values, slot)
-        if "radius" in frame:
-            radius = frame.pop("radius")
-            frame.setdefault("diameter", 2 * radius)
-        for axis in _axes(frame, "whole_axis"):
-            whole = frame.pop(f"whole_axis_{axis}")
-            frame.setdefault(f"half_axis_{axis}", whole / 2)
+        vectors = ("position", "velocity", "angular_velocity")
+        frame |= {slot: _stacked(values, slot) for slot in vectors if _axes(values, slot)}
+        unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
         return frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -320,6 +321,8 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     for engine in all_engines():
         if all(engine.recognises(path) for path in firsts):
             return engine
+    if empty := [path for path in firsts if not os.path.getsize(path)]:
+        raise SceneError(f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')")
     raise SceneError(
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
         "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"

@@ -10,10 +10,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
+from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import unit_vectors
@@ -36,23 +37,25 @@ def scene_from_table(
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
         ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.
+        In a step without rows nothing touches; a warning lists such steps, unless the table has no rows at all.
         Magnitudes ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists them, have
         the direction n of the centres, from j to i: the force on i is ``normal_force n + tangential_force (z x n)``.
     names : mapping, optional
         From other columns to these names; None drops a column.
     **options
-        All else that `xcg.scene_from_arrays` takes: ``density``, ``box``, ``periodic``, ``units``, ...
+        All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables that the tables do
+        not hold. ``density`` is used where the tables hold neither mass nor density.
 
     Returns
     -------
     xarray.Dataset
-        The scene, in memory.
+        The scene, in memory. Its attribute `ignored_columns` lists the columns that are not read.
 
     Raises
     ------
     SceneError
-        If a column is missing, holds something other than numbers, or the tables disagree; the message names table,
-        column and row.
+        If a column is missing, holds something other than numbers, is also given as an argument, or the tables
+        disagree; the message names table, column and row.
 
     Examples
     --------
@@ -63,7 +66,8 @@ def scene_from_table(
     {'time': 2, 'particle': 2, 'component': 3}
     """
     said = ReadOptions(dict(names or {}))
-    grains = _frames(_table(particles), "particles", said, contacts=False)
+    tables = {"particles": _table(particles)}
+    grains = _frames(tables["particles"], "particles", said, contacts=False)
     steps = sorted(grains)
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
@@ -72,17 +76,33 @@ def scene_from_table(
         if periodic and options.get("box") is not None:
             boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
             lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
-        rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
+        tables["contacts"] = rows = _with_vectors(
+            _table(contacts), grains, said, dict(zip(steps, lattices, strict=True))
+        )
         touching = _frames(rows, "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps)) if len(rows) else []
         if unknown:
             raise SceneError(
                 f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
             )
+        lacking = [key for key in steps if key not in touching] if len(rows) else []
+        if lacking:
+            warn_user(
+                f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles, such as {lacking[0]:g}, "
+                "and nothing touches in them; if their contacts are unknown, leave these steps out of both tables"
+            )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
-    position = given.pop("position")
-    return scene_from_arrays(position, **(options | given))
+    twice = [name for name, value in options.items() if name in given and value is not None and name != "density"]
+    if twice:
+        raise SceneError(
+            f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
+            "names={'column': None}"
+        )
+    refs = {what: [StepRef(what, len(table), columns=tuple(table.columns))] for what, table in tables.items()}
+    ignored = printable(ignored_columns(Table(), refs, said))
+    scene = scene_from_arrays(**(options | given))
+    return scene.assign_attrs(ignored_columns=ignored) if ignored else scene
 
 
 def _with_vectors(

@@ -205,15 +205,20 @@ def origin_of(
 ) -> dict[str, str]:
     """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
     named = {kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)" for kind, p in files.items()}
-    refs = [(step.particles, False) for step in steps[:1]]
-    refs += [(ref, True) for ref in next((step.contacts for step in steps if step.contacts), ())]
-    ignored: dict[str, dict[str, None]] = {}
-    for ref, contacts in refs:
-        left = engine.ignored_columns(ref, options, contacts=contacts)
-        ignored.setdefault("contacts" if contacts else "particles", {}).update(dict.fromkeys(left))
+    contacts = next((step.contacts for step in steps if step.contacts), ())
+    refs = {"particles": [step.particles for step in steps[:1]], "contacts": contacts}
     said = {
         "engine": engine.name,
         "files": "\n".join(f"{kind}: {text}" for kind, text in named.items()),
-        "ignored_columns": "\n".join(f"{kind}: {', '.join(left)}" for kind, left in ignored.items() if left),
+        "ignored_columns": ignored_columns(engine, refs, options),
     }
     return {name: printable(text) for name, text in said.items() if text}
+
+
+def ignored_columns(engine: Engine, refs: Mapping[str, Iterable[StepRef]], options: ReadOptions) -> str:
+    """List the columns that are not read, a line a kind of file."""
+    left = {
+        kind: [name for ref in listed for name in engine.ignored_columns(ref, options, contacts=kind == "contacts")]
+        for kind, listed in refs.items()
+    }
+    return "\n".join(f"{kind}: {', '.join(dict.fromkeys(names))}" for kind, names in left.items() if names)

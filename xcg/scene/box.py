@@ -88,7 +88,10 @@ def domain_of(
             )
         return found
     vectors = _vectors(edges, lattice, periodic, unit)
-    rates = _rates(vectors, periodic, time) if shear_rate is None else _entries(edges, shear_rate, "shear_rate", per=1)
+    if shear_rate is None:
+        rates = _rates(vectors, periodic, time)
+    else:  # the transposed gradient; images along axes without edges do not exist
+        rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(len(edges), shear_rate, "shear_rate")
     tilted = (vectors * (1 - np.eye(3)))[:, [COMPONENTS.index(a) for a in periodic]].any()
     if tilted or rates.any():
         found["lattice"] = vectors
@@ -97,21 +100,18 @@ def domain_of(
     return found
 
 
-def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int = 0) -> NDArray:
-    """Matrices (t, 3, 3) of numbers such as {"xy": value}, times the length of the second axis where that is asked."""
+def _entries(steps: int, given: Mapping[str, ArrayLike], name: str) -> NDArray:
+    """Matrices (t, 3, 3) of numbers such as {"xy": value}, which stands in row y and column x."""
     wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
-    out = np.zeros((len(edges), 3, 3))
+    out = np.zeros((steps, 3, 3))
     if wrong:
         raise SceneError(f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers")
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)
-        length = edges[:, j, 1] - edges[:, j, 0] if per else 1.0
-        if numbers.shape not in ((), (len(edges),)) or not np.isfinite(numbers * length).all():
-            raise SceneError(
-                f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {len(edges)} steps"
-            )
-        out[:, j, i] = numbers * length
+        if numbers.shape not in ((), (steps,)) or not np.isfinite(numbers).all():
+            raise SceneError(f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {steps} steps")
+        out[:, j, i] = numbers
     return out
 
 
@@ -119,7 +119,7 @@ def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], perio
     """Lattice vectors (t, 3, 3), given in some unit, checked against the edges."""
     lengths = edges[..., 1] - edges[..., 0]
     if isinstance(lattice, Mapping):
-        vectors = _entries(edges, lattice, "lattice") * unit
+        vectors = _entries(len(edges), lattice, "lattice") * unit
         vectors[:, range(3), range(3)] = lengths
         return vectors
     vectors = floats(lattice) * unit

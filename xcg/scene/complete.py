@@ -16,6 +16,7 @@ from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variabl
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
+_WHOLE = 2.0**53  # from here on floats of 64 bits leave whole numbers out
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
 _SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
 _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
@@ -58,11 +59,12 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
         if row.dtype == "int64" and array.dtype.kind == "f":
-            whole = np.rint(array)
-            if array.size and not (np.isfinite(array).all() and (array == whole).all()):
-                bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
-                raise SceneError(f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]}")
-            array = whole
+            bad = np.flatnonzero(~((array == np.rint(array)) & (np.abs(array) < _WHOLE)))
+            if bad.size:
+                raise SceneError(
+                    f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {array.flat[bad[0]]}; "
+                    "tables and files are read as 64-bit floats, which larger numbers do not fit: number them anew"
+                )
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
@@ -207,7 +209,7 @@ def complete_contacts(
         given["contact_normal"] = unit_vectors(lattice.shortest(branch))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
-        raise SceneError(f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}")
+        raise SceneError(f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names=")
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]

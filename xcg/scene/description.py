@@ -116,6 +116,18 @@ class Description:
             "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
         )
 
+    @property
+    def layer(self) -> tuple[int, float, float] | None:
+        """Axis across a scene of one layer, and the edges of the layer (m); None in three dimensions."""
+        depth = self.layer_depth
+        if depth is None:
+            return None
+        k = next(k for k, a in enumerate(COMPONENTS) if a not in self.setup.plane)
+        if isinstance(depth, str):
+            return k, *self.edges[depth]
+        middle = 0.0 if self.corners is None else (self.corners[0][k] + self.corners[1][k]) / 2
+        return k, middle - depth / 2, middle + depth / 2
+
     def groups(self, by: str | None, groups: Sequence[int] | None = None) -> tuple[int, ...]:
         """Return the values of an integer variable of the particles, sorted: given, or known without reading.
 

@@ -123,7 +123,7 @@ def assign_phases(
     mapping : mapping, optional
         From values of `by` to phases, for example ``{1: 1, 2: 1, 3: 2}``.
     by : str
-        An integer variable of the particles.
+        The integer variable of the particles that `mapping` is from.
 
     Returns
     -------
@@ -140,6 +140,8 @@ def assign_phases(
     if (edges is None) == (mapping is None):
         raise ValueError("assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}")
     if edges is not None:
+        if by != "species":
+            raise ValueError(f"by={by!r}: edges= are between diameters, and by= goes with mapping=; leave it out")
         require_scene(ds, ("diameter",), "assign_phases")
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
@@ -149,7 +151,7 @@ def assign_phases(
         return _by_properties(ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
     given = mapping or {}
-    if not given or any(value % 1 or phase % 1 or phase < 0 for value, phase in given.items()):
+    if not given or not all(is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()):
         raise ValueError(
             f"mapping={plain(mapping)}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
         )

@@ -1,1 +1,1 @@
-"""Writers of results in formats that xarray does not write itself."""
+"""Writers of scenes, results and chains: NetCDF, Zarr, VTKHDF, ParaView's files, records, views in 3D."""

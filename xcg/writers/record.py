@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -15,9 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike
 
-from xcg.common.messages import SceneError
-from xcg.fields.coarse_grain import answer
-from xcg.fields.request import Request
+from xcg.common.messages import SceneError, did_you_mean
+from xcg.fields.coarse_grain import answer, coarse_grain
+from xcg.fields.request import Request, as_preset
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.frame import check_times
@@ -325,5 +326,8 @@ def record(
     ...         live.steps
     1
     """
-    request = Request(fields, **options)
+    for word in options:
+        if word not in (known := inspect.signature(coarse_grain).parameters):
+            raise TypeError(f"record() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}")
+    request = Request(fields, **as_preset(options))
     return Recorder(Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite)

@@ -140,7 +140,7 @@ class _Array:
     dtype: np.dtype[Any]
 
     def part(self, data: xr.Variable) -> xr.Variable:
-        """Take the phase of a variable."""
+        """Return the phase of a variable."""
         return data if self.phase is None else data.isel(phase=self.phase)
 
     def values(self, data: xr.Variable, image: Image) -> NDArray:

@@ -77,6 +77,12 @@ def test_dimensions_and_coordinates_are_in_the_order_of_the_fields(options):
     assert list(ds.isel(time=0).cg.balance(**options).sizes) == list(f.sizes)[1:]
 
 
+def test_the_history_of_residuals_is_their_own_call():
+    history = xcg.datasets.random_scene(50).cg.balance(width=1.2, of=["force"], spacing=1.0).attrs["history"]
+    assert "balance(width=1.2, of=['force'], kernel='lucy'" in history
+    assert "coarse_grain" not in history
+
+
 def test_a_wrong_force_raises_the_residual():
     ds = close_frames(0.01)
     right = ds.cg.balance(width=1.2, spacing=0.15).momentum_residual_norm.item()

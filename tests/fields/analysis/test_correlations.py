@@ -225,6 +225,20 @@ def test_correlations_wrap_around_periodic_axes_only():
     assert ds.cg.coarse_grain("density").attrs["wrapped_axes"] == ""
 
 
+def test_correlations_of_a_part_of_a_period_end_at_its_edges():
+    x = np.random.default_rng(0).uniform(0, 10, (4000, 3))
+    ds = xcg.scene_from_arrays(x, velocity=x * [1, 0, 0], diameter=np.full(4000, 0.3), density=1.0, box=[[0, 10]] * 3,
+                               periodic="xyz")  # fmt: skip
+    f = ds.cg.coarse_grain("velocity", axes="x", width=0.5, spacing=0.25)
+    assert f.x.attrs["period"] == 10.0
+    part = f.sel(x=slice(2, 8))
+    found, ends = (g.cg.spatial_correlation("velocity") for g in (part, part.assign_attrs(wrapped_axes="")))
+    xr.testing.assert_identical(found, ends)
+    assert found.sizes["lag_x"] == 2 * part.sizes["x"] - 1
+    assert f.cg.spatial_correlation("velocity").sizes["lag_x"] == f.sizes["x"]
+    assert f.isel(x=slice(None, None, 2)).cg.spatial_correlation("velocity").sizes["lag_x"] == f.sizes["x"] // 2
+
+
 @pytest.mark.parametrize(
     ("method", "change", "options", "error", "message"),
     [

@@ -300,9 +300,12 @@ def test_accumulated_deformations_are_composed(chunks):
         strain = (total.swapaxes(-1, -2) @ total - np.eye(3)) / 2
         np.testing.assert_allclose(f.strain[t], strain, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(f.time, ds.time[1:])
+    np.testing.assert_allclose(f.interval, ds.time[1:] - ds.time[0])
+    assert f.interval.attrs == {"units": "s", "long_name": "time since the first frame"}
     assert not {"d2min", "displacement"} & set(f.data_vars)
     every = ds.cg.displacement("deformation_gradient", 2, accumulate=True, **place)
     np.testing.assert_array_equal(every.time, ds.time[2::2])
+    np.testing.assert_allclose(every.interval, ds.time[2::2] - ds.time[0])
     by_two = [ds.isel(time=[t, t + 2]).cg.displacement("deformation_gradient", **place) for t in (0, 2)]
     first, second = (f.deformation_gradient.values[0] for f in by_two)
     np.testing.assert_allclose(every.deformation_gradient[1], second @ first, rtol=0, atol=1e-13)

@@ -33,6 +33,9 @@ def test_shape_factors_of_known_profiles(profile, factor):
 def test_integrals_over_the_depth_equal_those_of_the_grains():
     ds = flow(lambda z: z)
     d = ds.cg.depth_average("z", axes="", width=0.5)
+    assert "depth_average(axis='z', axes='', width=0.5, kernel='lucy')" in d.attrs["history"]
+    x = ds.cg.depth_average("z", axes="x", width=0.5, spacing=0.7, bounds={"x": (1.0, 5.0)}, extent={"y": 2.0})
+    assert "spacing=0.7, bounds={'x': (1.0, 5.0)}, extent={'y': 2.0})" in x.attrs["history"]
     area = L * 4.0
     mass = d.mass_per_area.item() * area
     assert mass == pytest.approx(float(ds.mass.sum()), rel=1e-10)
@@ -68,6 +71,16 @@ def test_the_base_carries_the_weight():
     assert d.earth_pressure.sel(component="z").item() == pytest.approx(1.0)
 
 
+def test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow():
+    """Brute force: the stress at nodes, whose kinetic part is about the velocity there, integrated along z."""
+    ds = xcg.datasets.open("chute").isel(time=[0])
+    d = ds.cg.depth_average("z", axes="")
+    profile = ds.cg.coarse_grain("stress", axes="z", spacing=0.1).stress.fillna(0.0).integrate("z")
+    np.testing.assert_allclose(d.depth_stress, profile, atol=2e-3 * float(profile.max()))
+    normal = np.diag(profile[0])
+    np.testing.assert_allclose(d.earth_pressure[0], normal / normal[2], rtol=1e-3)
+
+
 @pytest.mark.parametrize("chunks", [False, True])
 def test_the_surface_of_a_slab(chunks):
     z, x = np.linspace(-1, 6, 71), np.arange(4.0)
@@ -92,6 +105,37 @@ def test_the_surface_of_a_packing_is_where_its_grains_end():
     s = f.cg.free_surface("z")
     np.testing.assert_allclose(s.height.mean(), 5.0, atol=0.02)
     np.testing.assert_allclose(s.base.mean(), 0.0, atol=0.02)
+
+
+def test_the_surface_does_not_depend_on_the_order_of_the_nodes():
+    f = flow(np.ones_like, 3000).cg.coarse_grain("volume_fraction", axes="xz", width=1.0)
+    xr.testing.assert_equal(f.isel(z=slice(None, None, -1)).cg.free_surface(), f.cg.free_surface())
+
+
+def test_selected_phases_have_a_surface_each():
+    position = np.random.default_rng(1).uniform(0, 1, (4000, 3)) * [L, 4, H]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.full(4000, 0.3), density=1.0, species=1 + (position[:, 2] > H / 2), periodic="xy",
+        box={"x": (0, L), "y": (0, 4)},
+    )  # fmt: skip
+    f = ds.cg.coarse_grain("volume_fraction", axes="z", by="species", width=0.5)
+    s = f.sel(phase=["2", "1"]).cg.free_surface()
+    assert s.height.sel(phase="1").item() == pytest.approx(H / 2, abs=0.1)
+    assert s.base.sel(phase="2").item() == pytest.approx(H / 2, abs=0.1)
+    for phase in "12":
+        xr.testing.assert_equal(s.sel(phase=phase, drop=True), f.sel(phase=phase).cg.free_surface().drop_vars("phase"))
+    for bulk in (f, f.sel(phase=["1", "bulk"])):
+        assert bulk.cg.free_surface().height.dims == ("time",)
+        assert bulk.cg.free_surface().height.item() == pytest.approx(H, abs=0.1)
+
+
+def test_heights_hold_what_their_slope_and_their_history_need():
+    f = flow(np.ones_like, 3000).cg.coarse_grain("volume_fraction", axes="xz", width=1.0)
+    s = f.cg.free_surface()
+    xr.testing.assert_identical(xcg.fit_slope(s.height), s.cg.fit_slope())
+    assert "free_surface(axis='z', threshold=0.5, of='volume_fraction')" in s.attrs["history"].splitlines()[-1]
+    assert "formula" not in s.height.attrs
+    assert s.attrs["width"] == 1.0
 
 
 @pytest.mark.parametrize("plane", [False, True])

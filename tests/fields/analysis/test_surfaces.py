@@ -192,6 +192,21 @@ def test_energy_of_grains_without_contacts():
     assert "comment" in alone.momentum_flow_rate.attrs
 
 
+@pytest.mark.parametrize(
+    "lacking", [["angular_velocity"], ["moment_of_inertia"], ["angular_velocity", "contact_force"]]
+)
+def test_energy_without_rotation_says_so(lacking):
+    ds, plane = xcg.datasets.random_scene(50), xcg.Plane((0, 0, 2.0), (0, 0, 1))
+    ds = ds.assign(angular_velocity=ds.velocity / 0.5)
+    assert "comment" not in ds.cg.flow_rate(plane, "energy").energy_flow_rate.attrs
+    part = ds.drop_vars(lacking)
+    comment = part.cg.coarse_grain("kinetic_energy_flux", axes="z").kinetic_energy_flux.attrs["comment"]
+    found = part.cg.flow_rate(plane, ["energy", "mass"])
+    assert comment in found.energy_flow_rate.attrs["comment"]
+    assert ("particles alone" in found.energy_flow_rate.attrs["comment"]) == ("contact_force" in lacking)
+    assert "comment" not in found.mass_flow_rate.attrs
+
+
 @pytest.mark.parametrize(("surface", "of", "message"), [
     ("z", "mass", "expected an xcg.Plane"), (xcg.Plane((0, 0, 1), (0, 0, 1)), "maß", "unknown flow 'maß'"),
 ])  # fmt: skip
@@ -209,6 +224,40 @@ def test_a_layer_has_its_thickness():
     q = ds.cg.flow_rate(xcg.Plane((1.0, 0, 0), (1, 0, 0)), kernel=kernel)
     psi = kernel.value(np.array([0.5, 0.5]), seen=1)
     assert q.mass_flow_rate.item() == pytest.approx((np.array([3.0, 10.0]) * psi).sum(), rel=1e-9)
+
+
+def layer(box=(), **more):
+    """Twenty discs side by side on the floor of a layer about z = 0."""
+    place = np.stack([np.arange(20) * 0.25 + 0.1, np.full(20, 0.1), np.zeros(20)], axis=1)
+    return xcg.scene_from_arrays(
+        place, velocity=np.tile([1.0, 0.5, 0], (20, 1)), diameter=np.full(20, 0.2), density=1.0, dimension=2,
+        box={"x": (0, 5), "y": (0, 5), **dict(box)}, periodic="x", contact_i=np.arange(20), contact_j=np.full(20, -2),
+        contact_force=np.tile([0, 1.0, 0], (20, 1)), contact_point=place * [1, 0, 1], **more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (1, 2, 0)])
+@pytest.mark.parametrize(("bounds", "part"), [((-0.5, 0.5), 1), ((-5, 5), 1), ((0, 3), 0.5), ((0.6, 2), 0)])
+def test_a_surface_counts_within_the_thickness_of_a_layer(normal, bounds, part):
+    ds = layer(thickness=1.0)
+    ends = ((-2, 2), bounds if normal[1] == 0 else (-bounds[1], -bounds[0]))  # v is along -z
+    plane = xcg.Plane((2.5, 0, 0), normal, bounds=ends)
+    once = xcg.Plane((2.5, 0, 0), normal, bounds=((-2, 2), (-0.5, 0.5)))
+    found, whole = (ds.cg.flow_rate(one, width=0.5).mass_flow_rate.item() for one in (plane, once))
+    assert whole != 0
+    assert found == pytest.approx(part * whole, rel=1e-9)
+    drum = [ds.cg.flow_rate(xcg.Cylinder((2.5, 0.1, 0), (0, 0, 1), 0.3, low=low, high=high), width=0.5)
+            for low, high in (bounds, (None, None))]  # fmt: skip
+    assert drum[0].mass_flow_rate.item() == pytest.approx(part * drum[1].mass_flow_rate.item(), rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize(("more", "depth"), [
+    ({"thickness": 1.0}, 1.0), ({"thickness": 0.1}, 0.1), ({"box": {"z": (-0.1, 0.4)}}, 0.5), ({}, 0.2),
+])  # fmt: skip
+def test_the_traction_on_the_wall_of_a_layer_is_per_its_thickness(more, depth):
+    """20 N on 5 m, without thickness and box by the largest diameter; the same all across the layer."""
+    f = layer(**more).cg.wall_stress(xcg.Plane((0, 0, 0), (0, 1, 0)), 0.5)
+    np.testing.assert_allclose(f.normal_traction, 4.0 / depth, rtol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:.*no grain reaches any node")  # before and after

@@ -30,6 +30,16 @@ def test_the_plateau_of_a_lattice_is_its_volume_fraction():
     assert s.volume_fraction_plateau_width.item() > 0.5
 
 
+def test_the_history_of_a_sweep_is_its_own_call():
+    ds = xcg.datasets.random_scene(100, seed=1)
+    s = ds.cg.width_sweep([0.6, 0.9, 1.2], "density", at={"x": 1.0, "y": 2.0, "z": 2.5})
+    (call,) = s.attrs["history"].splitlines()[-1:]
+    assert "width_sweep(widths=[0.6, 0.9, 1.2], fields='density'" in call
+    assert "coarse_grain" not in s.attrs["history"]
+    assert "on_error" not in call
+    assert s.density_slope.attrs["long_name"] == "size of the logarithmic slope of mass density of the mixture by width"
+
+
 def test_a_missing_plateau_is_reported():
     """The density at a lone grain falls as w^-3 for ever."""
     ds = xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0], density=1.0)

@@ -1,6 +1,7 @@
 """Volumes of cells against integrals, temperatures of slices against loops over grains in plain Python."""
 
 import math
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -257,3 +258,37 @@ def test_slices_wider_than_the_period_count_each_grain_once(method, tilt):
     )  # fmt: skip
     s = xcg.slice_temperature(ds, "z", method=method, width=8.0, bounds=(0.0, 8.0), planes=40)
     assert (s.sample_count == 20).all()
+
+
+@pytest.mark.parametrize("call", [
+    lambda ds: ds.cg.slice_temperature("x", method="bins", width=1.0),
+    lambda ds: ds.cg.slice_temperature("x", width=1.0),
+    lambda ds: ds.cg.cell_volumes(0.5),
+    lambda ds: ds.cg.coarse_grain("density", width=0.5),
+    lambda ds: ds.cg.wall_stress(xcg.Plane((0, 0, 0), (0, 0, 1)), 0.5),
+    lambda ds: ds.cg.wall_stress(xcg.Cylinder((0, 0, 0), (1, 0, 0), 0.5), 1.0),
+], ids=["bins", "planes", "cells", "kernel", "plane", "cylinder"])  # fmt: skip
+def test_a_flow_that_is_wider_between_the_first_and_the_last_step_warns(call):
+    x = np.array([[1.0, 2, 3], [1, 5, 9], [1, 2, 3]])
+    place = np.stack([x, 0 * x, 0 * x], axis=-1)
+    ds = xcg.scene_from_arrays(
+        place, velocity=place, diameter=np.ones(3), density=1.0, time=np.arange(3.0), box=[[0, 10], [-5, 5], [-5, 5]],
+        contact_i=np.tile(np.arange(3), (3, 1)), contact_j=np.full((3, 3), -2),
+        contact_force=np.ones((3, 3, 3)), contact_point=place - [0, 0, 0.4],
+    )  # fmt: skip
+    first = ds.assign_attrs(particle_lower=place[0].min(axis=0), particle_upper=place[0].max(axis=0))
+    with pytest.warns(xcg.SceneWarning, match="to 9, and some are not or only partly on the mesh"):
+        call(first)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        call(first.cg.measure())
+        call(first.isel(time=[0, 2]))
+
+
+@pytest.mark.parametrize("method", ["planes", "bins"])
+def test_frozen_grains_are_in_no_slice(method):
+    ds = xcg.datasets.random_scene(300)
+    frozen = (ds.particle_id % 3 == 0).astype("int64").assign_attrs(ds.particle_id.attrs)
+    options = {"method": method, "width": 1.0, "bounds": (0.0, 5.0)}
+    s = ds.assign(frozen=frozen).cg.slice_temperature("z", **options)
+    xr.testing.assert_equal(s, ds.where(frozen == 0, drop=True).cg.slice_temperature("z", **options))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests import shared_data
@@ -127,6 +128,26 @@ def test_kernel_and_units_of_the_preset():
     assert ds.cg.explain(preset="lammps", width=0.8).kernel.name == "shifted gaussian"
 
 
+def test_arguments_that_are_defaults_elsewhere_count():
+    ds = xcg.datasets.random_scene(60)
+    f = ds.cg.coarse_grain("velocity/grad", preset="lammps", width=0.8, kernel="lucy", gradient="least_squares")
+    ours = ds.cg.coarse_grain("velocity_gradient", width=0.8)
+    np.testing.assert_array_equal(f.velocity_grad, ours.velocity_gradient)
+    assert (f.attrs["kernel"], f.attrs["gradient"]) == ("lucy", "least_squares")
+
+
+@pytest.mark.parametrize("place", [
+    {"at": {a: xr.DataArray([2.0, 3.0], dims="point") for a in "xyz"}},
+    {"frame": xcg.Cylindrical((0, 0, 1), (2, 2, 0)), "axes": "r"},
+])  # fmt: skip
+def test_places_without_differences_lack_gradients_alone(place):
+    ds, options = xcg.datasets.random_scene(60), {"preset": "lammps", "width": 0.8} | place
+    assert set(ds.cg.coarse_grain(**options)) >= {"density", "velocity", "stress"}
+    with pytest.raises(ValueError, match="finite_difference"):
+        ds.cg.coarse_grain("velocity/grad", **options)
+    assert "velocity_grad" in ds.cg.coarse_grain("velocity/grad", gradient="least_squares", **options)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -135,6 +156,7 @@ def test_kernel_and_units_of_the_preset():
         ({"fields": "fabric/*"}, "'fabric/\\*' is not followed by the preset 'lammps': it is smeared"),
         ({"fields": ["densty"]}, "preset='lammps': unknown field 'densty'; did you mean 'density'"),
         ({"size": "d32"}, r"none of its fields depends on \['size'\]"),
+        ({"errors": True}, r"none of its fields depends on \['errors'\]"),
         ({"width": {1: 0.5}, "by": "species"}, "one kernel for all grains"),
         ({"preset": "lamps"}, "expected 'pysammos' or 'lammps'"),
     ],

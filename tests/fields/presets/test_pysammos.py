@@ -166,6 +166,8 @@ def test_lazy_scenes_phases_and_wrong_arguments():
     for options, message in (
         ({"fields": "densty"}, "preset='pysammos': unknown field 'densty'"),
         ({"size": "d32"}, "has a name for each variant"),
+        ({"temperature": "unbiased"}, "has a name for each variant"),
+        ({"for_averages": True}, "averages take fields under names of xcg"),
         ({"shear_dims": "x"}, "two axes of 'xyz'"),
     ):
         with pytest.raises(ValueError, match=message):

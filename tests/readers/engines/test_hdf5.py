@@ -87,12 +87,15 @@ def test_one_file_per_step_with_own_names(tmp_path, scene):
         ({"position": "/T{step}/x"}, "no name like 'T{step}' in '/', which holds S0"),
         ({"position": "/S{step}/y"}, "no dataset '/S0/y'; '/S0' holds n, wide, words, x"),
         ({"position": "/S{step}/words"}, "expected numbers"),
-        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\)"),
+        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\), expected \(n\), \(n, 2\) or \(n, 3\) for 'position'"),
+        ({"position": "/S{step}/x", "radius": "/S{step}/x"}, r"shape \(2, 3\), expected \(n\) for 'radius'"),
+        ({"position": "/many", "radius": "/S0/n"}, r"'/S0/n' has the shape \(3,\), expected \(steps, n\) for 'radius'"),
         ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
     ],
 )
 def test_damaged_files_raise(tmp_path, change, message):
     with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["many"] = np.ones((4, 3, 3))
         file["S0/x"], file["S0/n"], file["S0/wide"], file["S0/words"] = (
             np.ones((2, 3)),
             np.ones(3),

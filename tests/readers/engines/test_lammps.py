@@ -215,9 +215,21 @@ def test_scaled_coordinates_need_a_box(tmp_path):
         particles(tmp_path, dump_text(["1 0.5 0.25 0.1"], "id xs ys zs", box=""))
 
 
+def test_scaled_coordinates_in_a_tilted_box_need_those_that_the_tilt_couples(tmp_path):
+    tilted = "ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 1.5 0.5\n0 1 0\n0 1 0\n"
+    with pytest.raises(SceneError, match="x follows from xs and ys, and ys is missing; dump xs ys zs, or x y z"):
+        particles(tmp_path, dump_text(["1 0.5 0.8 0.5"], "id xs y zs", box=tilted))
+    for columns, y in (("id xs ys zs", 0.8), ("id xs ys z", 0.8), ("id x ys zs", 0.8)):
+        _, frame = particles(tmp_path, dump_text([f"1 0.5 {y} 0.5"], columns, box=tilted))
+        x = 0.5 + 0.5 * y if "xs" in columns else 0.5
+        np.testing.assert_allclose(frame["position"], [[x, y, 0.5]], rtol=1e-15)
+
+
 def test_diameters_come_from_diameter_or_radius(tmp_path):
-    _, frame = particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
-    np.testing.assert_array_equal(frame["diameter"], 3)
+    _, frame = particles(tmp_path, dump_text(["1 0 0 0 0.333333 0.166667"], "id x y z diameter radius"))
+    np.testing.assert_array_equal(frame["diameter"], 0.333333)
+    with pytest.raises(SceneError, match="diameter 3 of row 0 is not 2 times radius 1; drop one of the two"):
+        particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
     mapped = ReadOptions({"c_r": "radius"})
     text = dump_text(["1 0 0 0 3 1"], "id x y z diameter c_r")
     _, frame = particles(tmp_path, text, options=mapped)

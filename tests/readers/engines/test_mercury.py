@@ -114,6 +114,36 @@ def test_restart_can_be_named(run):
         open_scene(run / "run.data", restart=run / "absent.restart")
 
 
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        "normal 0 1 0 scaleFactor 1 distanceLeft 0.25 distanceRight 3.5 shift 0 3.25 0",
+        "normal 0 1 1e-17 position_left 0.25 position_right 3.5 shift 0 3.25 0",
+        "normal 0 -1 0 distance_left -3.5 distance_right -0.25",
+        "normal 0 2 0 distanceLeft 0.5 distanceRight 7",
+    ],
+)
+def test_periods_are_those_of_periodic_boundaries(run, boundary):
+    old = "normal 0 1 0 distanceLeft 0 distanceRight 4 shift 0 4 0"
+    write(run / "run.restart", RESTART.replace(old, boundary))
+    scene = open_scene(run / "run.data")
+    assert scene.attrs["periodic"] == "y"
+    np.testing.assert_array_equal(scene.box, [[[0, 4], [0.25, 3.5], [0, 2]]] * 3)
+    # moved boundaries: the restart file has the last ones only
+    write(run / "run.data", data_text((0, 0.5)) + data_text((1,)).replace("4 4 2", "4 3.5 2"))
+    np.testing.assert_array_equal(open_scene(run / "run.data").box[:, 1], [[0, 4], [0, 4], [0, 3.5]])
+
+
+def test_contacts_across_a_periodic_boundary_have_branches_over_its_edges(run):
+    """Spheres with R = 0.25 at y = 0.5 and 3.3 overlap by 0.05 across a period of 3.25."""
+    write(run / "run.restart", RESTART.replace("Left 0 distanceRight 4 shift 0 4 0", "Left 0.25 distanceRight 3.5"))
+    write(run / "run.data", data_text(rows=[f"2 {y} 1 0 0 0 0.25 0 0 0 0 0 0 0" for y in (0.5, 3.3)]))
+    write(run / "run.fstat", fstat_text(rows=["{t} 0 1 2 0.275 1 0.05 0 5 0 0 1 0 1 0 0"]))
+    scene = open_scene(run / "run.data", contacts=run / "run.fstat").compute()
+    stress = scene.cg.coarse_grain("contact_stress", axes="y", width=0.2).contact_stress.mean("y").values.reshape(3, 3)
+    np.testing.assert_allclose(abs(stress[1, 1]), 5 * 0.45 / (4 * 3.25 * 2), rtol=1e-3)
+
+
 def test_a_run_in_two_dimensions_is_read(tmp_path):
     rows = ["1 1 0.1 0.2 0.5 0 3 0", "2 1.5 0 0 0.5 0 0 1", "1 2 0 0 0.5 0 0 0"]
     text = "3 0.5 0 0 4 4\n" + "".join(f"{row}\n" for row in rows)
@@ -141,6 +171,9 @@ def test_names_map_columns(run):
         ({"run.fstat": fstat_text()[:-9]}, "run.fstat .*row 2 has 12 values, expected 16"),
         ({"run.restart": RESTART.replace("id 1 ", "id 7 ")}, "species 1 is not in .*run.restart"),
         ({"run.restart": RESTART.replace("gravity 1 0 -9.81", "gravity 1 0")}, "three numbers after 'gravity'"),
+        ({"run.restart": RESTART.replace("normal 0 1 0", "normal 0.7071 0.7071 0")}, "not along x, y or z"),
+        ({"run.restart": RESTART.replace("shift 0 4 0", "shift 1 4 0")}, "not along x, y or z"),
+        ({"run.restart": RESTART.replace("distanceRight 4 ", "")}, "a number after 'distanceRight'"),
     ],
 )
 def test_damaged_files_raise(run, change, match):

@@ -184,10 +184,23 @@ def test_last_frame_written_twice_counts_once(tmp_path):
     assert [ref.step for ref in mfix.index_particles([str(pvd)], DEFAULTS)] == [1, 2]
 
 
-def test_same_time_with_other_content_warns(tmp_path):
-    paths = [str(write_particles(tmp_path / f"P_{n}.vtp", ids)) for n, ids in ((1, (1, 2)), (2, (1, 2, 3)))]
-    with pytest.warns(SceneWarning, match=r"dropped.*P_2\.vtp"):
-        assert len(mfix.index_particles(paths, DEFAULTS)) == 1
+def test_the_later_of_two_files_of_one_time_is_read_with_a_warning(tmp_path):
+    """Also where both have equally many bytes."""
+    paths = [write_particles(tmp_path / f"P_{n}.vtp", ids) for n, ids in ((1, (1, 2, 3)), (2, (4, 5, 6)))]
+    listed = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.5", "P_2.vtp": "0.5"})
+    for given in (paths, listed):
+        with pytest.warns(SceneWarning, match=r"P_1\.vtp .*is left out, as .*P_2\.vtp .*has its time"):
+            ds = xcg.open_scene(given, density=1.0)
+        np.testing.assert_array_equal(ds.particle_id, [[4, 5, 6]])
+
+
+def test_lists_with_several_parts_of_one_time_raise(tmp_path):
+    for n in (1, 2):
+        write_particles(tmp_path / f"P_{n}.vtp")
+    listed = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.5", "P_2.vtp": "0.5"})
+    listed.write_text(listed.read_text().replace('part="0" file="P_2', 'part="1" file="P_2'))
+    with pytest.raises(SceneError, match=r"P\.pvd: lists parts '0' and '1' of one time, 0\.5 s"):
+        xcg.open_scene(listed, density=1.0)
 
 
 def test_two_regions_raise(tmp_path):
@@ -590,7 +603,7 @@ def test_a_compressed_series_opens(tmp_path):
 
 def test_a_file_beside_its_compressed_copy_is_one_step(tmp_path):
     packed = pack(write_particles(tmp_path / "P_0001.vtp"), keep=True)
-    with pytest.warns(SceneWarning, match=r"an earlier file holds the same time .*P_0001\.vtp\.gz"):
+    with pytest.warns(SceneWarning, match=r"is left out, as .*P_0001\.vtp\.gz .*has its time"):
         ds = xcg.open_scene([tmp_path / "P_0001.vtp", packed], density=1.0)
     assert ds.sizes["time"] == 1
 

@@ -184,6 +184,30 @@ def test_wrong_tables_in_memory_raise():
         xcg.scene_from_table(good, contacts=pd.DataFrame(), density=1.0)
 
 
+@pytest.mark.parametrize("name", ["time", "diameter", "particle_id", "mass", "position"])
+def test_arguments_do_not_repeat_columns(name):
+    table = pd.DataFrame({"time": [1.0, 2.0], "id": 3, "x": 0.0, "y": 0.0, "z": 0.0, "radius": 0.5, "mass": 1.0})
+    with pytest.raises(xcg.SceneError, match=f"{name}= is given, and the tables hold '{name}', too"):
+        xcg.scene_from_table(table, **{name: [[7.0], [7.0]]})
+    ds = xcg.scene_from_table(table, **{name: None}, density=5.0, velocity=[[[1.0, 0, 0]]] * 2)
+    assert (ds.mass == 1).all()
+    assert (ds.velocity[:, :, 0] == 1).all()
+
+
+def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
+    table = pd.DataFrame({"x": [0.0, 1.0], "position_x": 7.0, "y": 0.0, "z": 0.0, "radius": 0.5, "diameter": 1.0})
+    table = table.assign(id=[3, 4], particle_id=[5, 6], type=1, species=2)
+    contacts = pd.DataFrame({"id1": [5], "id2": [6], "fx": [1.0], "fy": 0.0, "fz": 0.0, "age": 3.0})
+    paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
+    for path, rows in zip(paths, (table, contacts), strict=True):
+        rows.to_csv(path, index=False)
+    ignored = "particles: x, id, type\ncontacts: age"
+    assert xcg.open_scene(paths[0], contacts=paths[1], density=1.0).attrs["ignored_columns"] == ignored
+    assert xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"] == ignored
+    with pytest.raises(xcg.SceneError, match=r"particles.*: diameter 3 of row 1 is not 2 times radius 0\.5"):
+        xcg.scene_from_table(table.assign(diameter=[1.0, 3.0]), density=1.0)
+
+
 @pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
 def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
     grains = pd.DataFrame({"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
@@ -191,6 +215,14 @@ def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
     ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0, box=[[-1.0, 2.0]] * 3)
     assert (ds.contact_i < 0).all()
     assert (ds.cg.coarse_grain("contact_stress", axes="z").contact_stress == 0).all()
+
+
+def test_steps_without_rows_of_contacts_are_named():
+    grains = pd.DataFrame({"time": [1.0, 1.0, 2.0, 2.0], "x": [0.0, 1.0] * 2, "y": 0.0, "z": 0.0, "radius": 0.5})
+    contacts = pd.DataFrame({"time": [1.0], "id1": 0, "id2": 1, "fx": -1.0, "fy": 0.0, "fz": 0.0})
+    with pytest.warns(xcg.SceneWarning, match=r"no rows for 1 of 2 steps of the particles, such as 2, and nothing"):
+        ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0)
+    np.testing.assert_array_equal(ds.contact_i, [[0], [-1]])
 
 
 def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
@@ -236,6 +268,9 @@ def test_empty_cells_and_names_of_columns_raise(tmp_path):
     shifted = write(tmp_path / "a.csv", "id,x,y,z,radius,note\n1,0,0,0,0.5,7\n2,0.5,,0.9,0.05,1,5\n")
     with pytest.raises(xcg.SceneError, match=r"1 more ',' than 6 columns have.*every cell must hold a number"):
         xcg.open_scene(shifted, density=1.0)
+    short = write(tmp_path / "s.csv", "id,x,y,z,radius\n1,0,0,0,0.5\n2,0.5,,0.9,0.05\n")
+    with pytest.raises(xcg.SceneError, match=r"row 1 has 4 values, expected 5 .*; the columns are id x y z radius"):
+        xcg.open_scene(short, density=1.0)
     named = write(tmp_path / "b.csv", "ID,x,y,z,radius\n1,0,0,0,0.5\n")
     with pytest.raises(xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"):
         xcg.open_scene(named, density=1.0, names={"ID": "id"})

@@ -71,6 +71,12 @@ def test_spheres_written_by_yade_are_read(tmp_path, mode):
     np.testing.assert_array_equal(ds.heat[0], [8, 9, 7])
 
 
+def test_radii_and_diameters_that_disagree_raise(tmp_path):
+    write_spheres(tmp_path / "a.vtu", radius=[0.5] * 3, diameter=[1.0, 1.0, 3.0])
+    with pytest.raises(xcg.SceneError, match=r"a\.vtu.*diameter 3 of row 2 is not 2 times radius 0\.5"):
+        xcg.open_scene(tmp_path / "a.vtu", density=1.0)
+
+
 def test_contacts_as_points_are_read(tmp_path):
     """Their points are contact points, also between spheres of different sizes."""
     write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1], v=X, mass=[1, 1, 1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import zlib
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files import text
@@ -208,6 +209,25 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     path.write_bytes(gzip.compress(texts[0].encode()))
     assert text.uncompressed_size(str(path)) == len(texts[0])
     assert lammps.index_particles([str(path)], ReadOptions())[0].alone
+
+
+@pytest.mark.parametrize("count", [10, 400])
+def test_whole_steps_of_a_gzip_file_that_ends_early_are_read(tmp_path, count):
+    texts = [dump_text([f"{k} 1 {k / 7 + t} 1 1 0 0 0 0.5 1" for k in range(1, count)], step=t) for t in range(12)]
+    whole = gzip.compress("".join(texts).encode())
+    data = whole[: int(0.9 * len(whole))]
+    path = tmp_path / "p.dump.gz"
+    path.write_bytes(data)
+    stops = np.cumsum([len(text) for text in texts])
+    complete = int((stops <= len(zlib.decompressobj(31).decompress(data))).sum())
+    assert 6 < complete < 12
+    with pytest.raises(SceneError, match=r"p\.dump\.gz: its compressed data are damaged or cut off"):
+        open_scene(path)
+    with pytest.warns(SceneWarning):
+        ds = open_scene(path, on_error="skip")
+    assert ds.step.values.tolist() == [*range(complete)]
+    assert "p.dump.gz" in ds.attrs["skipped_files"]
+    np.testing.assert_array_equal(ds.position[:, 0, 0], 1 / 7 + np.arange(complete))
 
 
 def test_a_second_step_in_a_file_of_one_step_raises(tmp_path, monkeypatch):

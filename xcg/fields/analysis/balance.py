@@ -16,6 +16,7 @@ from xcg.fields.request import SharedOptions, takes
 from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times
 from xcg.scene.schema import COMPONENTS
+from xcg.steps.labels import provenance
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
 
@@ -207,7 +208,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         )
     if asked.preset is not None:
         raise ValueError(f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out")
-    ds, asked = prepare(ds, asked)
+    call, (ds, asked) = asked.call("balance"), prepare(ds, asked)
     refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
     needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
@@ -245,7 +246,9 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
     coords = {name: known[name] for name in (*f.coords, "interval") if name in known}  # in the order of the fields
-    return xr.Dataset({name: residual.variable for name, residual in out.items()}, coords, f.attrs)
+    return xr.Dataset(
+        {name: residual.variable for name, residual in out.items()}, coords, f.attrs | provenance(ds, call)
+    )
 
 
 def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:

@@ -23,8 +23,9 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
 
     ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their means over the nodes of
     each step, and the mean over all pairs of nodes with values and over time. Components of vectors and tensors are
-    summed. Along axes where the mesh spans the period, pairs reach across the edges; along the others they end there.
-    Lazy where the result is, a chunk of time after the other.
+    summed. Along axes where the nodes span the period (the attribute ``period`` of the coordinate), pairs reach across
+    the edges; along the others, and in a selection of such nodes, they end there. Lazy where the result is, a chunk of
+    time after the other.
 
     Parameters
     ----------
@@ -75,7 +76,10 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
             f"spatial_correlation needs resolved axes of two nodes or more, and {name!r} has the dimensions {a.dims}"
         )
     spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
-    wraps = [axis in str(f.attrs.get("wrapped_axes", "")) for axis in axes]
+    wraps = [
+        axis in str(f.attrs.get("wrapped_axes", "")) and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
+        for axis, size in ((axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True))
+    ]
     lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]
     length = f[axes[0]].attrs.get("units", "m")
     coords = {f"lag_{axis}": (f"lag_{axis}", step * lag, {"units": length, "long_name": f"distance along {axis}"})

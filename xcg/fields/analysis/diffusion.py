@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import floats
+from xcg.common.messages import plain
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_scene, takes_scene
@@ -162,8 +164,10 @@ def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
 
 
 def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
+    if steps < 2:
+        raise ValueError(f"mean_squared_displacement needs two steps or more, and the scene has {steps}")
     if lags is None:
-        lags = [2**k for k in range(64) if 2**k <= max(1, steps // 2)]
+        lags = [2**k for k in range(64) if 2**k <= steps // 2]
     given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
     if not given or not all(isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given):
         raise ValueError(f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}")
@@ -174,11 +178,10 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     """Return indices of the lags (n,) in the range of the fit."""
     if fit is None:
         return np.zeros(0, int)
-    first, last = fit
-    hair = 1e-9 * at[-1]
-    used = np.flatnonzero((at >= first - hair) & (at <= last + hair))
+    ends, hair = floats(fit), 1e-9 * at[-1]
+    used = np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair)) if ends.shape == (2,) else np.zeros(0, int)
     if used.size < 2:
-        raise ValueError(f"fit={tuple(fit)!r}: expected a range with two or more of the lags {at.tolist()} (s)")
+        raise ValueError(f"fit={plain(fit)}: expected a range with two or more of the lags {at.tolist()} (s)")
     return used
 
 

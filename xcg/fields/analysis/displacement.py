@@ -25,7 +25,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times, steps_in, with_measures
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.steps.faults import Compute, Result
-from xcg.steps.labels import format_call, mark_skipped
+from xcg.steps.labels import mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
@@ -54,7 +54,8 @@ class DisplacementRequest(SharedOptions):
         Frames from each frame to the later one; 1 is the next.
     accumulate : bool
         Compose the deformation gradients of consecutive steps of `lag` frames at each node, ``F = F_n ... F_2 F_1``,
-        and give the fields that follow from it, at the time of the later frame.
+        and give the fields that follow from it, at the time of the later frame; ``interval`` is then the time since the
+        first frame, ``left`` and ``entered`` are of the last of these steps.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as in `coarse_grain`.
     at : mapping, optional
@@ -128,8 +129,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """
     names = _names(ds, asked)
     require_scene(ds, ("mass",), "displacement")
-    skips = asked.on_error == "skip"
-    call = format_call("displacement", {k: v for k, v in asked.given().items() if k != "on_error" or skips})
+    call = asked.call("displacement")
     ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:
         refuse_cylindrical(ds, "displacement(accumulate=True)")
@@ -152,6 +152,8 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         found[_TOTAL] = _composed(derive(_TOTAL, dict(found), options))
         labels = [name for name in ("time", "step") if name in ds.coords]
         f = f.assign_coords({name: ("time", ds[name].to_numpy()[1:], ds[name].attrs) for name in labels})
+        since = {"units": f["interval"].attrs["units"], "long_name": "time since the first frame"}
+        f = f.assign_coords(interval=("time", ds["time"].to_numpy()[1:] - ds["time"].to_numpy()[0], since))
     system = f.attrs.get("unit_system", "SI")
     data = {}
     for name in names:

@@ -43,8 +43,9 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
     Returns
     -------
     xarray.Dataset
-        ``height`` and ``base`` (m), without the axis; NaN where nothing is above the threshold, or where the mesh ends
-        before the field falls through it. Lazy where the result is.
+        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase that was selected;
+        NaN where nothing is above the threshold, or where the mesh ends before the field falls through it. Lazy where
+        the result is.
 
     Raises
     ------
@@ -64,23 +65,23 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
         raise ValueError(f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}")
     if not (is_finite(threshold) and 0 < threshold < 1):
         raise ValueError(f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5")
-    values = f[of].isel(phase=0, drop=True) if "phase" in f[of].dims else f[of]
+    values = f[of].sortby(axis)
+    if "phase" in values.dims and "bulk" in values["phase"]:
+        values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
     found = xr.apply_ufunc(
-        partial(_crossings, z=f[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
+        partial(_crossings, z=values[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
         threshold * bulk, input_core_dims=[[axis], []], output_core_dims=[["end"]], dask="parallelized",
         output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"end": 2}},
     )  # fmt: skip
-    units = {"units": f[axis].attrs.get("units", "m")}
-    share = f"where {of} is {threshold:g} of its bulk value"
-    return xr.Dataset(
-        {
-            "height": found.isel(end=1).assign_attrs(units, long_name=f"free surface along {axis}, {share}"),
-            "base": found.isel(end=0).assign_attrs(units, long_name=f"base along {axis}, {share}"),
-        },
-        attrs=f.attrs | {"surface_axis": axis},
-    )
+    about = {"units": f[axis].attrs.get("units", "m")} | ({"cutoff": f.attrs["cutoff"]} if "cutoff" in f.attrs else {})
+    data, share = {}, f"where {of} is {threshold:g} of its bulk value"
+    for end, name, what in ((1, "height", "free surface"), (0, "base", "base")):
+        data[name] = found.isel(end=end).drop_attrs(deep=False)
+        data[name].attrs = about | {"long_name": f"{what} along {axis}, {share}"}
+    call = format_call("free_surface", {"axis": axis, "threshold": threshold, "of": of})
+    return xr.Dataset(data, attrs=f.attrs | provenance(f, call) | {"surface_axis": axis})
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
@@ -113,7 +114,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     xarray.Dataset
         ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level (degrees); and their
         standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
-        for each support of the kernel. NaN for fewer nodes than the fit takes.
+        for each support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
     places = np.stack([c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1)
-    support = 2 * float(np.max(surface.attrs.get("cutoff", 0.0)))
+    support = 2 * float(np.max(height.attrs.get("cutoff", surface.attrs.get("cutoff", 0.0))))
     steps = [float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes]
     shared = float(np.prod([max(1.0, support / step) for step in steps]))
     dims = dict.fromkeys(axes, -1)
@@ -190,9 +191,9 @@ def depth_average(
 ) -> xr.Dataset:
     """Integrate fields over the depth of a flow: what models of avalanches are made of; lazy where the scene is.
 
-    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). The shape factor takes the
-    smoothed velocity u along the axis, ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, from nodes a
-    quarter of the width apart.
+    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral is a sum over nodes
+    a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity u along the axis: it gives the shape
+    factor ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
 
     Parameters
     ----------
@@ -241,7 +242,9 @@ def depth_average(
     axes = "".join(a for a in plane if a != axis) if axes is None else axes
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
-    call = format_call("depth_average", {"axis": axis, "axes": axes, "width": width})
+    given = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
+    further = {"spacing": spacing, "bounds": bounds, "extent": extent}
+    call = format_call("depth_average", given | {name: value for name, value in further.items() if value is not None})
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if spacing is not None and not is_positive(spacing):
         raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
@@ -255,27 +258,25 @@ def depth_average(
     order = "".join(a for a in plane if a in axes + axis)
     along = {**apart, axis: 0.25 * smooth.width}
     u = coarse_grain(ds, names[:2], axes=order, spacing=along, extent=lengths or None, **shared)
-    transport = (u["momentum_density"] ** 2 / u["density"].where(u["density"] > 0)).fillna(0.0).integrate(axis)
+    transport = _transport(u).integrate(axis)
     mass, momentum = sums["density"], sums["momentum_density"]
+    shape = _diagonal(transport) * mass / (momentum**2).where(momentum != 0)
     found = {
         "mass_per_area": (mass, "kg m^-2", "mass per area"),
         "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
         "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
         "depth_averaged_velocity": (momentum / mass.where(mass > 0), "m s^-1", "depth-averaged velocity"),
-        "shape_factor": (transport * mass / (momentum**2).where(momentum != 0), "1", "shape factor of the velocity"),
+        "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
     if forces:
-        stress = sums["stress"]
-        normal = xr.concat([stress.sel(component=a, direction=a, drop=True) for a in COMPONENTS], "component")
-        normal = normal.assign_coords(component=list(COMPONENTS))
+        # the kinetic stress of the column is about its mean velocity, that of the flow about u
+        stress = sums["stress"] + _transport(sums) - transport
+        normal = _diagonal(stress)
         across = normal.sel(component=axis, drop=True)
+        pressure = normal / across.where(across != 0)
         found |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
-            "earth_pressure": (
-                (normal / across.where(across != 0)).transpose(..., "component"),
-                "1",
-                f"normal stress over that along {axis}",
-            ),
+            "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
             "basal_traction": (sums["wall_traction"], "Pa", "force of walls on the grains per area"),
         }
     system = scene.setup.unit_system
@@ -284,3 +285,15 @@ def depth_average(
         for name, (values, units, text) in found.items()
     }
     return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(provenance(ds, call), depth_axis=axis)
+
+
+def _transport(f: xr.Dataset) -> xr.DataArray:
+    """Return the transport of momentum by the mean flow, p p / rho, zero in empty nodes."""
+    p, mass = f["momentum_density"], f["density"]
+    return (p * p.rename(component="direction") / mass.where(mass > 0)).fillna(0.0)
+
+
+def _diagonal(tensor: xr.DataArray) -> xr.DataArray:
+    """Return the diagonal of a tensor as a vector, its component last."""
+    parts = [tensor.sel(component=a, direction=a, drop=True) for a in COMPONENTS]
+    return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(..., "component")

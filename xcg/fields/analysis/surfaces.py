@@ -17,6 +17,7 @@ from xcg.common.messages import unknown, warn_once
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.field import Sum
 from xcg.fields.grids.frames import Rotated, axis_of
+from xcg.fields.grids.grid import warn_beyond
 from xcg.fields.grids.walls import Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
@@ -24,7 +25,7 @@ from xcg.scene.contacts import Contacts, Walls, select_walls
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, Variable, units_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Setup, Variable, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, label, provenance, results_of
 from xcg.steps.mapping import map_over_time
@@ -61,7 +62,8 @@ def flow_rate(
     surface : Plane, Cylinder or Surface
         A plane without `bounds` is taken whole, exactly: ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the
         kernel's marginal along n, along periodic axes over one period. Planes with `bounds`, the side of a cylinder
-        between `low` and `high` and triangles are sums over points, see `spacing`.
+        between `low` and `high` and triangles are sums over points, see `spacing`. In a scene of one layer, planes and
+        cylinders across it count within its thickness.
     of : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
@@ -81,7 +83,8 @@ def flow_rate(
     xarray.Dataset
         ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s), ``momentum_flow_rate``
         (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase). Without contact forces
-        the last two are carried by the particles alone, and their attribute ``comment`` says so.
+        the last two are carried by the particles alone, without angular velocities energy is without rotation, and
+        their attribute ``comment`` says so.
 
     Raises
     ------
@@ -136,12 +139,14 @@ def _fields(flow: Flow, scene: Description) -> list[str | Sum]:
 def _rate(flux: xr.Dataset, flow: Flow, scene: Description) -> xr.DataArray:
     """Sum what the flow of a quantity consists of, and label it."""
     parts = [flux[field if isinstance(field, str) else field.name] for field in _fields(flow, scene)]
-    units = units_in(_UNITS[flow], scene.setup.unit_system)
     found = sum(parts[1:], start=parts[0]).drop_attrs(deep=False)
-    found.attrs = {"units": units, "long_name": f"flow rate of {flow} along the normal"}
-    if flow in ("momentum", "energy") and "contact_force" not in scene.columns:
-        found.attrs["comment"] = "carried by particles alone, as the scene holds no contact forces"
-    return found
+    found.attrs = {"units": units_in(_UNITS[flow], scene.setup.unit_system)}
+    found.attrs["long_name"] = f"flow rate of {flow} along the normal"
+    alone = flow in ("momentum", "energy") and "contact_force" not in scene.columns
+    comments = ["carried by particles alone, as the scene holds no contact forces"] * alone
+    if flow == "energy" and (lacking := [name for name in ROTATION if name not in scene.columns]):
+        comments.append(f"without rotation, as the scene holds no {' and no '.join(lacking)}")
+    return found.assign_attrs({"comment": "; ".join(comments)} if comments else {})
 
 
 def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
@@ -174,11 +179,9 @@ def _through_plane(
         frame = Rotated(**{along: normal.tolist(), **{a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in across}},
                         origin=surface.point)  # fmt: skip
         at, options, turn = {along: 0.0}, {"frame": frame}, np.asarray(frame.axes)
-    here = next(iter(at))
-    extent = {a: 1.0 for a in plane if a != here}
+    extent = {a: 1.0 for a in plane if a not in at}
     flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **options, **shared) * _depth(scene)
-    toward = turn @ normal  # the normal in the axes of the fields
-    flux = _across(flux, toward)
+    flux = _across(flux, turn @ normal)  # the normal in the axes of the fields
     if k is None and "momentum_transport" in flux:  # back to the axes of the scene
         back = xr.DataArray(turn, dims=("component", "own"))
         for name in {"momentum_transport", "contact_stress"} & {*map(str, flux.data_vars)}:
@@ -202,8 +205,16 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
     """Centres (n, 3) and areas (n,) of small cells of a surface; of triangles that are divided until they are small."""
     if not isinstance(surface, Surface):
         lower, upper = np.array(scene.corners if scene.corners is not None else np.full((2, 3), np.nan))
+        inside, layer = 1.0, scene.layer
+        if layer is not None:  # fields are the same all across it
+            k, lower[k], upper[k] = layer
         cells = surface.cells(lower, upper, spacing)
-        return cells.centre, cells.area
+        if layer is not None:
+            ends = np.sort(surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0)
+            for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
+                if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
+                    inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
+        return cells.centre, cells.area * inside
     centres, areas = [], []
     for a, b, c in surface.corners:
         longest = max(np.linalg.norm(one - other) for one, other in ((a, b), (b, c), (c, a)))
@@ -249,8 +260,9 @@ def wall_stress(
 
     The force of each contact with a wall is smeared over the cells of the surface by the kernel,
     ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells at x_k of area A_k,
-    distances through space. Weights of a contact add up to one, also at the rim, so that the sum of traction times
-    area is the sum of the forces. Where a cell is larger than the support, the nearest one takes the whole force.
+    distances through space, in a scene of one layer within its plane. Weights of a contact add up to one, also at the
+    rim, so that the sum of traction times area is the sum of the forces. Where a cell is larger than the support, the
+    nearest one takes the whole force.
 
     Parameters
     ----------
@@ -337,7 +349,7 @@ def wall_stress(
 
 
 def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
-    """Corners of what the grains fill: the period along periodic axes, else the centres with half a diameter."""
+    """Corners of what the grains fill: period or layer where there is one, else the centres with half a diameter."""
     edges = scene.edges
     low, high = (np.array([edges.get(a, (0.0, 0.0))[k] for a in COMPONENTS]) for k in (0, 1))
     if scene.corners is not None:
@@ -347,6 +359,8 @@ def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
     for a in scene.periods:
         k = COMPONENTS.index(a)
         low[k], high[k] = edges[a]
+    if layer := scene.layer:
+        k, low[k], high[k] = layer
     return low, high
 
 
@@ -358,7 +372,7 @@ def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
 
 def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str, NDArray]:
     _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
-    point, force = _over_surface(task, point, -force, lattice)
+    point, force = _over_surface(task, point, -force, lattice, source)
     if not len(point):
         warn_once("wall stress", f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}")
     normal, along = task.surface.in_surface(point, force)
@@ -373,16 +387,21 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
     }
 
 
-def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice) -> tuple[NDArray, NDArray]:
+def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, ...]:
     """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
     if not len(point):
         return point, force
     images = _images(lattice, 1)
-    all_points = (point + images[:, None]).reshape(-1, 3)
-    over, distance = task.surface.covers(all_points, task.cells), np.abs(task.surface.distance(all_points))
-    distance = np.where(over, distance, np.inf).reshape(len(images), -1)
-    image = np.argmin(distance, axis=0)
-    near = distance[image, np.arange(len(point))] <= task.within
+    places = (point + images[:, None]).reshape(-1, 3)
+    apart = np.abs(task.surface.distance(places)).reshape(len(images), -1)
+    distance = np.where(task.surface.covers(places, task.cells).reshape(apart.shape), apart, np.inf)
+    image, near = np.argmin(distance, axis=0), distance.min(axis=0) <= task.within
+    lost = ~near & (apart <= task.within).any(axis=0)
+    if lost.any() and all(getattr(task.surface, end, None) is None for end in ("bounds", "low", "high")):
+        dims = [*task.cells.coords][-len(task.cells.bounds) :]
+        for a, x, (low, high) in zip(dims, task.surface.coordinates(point[lost]).T, task.cells.bounds, strict=True):
+            if a not in task.setup.periodic:
+                warn_beyond(a, x, low, high, source, what="contacts with the wall")
     return (point + images[image])[near], force[near]
 
 
@@ -398,12 +417,13 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     from scipy.spatial import cKDTree  # slow to import
 
     cells, cutoff = task.cells, task.kernel.cutoff
+    seen = np.array([float(a in task.setup.plane) for a in COMPONENTS])  # the same all across a layer
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
         return out
     shifts = _images(lattice, int(np.ceil(cutoff / lattice.closest[0])))
-    tree = cKDTree(cells.centre)
-    pairs = [tree.sparse_distance_matrix(cKDTree(point + shift), cutoff, output_type="ndarray") for shift in shifts]
+    tree, trees = cKDTree(cells.centre * seen), [cKDTree((point + shift) * seen) for shift in shifts]
+    pairs = [tree.sparse_distance_matrix(other, cutoff, output_type="ndarray") for other in trees]
     cell, contact, distance = (np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v"))
     weight = task.kernel.value(distance) * cells.area[cell]
     total = np.bincount(contact, weight, len(point))

@@ -22,6 +22,7 @@ from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
+from xcg.steps.labels import provenance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +98,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     if len(lengths) < 2:
         raise ValueError(f"widths={list(asked.widths)!r}: expected two or more different widths")
     points, several = _points(asked.at)
-    ds, asked = prepare(ds, asked)
+    call, (ds, asked) = asked.call("width_sweep"), prepare(ds, asked)
     refuse_cylindrical(ds, "width_sweep")
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
@@ -112,7 +113,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         found |= _bias(field, joined[field], widths, asked.threshold)
         if len(lengths) > 2:
             found |= _plateau(field, joined[field], widths, asked.threshold)
-    return joined.assign(found)
+    return joined.assign(found).assign_attrs(provenance(ds, call))
 
 
 def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Mapping[str, Any]], bool]:
@@ -184,10 +185,9 @@ def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) 
     best = (rows == inside.argmin("width")) & (inside.min("width") < threshold)
     value = field.where(best).sum("width", min_count=1)
     width = inside.width.where(best).sum("width", min_count=1)
-    unit = field.coords["width"].attrs.get("units", "m")
-    what = field.attrs.get("long_name", name)
+    unit, what = field.coords["width"].attrs.get("units", "m"), field.attrs.get("long_name", name)
     return {
-        f"{name}_slope": slope.assign_attrs(units="1", long_name=f"logarithmic slope of {what} against width"),
+        f"{name}_slope": slope.assign_attrs(units="1", long_name=f"size of the logarithmic slope of {what} by width"),
         f"{name}_plateau_width": width.assign_attrs(units=unit, long_name=f"width at the plateau of {what}"),
         f"{name}_plateau": value.assign_attrs(field.attrs, long_name=f"{what} at its plateau"),
     }

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError
 from xcg.compiled.geometry import add_shares
-from xcg.fields.grids.grid import make_grid
+from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import phase_of, steps_in
+from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, Variable, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, label, results_of, with_phase_labels
@@ -173,10 +173,12 @@ def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]
 def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
     """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
     grid, setup = task.grid, task.setup
-    free = frame["frozen"] != 1 if "frozen" in frame else np.ones(len(frame["position"]), bool)
-    some = {name: values[free] for name, values in frame.items()}
+    some = without_frozen(frame)
+    for a in grid.fitted:
+        k = COMPONENTS.index(a)
+        warn_beyond(a, some["position"][:, k], grid.lower[k], grid.upper[k], source, room=some["diameter"] / 2)
     phase = phase_of(some, task.by, task.groups, source)
-    count, diameter, volume = free.sum(), some["diameter"], some["volume"]
+    count, diameter, volume = len(some["position"]), some["diameter"], some["volume"]
     momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
     values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
     spheres = setup.dimension == 3 or np.allclose(volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0)
@@ -209,7 +211,7 @@ def slice_temperature(
     planes: int = 5,
     on_error: OnError = "raise",
 ) -> xr.Dataset:
-    """Granular temperature and velocity in slices across an axis, lazy where the scene is.
+    """Granular temperature and velocity in slices across an axis, lazy where the scene is; without frozen grains.
 
     Parameters
     ----------
@@ -263,13 +265,13 @@ def slice_temperature(
     setup = scene.setup
     if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
         raise ValueError(f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}")
-    k = COMPONENTS.index(axis)
+    k, fitted = COMPONENTS.index(axis), None
     if width is None:
         width = scene.sizes.get("d43", np.nan)
     if bounds is None and axis in setup.periodic:
         bounds = scene.edges.get(axis)
     elif bounds is None and scene.corners is not None:
-        bounds = scene.corners[0][k], scene.corners[1][k]
+        bounds = fitted = scene.corners[0][k], scene.corners[1][k]
     if not is_positive(width):
         raise ValueError(f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()")
     width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
@@ -292,9 +294,10 @@ def slice_temperature(
         function = partial(_planes, sides=planes, **shared)
     periodic = setup.periodic if scene.tilted else axis if axis in setup.periodic else ""
     compute = partial(
-        _over_time, weight=weight, function=function, nodes=nodes, axis=k, limits=limits, periodic=periodic
-    )
-    names = ["particle_id", "position", "velocity", weight, *(name for name in OF_STEP if name in ds)]
+        _over_time, weight=weight, function=function, nodes=nodes, axis=k, limits=limits, periodic=periodic,
+        fitted=fitted,
+    )  # fmt: skip
+    names = ["particle_id", "position", "velocity", weight, *(name for name in ("frozen", *OF_STEP) if name in ds)]
     rows = {
         "granular_temperature": Variable((axis,), "m^2 s^-2", f"granular temperature in slices ({method})"),
         "velocity": Variable((axis, "component"), "m s^-1", "velocity of the slice"),
@@ -316,13 +319,16 @@ def _whole(count: float, planes: int = 1) -> int:
 
 def _over_time(
     arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray, axis: int,
-    periodic: str, limits: tuple[float, float],
+    periodic: str, limits: tuple[float, float], fitted: tuple[float, float] | None,
 ) -> dict[str, NDArray]:  # fmt: skip
     """Temperature, velocity and count of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
-    for t, (frame, box, source) in enumerate(steps_in(arrays, periodic)):
+    for t, (whole, box, source) in enumerate(steps_in(arrays, periodic)):
+        frame = without_frozen(whole)
         lattice, position, velocity = box.seen(np.arange(3) == axis, source), frame["position"], frame["velocity"]
         row = np.arange(len(position))
+        if fitted is not None:
+            warn_beyond(COMPONENTS[axis], position[:, axis], *fitted, source)
         if lattice.vectors is not None:  # every image stands for itself, as its velocity may be another
             reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
             low, high = (

@@ -199,11 +199,9 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
     axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and open_axes[k]]
     if not len(position) or not axes or not grid.count:
         return
-    first, last = grid.lower, grid.upper
-    x = position
+    first, last, x = grid.lower, grid.upper, position
     if not np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0).any():
-        spans = [(COMPONENTS[k], position[:, k].min(), position[:, k].max()) for k in axes]
-        grains = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, low, high in spans)
+        grains = ", ".join(f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes)
         nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
         warn_once(
             "reach",
@@ -212,16 +210,21 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
         )
         return
     for k in [k for k in axes if COMPONENTS[k] in grid.fitted]:
-        x = position[:, k]
-        low, high = float(x.min()), float(x.max())
-        if low < first[k] + 0.5 * cutoff or high > last[k] - 0.5 * cutoff:
-            a = COMPONENTS[k]
-            warn_once(
-                f"beyond {a}",
-                f"{source}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
-                f"mesh, which was laid around the first and the last step, from {first[k]:.6g} to {last[k]:.6g}; give "
-                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure(), which looks at all steps",
-            )
+        warn_beyond(COMPONENTS[k], position[:, k], first[k], last[k], source, room=0.5 * cutoff)
+
+
+def warn_beyond(
+    a: str, x: NDArray, first: float, last: float, source: str, room: float | NDArray = 0.0, what: str = "grains"
+) -> None:
+    """Warn where coordinates x (n,), and some room, reach beyond a mesh that was laid around two steps."""
+    hair = 1e-9 * (last - first)
+    if ((x - room < first - hair) | (x + room > last + hair)).any():
+        warn_once(
+            f"beyond {a}",
+            f"{source}: {what} lie at {a} from {x.min():.6g} to {x.max():.6g}, and some are not or only partly on the "
+            f"mesh, which was laid around the grains of the first and the last step, from {first:.6g} to {last:.6g}; "
+            f"give bounds= along {a!r}, or call ds = ds.cg.measure(), which looks at all steps",
+        )
 
 
 # --- points ----------------------------------------------------------------------------------------------

@@ -106,10 +106,10 @@ class Wall(ABC):
         if not len(cells.bounds):
             return np.ones(len(points), bool)
         low, high = np.transpose(cells.bounds)
-        x = self._coordinates(points)
+        x = self.coordinates(points)
         return np.asarray(((low <= x) & (x <= high)).all(axis=1))
 
-    def _coordinates(self, points: NDArray) -> NDArray:
+    def coordinates(self, points: NDArray) -> NDArray:
         """Coordinates along the surface that bound its cells, (n, coordinates)."""
         return np.empty((len(points), 0))
 
@@ -184,12 +184,13 @@ class Plane(Wall):
         across = axis_of(self._frame[0]) == axis
         return here if across and up > 0 else -np.inf, here if across and up < 0 else np.inf
 
-    def _coordinates(self, points: NDArray) -> NDArray:
+    def coordinates(self, points: NDArray) -> NDArray:
+        """Coordinates along the surface."""
         return np.stack([(points - self._origin) @ axis for axis in self._frame[1:]], axis=1)
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
-        k, reached = axis_of(self._frame[0]), self._coordinates(corners(lower, upper))
+        k, reached = axis_of(self._frame[0]), self.coordinates(corners(lower, upper))
         bounds = np.transpose([reached.min(0), reached.max(0)]) if self.bounds is None else floats(self.bounds)
         dims = ("u", "v") if k is None else tuple(a for a in COMPONENTS if a != COMPONENTS[k])
         sides = [cell_centres(low, high, spacing, dim) for (low, high), dim in zip(bounds, dims, strict=True)]
@@ -259,7 +260,8 @@ class Cylinder(Wall):
         """Coordinates of points across and along the axis, (n, 3)."""
         return np.stack([(points - vector("point", self.point)) @ e for e in (*self._frame[1:], self._frame[0])], 1)
 
-    def _coordinates(self, points: NDArray) -> NDArray:
+    def coordinates(self, points: NDArray) -> NDArray:
+        """Coordinates along the surface."""
         return self._from_axis(points)[:, 2:]
 
     def distance(self, points: NDArray) -> NDArray:
@@ -300,7 +302,7 @@ class Cylinder(Wall):
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells in theta and along the axis."""
-        reached = self._coordinates(corners(lower, upper))
+        reached = self.coordinates(corners(lower, upper))
         low = float(reached.min() if self.low is None else self.low)
         high = float(reached.max() if self.high is None else self.high)
         theta = cell_centres(0.0, 2 * np.pi, spacing / self.radius, "theta")

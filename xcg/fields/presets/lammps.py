@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from xcg.common.checks import is_positive
@@ -22,7 +23,7 @@ from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.grid import check_axes
-from xcg.fields.plan import make_plan
+from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
 from xcg.scene.conform import require_scene
@@ -58,7 +59,7 @@ def _negative(ours: str) -> LammpsRow:
 
 
 def _half_trace(field: xr.DataArray, axes: str) -> xr.DataArray:
-    normal = [field.sel(component=a, direction=a, drop=True) for a in axes]
+    normal = [field.isel(component=k, direction=k, drop=True) for k in map(COMPONENTS.index, axes)]
     return 0.5 * reduce(operator.add, normal)
 
 
@@ -80,8 +81,11 @@ _NOT_FOLLOWED = {
     "momentum/grad": "there is no such field: take differences of 'momentum'",
     "natoms": "it counts centres in bins, which are no field",
 }
+_GRADIENTS = ("velocity/grad", "strain/rate")
 # arguments that change none of its fields
-_WITHOUT_EFFECT = ("pressure_dims", "shear_dims", "deviatoric", "size", "temperature", "fluid_viscosity")
+_WITHOUT_EFFECT = (
+    "pressure_dims", "shear_dims", "deviatoric", "size", "temperature", "fluid_viscosity", "errors", "for_averages",
+)  # fmt: skip
 
 
 def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]) -> list[str]:
@@ -125,14 +129,13 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
 
 
 def _kernel(scene: Description, request: Request) -> Kernel:
-    """Its kernel, in as many dimensions as there are axes; another one where that is asked for."""
+    """Return the kernel in as many dimensions as there are axes, in a cylinder all."""
     setup = scene.setup
     axes = request.axes_of(setup.plane)
-    seen = len({*axes, *(request.at or {})}) or setup.dimension
+    seen = setup.dimension if scene.cylindrical else len({*axes, *(request.at or {})}) or setup.dimension
     if isinstance(request.width, Mapping):
         raise ValueError("preset='lammps' has one kernel for all grains: give one width= instead of one for each group")
-    kernel = request.kernel if request.changed(["kernel"]) else "shifted gaussian"
-    return kernel_of(kernel, request.width, scene.sizes, seen)
+    return kernel_of(request.kernel, request.width, scene.sizes, seen)
 
 
 def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
@@ -149,9 +152,12 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
     require_scene(scene.columns, (), "coarse_grain")
-    gradient = request.gradient if request.changed(["gradient"]) else "finite_difference"
-    own = replace(request, preset=None, gradient=gradient, kernel=_kernel(scene, request), width=None)
-    names = _choose(request.fields, make_plan(scene, replace(own, fields=None)).fields)
+    own = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
+    names = _choose(request.fields, possible_fields(scene, own))
+    if scene.cylindrical or any(map(np.ndim, (request.at or {}).values())):  # which have no differences
+        names = [name for name in names if request.fields is not None or name not in _GRADIENTS]
+        if not set(names) & set(_GRADIENTS):
+            own = replace(own, gradient="least_squares")
     needed = list(dict.fromkeys(["sample_count", *(ROWS[name].ours for name in names)]))
     return replace(own, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
 

@@ -220,19 +220,24 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     ValueError
         If a variant is asked for by an argument, or names or plane are wrong.
     """
-    clash = request.changed(("pressure_dims", "deviatoric", "size", "temperature"))
+    clash = request.changed(("pressure_dims", "deviatoric", "size")) + ["temperature"] * (
+        request.temperature != "biased"
+    )
+    if request.for_averages:
+        raise ValueError(
+            "preset='pysammos': averages take fields under names of xcg; leave out preset= or for_averages="
+        )
     if clash:
         raise ValueError(
             f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
         )
     require_scene(scene.columns, (), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
-    own = replace(request, preset=None, shear_dims=None, for_averages=False)
+    own = replace(request, preset=None, shear_dims=None)
     chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(scene, own))}
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
     asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
-    # its temperature is per density; other fields do not depend on it
-    own = replace(own, fields=cast(Any, [*asked, "sample_count"]), temperature="biased")
+    own = replace(own, fields=cast(Any, [*asked, "sample_count"]))
     return own, partial(_in_its_names, renamed=same)
 
 

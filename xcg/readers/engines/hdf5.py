@@ -166,10 +166,14 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
     names: list[str] = []
     rows: dict[str, int] = {}
     for name, path in mine.items():
-        shape = _dataset(file, _filled(path, ref)).shape[ref.kind == _STACKED :]
-        if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3))):
-            filled = _filled(path, ref)
-            raise SceneError(f"{source_of(ref)}: {filled!r} has the shape {shape}, expected (n,), (n, 2) or (n, 3)")
+        whole, stacked = _dataset(file, _filled(path, ref)).shape, ref.kind == _STACKED
+        shape, scalar = whole[stacked:], name in columns.PARTICLE_SLOTS or name in columns.CONTACT_SLOTS
+        if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3) and not scalar)):
+            n = "(steps, n" if stacked else "(n"
+            expected = f"{n})" if scalar else f"{n}), {n}, 2) or {n}, 3)"
+            raise SceneError(
+                f"{source_of(ref)}: {_filled(path, ref)!r} has the shape {whole}, expected {expected} for {name!r}"
+            )
         names += [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
         rows[_filled(path, ref)] = shape[0]
     if len(set(rows.values())) > 1:

@@ -53,16 +53,19 @@ class Mercury(Columnar):
     def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
         """List the steps, numbered from 0 over all files.
 
-        As no header of ``.fstat`` counts the rows, ids are read to count them.
+        As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries of the restart file
+        replace the edges in the headers of ``.data`` along axes where these are the same in all steps.
         """
         if contacts:
             return [replace(ref, step=k) for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))]
         refs = index_steps(paths, "mercury data", _data_steps)
         restarts = {path: read_restart(path, options) or Restart(path, periodic=None) for path in paths}
-        return [
-            replace(ref, step=k, periodic=restarts[ref.path].periodic, gravity=restarts[ref.path].gravity)
-            for k, ref in enumerate(refs)
-        ]
+        lasting = [len(set(edges)) == 1 for edges in zip(*(ref.box or () for ref in refs), strict=True)]
+        for number, ref in enumerate(refs):
+            run = restarts[ref.path]
+            box = tuple(run.edges.get(k, own) if lasting[k] else own for k, own in enumerate(ref.box or ()))
+            refs[number] = replace(ref, step=number, box=box, periodic=run.periodic, gravity=run.gravity)
+        return refs
 
     def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
         """Return the columns of contacts, which are all read."""
@@ -198,6 +201,7 @@ class Restart:
     gravity: tuple[float, float, float] | None = None
     periodic: str | None = ""
     density: Mapping[float, float] = field(default_factory=dict)
+    edges: Mapping[int, tuple[float, float]] = field(default_factory=dict)  # of periodic axes
 
 
 def read_restart(data: str, options: ReadOptions) -> Restart | None:
@@ -209,7 +213,7 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
     path = str(given) if given else re.sub(r"\.data\b.*$", ".restart", data)
     if given is None and not Path(path).is_file():
         return None
-    restart, density, periodic = Restart(path), {}, set()
+    restart, density, edges = Restart(path), {}, dict[int, tuple[float, float]]()
     with scanned(path) as scanner:
         while raw := scanner.line():
             words = raw.decode("utf-8", "replace").split()
@@ -222,9 +226,24 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
                 (number,), (value,) = (_numbers_after(words, word, 1, path) for word in ("id", "density"))
                 density[number] = value
             if words and words[0] == "PeriodicBoundary":
-                normal = _numbers_after(words, "normal", 3, path)
-                periodic |= {axis for axis, n in zip(COMPONENTS, normal, strict=True) if n}
-    return replace(restart, density=density, periodic="".join(sorted(periodic)))
+                edges |= _period(words, path)
+    return replace(restart, density=density, periodic="".join(COMPONENTS[k] for k in sorted(edges)), edges=edges)
+
+
+def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
+    """Return the two edges of a periodic boundary by its axis; names of the distances depend on the version."""
+    given = ("normal", "shift") if "shift" in words else ("normal",)
+    vectors = np.array([_numbers_after(words, name, 3, path) for name in given])
+    axis = int(np.argmax(np.abs(vectors[0])))
+    along, across = vectors[:, axis], np.delete(vectors, axis, axis=1)
+    if (np.abs(across) > 1e-9 * np.abs(along[:, None])).any() or not along[0]:
+        raise SceneError(
+            f"{path}: the normal or shift of {' '.join(words)[:160]!r} is not along x, y or z; such a period is not "
+            "read. Name a restart file without it in restart="
+        )
+    names = [next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}") for end in ("left", "right")]
+    low, high = sorted(_numbers_after(words, name, 1, path)[0] / float(along[0]) for name in names)
+    return {axis: (low, high)}
 
 
 def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> list[float]:

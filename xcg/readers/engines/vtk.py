@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
@@ -35,7 +37,7 @@ def is_vtk(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
 
 
 def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
-    """List the steps of files and collections, each time once; of lines where files hold some and they are wanted."""
+    """List the steps of files and collections without copies; of lines where files hold some and they are wanted."""
     there = _existing(paths, options)
     found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
     refs = []
@@ -92,23 +94,19 @@ def _time(own: float | None, listed: float | None) -> float | None:
 
 
 def _once(refs: Sequence[StepRef]) -> list[StepRef]:
-    """Drop steps whose time was there before: MFiX writes its last frame twice."""
-    kept: dict[object, StepRef] = {}
-    other = []
+    """Drop files with the bytes of an earlier one of the same time: MFiX writes its last frame twice."""
+    firsts: dict[object, StepRef] = {}
+    kept = []
     for ref in refs:
-        first = kept.setdefault(ref.path if ref.time is None else ref.time, ref)
-        if first is ref:
-            continue
+        first = firsts.setdefault(ref.path if ref.time is None else ref.time, ref)
         if _region(first) != _region(ref):
             raise SceneError(
                 f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
                 "open one region at a time"
             )
-        if (first.rows, first.size) != (ref.rows, ref.size):
-            other.append(ref.path)
-    if other:
-        warn_user(f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}")
-    return list(kept.values())
+        if first is ref or first.size != ref.size or not filecmp.cmp(first.path, ref.path, shallow=False):
+            kept.append(ref)
+    return kept
 
 
 def _region(ref: StepRef) -> str:
@@ -189,8 +187,7 @@ class Vtk(Engine):
         Warns
         -----
         SceneWarning
-            For files that are missing and skipped, and steps dropped because their time occurs twice with other
-            content.
+            For files that are missing and skipped.
         """
         refs = list_steps(paths, options)
         for ref in refs:
@@ -244,8 +241,7 @@ class Vtk(Engine):
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step; radii become diameters."""
         frame = read_arrays(ref, self.targets(ref, options))
-        if "radius" in frame:
-            frame.setdefault("diameter", 2 * frame.pop("radius"))
+        unify_sizes(frame, ref)
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

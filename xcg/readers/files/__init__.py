@@ -1,1 +1,1 @@
-"""File formats, whatever code wrote them: text, compression, Parquet, NetCDF, VTK's XML."""
+"""File formats, whatever code wrote them: text, compression, Parquet, VTK's XML."""

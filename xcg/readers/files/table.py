@@ -158,9 +158,8 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
     """Describe the error of a row."""
     words = line.split()
     if len(words) != len(columns):
-        hint = (
-            "the file is cut off here" if last and len(words) < len(columns) else f"the columns are {' '.join(columns)}"
-        )
+        cut = last and line.count(b" ") < len(columns) - 1  # else cells are empty
+        hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
         return f"has {len(words)} values, expected {len(columns)} ({_shown(line)}); {hint}"
     wrong = next(column for column in wanted if math.isnan(_number(words[columns.index(column)])))
     return f"has {words[columns.index(wrong)].decode('utf-8', 'replace')!r} in column '{wrong}', expected a number"

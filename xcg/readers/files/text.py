@@ -90,8 +90,8 @@ def check_rows(ref: StepRef, room: int | None = None) -> None:
 
 def first_lines(path: str, size: int = 1 << 16) -> list[str]:
     """Return the first lines of a file, to recognise it by; empty where it is not text."""
-    with open_binary(path) as stream:
-        head = stream.read(size)
+    with scanned(path) as scanner:
+        head = scanner.sample(size)
     return [] if b"\0" in head else head.decode("utf-8", "replace").splitlines()
 
 
@@ -107,7 +107,12 @@ class Scanner:
         self.offset = 0
 
     def _more(self) -> bool:
-        block = self._stream.read(self._block)
+        try:
+            block = self._stream.read(self._block)
+        except EOFError:
+            block = _up_to_the_cut(self._name, self.offset + len(self._data) - self._at)
+            if not block:
+                raise
         self._data, self._at = self._data[self._at :] + block, 0
         self._block = _BLOCK
         return bool(block)
@@ -188,7 +193,8 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
         )
     with open_binary(ref.path, ref.offset) as stream:
         missing = ref.length
-        while missing > 0 and (piece := stream.read(min(missing, PIECE))):
+        # read() may read on to where a file is cut off, after the last whole step
+        while missing > 0 and (piece := cast(Any, stream).read1(min(missing, PIECE))):
             missing -= len(piece)
             yield piece
         if ref.alone and stream.read(1):
@@ -285,6 +291,16 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
             f"{path}: to unpack Zstandard's files, Python before 3.14 needs a package; pip install 'xcg[zstd]'"
         )
     return cast(BinaryIO, zstd.open(path, "rb"))
+
+
+def _up_to_the_cut(path: str, offset: int) -> bytes:
+    """Return what can be unpacked of a file that ends early, from an offset on; igzip drops it with its error."""
+    kind, pieces = compression(path), list[bytes]()
+    with gzip.open(path) if kind == "gzip" else open_compressed(path, kind) as stream, suppress(EOFError):
+        stream.seek(offset)
+        while piece := cast(Any, stream).read1(PIECE):
+            pieces.append(piece)
+    return b"".join(pieces)
 
 
 def uncompressed_size(path: str) -> int:

@@ -381,14 +381,20 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
     Raises
     ------
     SceneError
-        If this is not a collection, or it names nothing.
+        If this is not a collection, it names nothing, or a time has several parts.
     """
     with open_binary(path) as file:
         xml = _parsed(path, file.read(_LONGEST_LIST), "Collection")
-    entries = []
+    entries, parts = [], dict[float | None, str]()
     for tag in xml.named("DataSet"):
         if tag.get("file") and "\0" not in tag["file"]:
-            entries.append((str(Path(path).parent / _utf8(tag["file"])), _time(tag.get("timestep", ""))))
+            time, part = _time(tag.get("timestep", "")), tag.get("part", "0")
+            entries.append((str(Path(path).parent / _utf8(tag["file"])), time))
+            if parts.setdefault(time, part) != part:
+                raise SceneError(
+                    f"{path}: lists parts {parts[time]!r} and {part!r} of one time, {time} s; give a list or pattern "
+                    "of the files of one part, or merge the parts of each time into one file"
+                )
     if not entries:
         raise SceneError(f"{path}: it names no files; expected entries like <DataSet timestep=... file=.../>")
     return entries

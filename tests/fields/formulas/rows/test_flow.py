@@ -192,6 +192,19 @@ def test_the_gradient_of_a_sheared_box_is_its_shear_rate(axes, lazy):
         np.testing.assert_allclose(f.velocity.sel(component="x"), 0.4 + SHEAR * EDGE / 2, rtol=1e-12)
 
 
+def test_images_of_a_box_of_several_tilts_follow_the_gradient():
+    """An image along c is further up y by the tilt yz, and moves as the flow there."""
+    edges = np.array([[EDGE, 0, 0], [1.1, EDGE, 0], [0.4, -2, EDGE]])
+    position = np.random.default_rng(0).random((400, 3)) @ edges
+    ds = xcg.scene_from_arrays(
+        position, velocity=SHEAR * position[:, [1, 1, 1]] * [1, 0, 0], diameter=np.ones(400), density=1.0,
+        box=[[0, EDGE]] * 3, periodic="xyz", lattice={"xy": 1.1, "xz": 0.4, "yz": -2.0}, shear_rate={"xy": SHEAR},
+    )  # fmt: skip
+    f = ds.cg.coarse_grain(FLOW, width=0.9, spacing=1.0)
+    assert float(f.granular_temperature.max()) < 1e-14
+    np.testing.assert_allclose(f.velocity_gradient.sel(component="x", direction="y"), SHEAR, rtol=1e-10)
+
+
 @pytest.mark.parametrize("axes", ["", "xz"])
 def test_gradients_do_not_depend_on_the_written_images(axes):
     one, other = (sheared(noise=0.2, wrapped=w).cg.coarse_grain(FLOW, axes=axes) for w in (False, True))
