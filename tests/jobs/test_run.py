@@ -45,6 +45,12 @@ bounds = { x = [0.0, 9.5], y = [0.0, 9.5], z = [-1.0, 8.5] }
 folder = "out"
 vtkhdf = "temporal"
 """
+SLICED = """
+[slices]
+axis = "z"
+bounds = [0.0, 9.0]
+[output]
+"""
 
 
 def write_job(folder: Path, steps: int = STEPS, grains: int = 100) -> Path:
@@ -173,7 +179,7 @@ def test_finished_steps_are_not_computed_again(job, reads):
 
 
 def test_chunks_are_computed_once(job, reads):
-    job.write_text(JOB.replace("chunks = 1", "chunks = 6").replace("[output]", '[slices]\naxis = "z"\n[output]'))
+    job.write_text(JOB.replace("chunks = 1", "chunks = 6").replace("[output]", SLICED))
     done = list(run_job(read_config(job), jobs=2))
     assert done == [(0, 20), (12, 20), (20, 20)]
     of_ends, of_fields_and_slices = 1, 2
@@ -391,7 +397,7 @@ def test_steps_at_fault_are_left_out_and_listed(job):
 
 def test_on_error_is_read_from_the_job(job):
     (job.parent / "p.7.dump").write_text(dumps.dump_text(step=7).replace("1.9", "oops"))
-    job.write_text('on_error = "skip"\n' + JOB.replace("[output]", '[slices]\naxis = "z"\n[output]'))
+    job.write_text('on_error = "skip"\n' + JOB.replace("[output]", SLICED))
     with pytest.warns(SkippedStep):
         for _ in run_job(read_config(job)):
             pass
