@@ -138,6 +138,7 @@ def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypa
     assert len(list((tmp_path / "out").glob("fields*"))) == 1
     xcg_run("run", job, "--resume", "-q")
     (tmp_path / "out" / "..fields.begun.0123abcd.part").mkdir()  # of a run that was killed when all was there
+    (tmp_path / "out" / ".fields.begun.lock").touch()
     xcg_run("run", job, "--resume", "-q")
     xr.testing.assert_identical(loaded(tmp_path / "out" / "fields.nc"), whole)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names

@@ -32,7 +32,7 @@ from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import leftovers, publish, remove
+from xcg.writers.files import publish, work_folder
 from xcg.writers.formats import NETCDF
 from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
@@ -149,8 +149,9 @@ def run_job(
     begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
     if resume and not (begun or overwrite) and there == targets and all(_made_by(path) == mark for path in targets):
-        for left in (left for output in outputs for left in leftovers(output.work)):
-            remove(left)
+        for output in outputs:
+            with work_folder(output.work, output.work):  # which a run that was killed at its very end may have left
+                pass
         yield count, count
         return
     if there and not (overwrite or begun):

@@ -238,9 +238,9 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
     with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
         kept.mkdir(exist_ok=True)
         yield kept
-        gone = part_of(kept)
-        kept.rename(gone)  # at once, so that no half of it is taken for a run to go on with
-        shutil.rmtree(gone, ignore_errors=True)
+        kept.rename(part_of(kept))  # at once, so that no half of it is taken for a run to go on with
+        for gone in leftovers(kept):
+            shutil.rmtree(gone, ignore_errors=True)
 
 
 @contextmanager
