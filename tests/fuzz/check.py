@@ -69,7 +69,7 @@ def is_own(error: Exception) -> bool:
 # modules that check arguments
 _CHECKS = (
     "checks", "grid", "layout", "plan", "coarse_grain", "kernels", "find_contacts", "pairs",
-    "slice_temperature", "phases", "config", "pysammos", "registry", "build", "description", "complete",
+    "without_kernel", "phases", "config", "pysammos", "registry", "build", "description", "complete",
 )  # fmt: skip
 
 

@@ -61,9 +61,13 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         if row.dtype == "int64" and array.dtype.kind == "f":
             bad = np.flatnonzero(~((array == np.rint(array)) & (np.abs(array) < _WHOLE)))
             if bad.size:
+                found, why = (
+                    array.flat[bad[0]],
+                    "; tables are read as floats, which hold no larger ones: number them anew",
+                )
                 raise SceneError(
-                    f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {array.flat[bad[0]]}; "
-                    "tables and files are read as 64-bit floats, which larger numbers do not fit: number them anew"
+                    f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {found}"
+                    f"{why * bool(_WHOLE <= abs(found) < np.inf)}"
                 )
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
