@@ -317,7 +317,8 @@ def flags_of(active: Sequence[bool], about_node: bool) -> int:
 
 
 @inner
-def _dot(a, b):
+def dot(a, b):
+    """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -438,13 +439,13 @@ def fit_rows(rows, first, found, many, flags):
             b1 = _moved(_three(rows, shear + three, n), v / mass, offsets)
             b2 = _moved(_three(rows, shear + three + three, n), w / mass, offsets)
         c0, c1, c2 = (c00, c01, c02), (c01, c11, c12), (c02, c12, c22)
-        g0 = _dot(b0, c0), _dot(b0, c1), _dot(b0, c2)
-        g1 = _dot(b1, c0), _dot(b1, c1), _dot(b1, c2)
-        g2 = _dot(b2, c0), _dot(b2, c1), _dot(b2, c2)
+        g0 = dot(b0, c0), dot(b0, c1), dot(b0, c2)
+        g1 = dot(b1, c0), dot(b1, c1), dot(b1, c2)
+        g2 = dot(b2, c0), dot(b2, c1), dot(b2, c2)
         _put_three(rows, gradient, n, g0)
         _put_three(rows, gradient + three, n, g1)
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        _put_three(rows, explained, n, (known * _dot(g0, b0), known * _dot(g0, b1), known * _dot(g0, b2)))
-        _put_three(rows, explained + three, n, (known * _dot(g1, b1), known * _dot(g1, b2), known * _dot(g2, b2)))
+        _put_three(rows, explained, n, (known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)))
+        _put_three(rows, explained + three, n, (known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)))
