@@ -20,7 +20,8 @@ from numba import types
 from numba.core import cgutils
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner
+from xcg.compiled._jit import inner, leaf
+from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.reach import (
     ALONG,
     FIRST,
@@ -210,6 +211,35 @@ class PointCells(NamedTuple):
     per_size: tuple[float, float, float]
     shape: tuple[int, int, int]
     margin: float
+
+
+@leaf
+def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, order, rank, position, sorted_rows):
+    """Sort points by the cell that they are in; points of one cell keep their order.
+
+    Parameters
+    ----------
+    x, y, z, rows : (n,)
+        The points, and a number that each has.
+    lower, per_size, shape : tuple
+        As in `PointCells`.
+    start : (cells + 2,)
+        Zeros; written: the first point of each cell; the number of points in the last two places.
+    cell, order, rank : (n,)
+        Written: the cell of each point, which point comes first, second, ..., and the place of each among all.
+    position, sorted_rows : (3, n or more), (n,)
+        Written: the points and their numbers, sorted.
+    """
+    last_x, last_y, last_z = shape[0] - 1, shape[1] - 1, shape[2] - 1
+    for n in range(x.size):
+        ix = min(last_x, np.int64((x[n] - lower[0]) * per_size[0]))
+        iy = min(last_y, np.int64((y[n] - lower[1]) * per_size[1]))
+        iz = min(last_z, np.int64((z[n] - lower[2]) * per_size[2]))
+        cell[n] = (ix * shape[1] + iy) * shape[2] + iz
+    sort_by_key(cell, start[1:], order)
+    for to in range(x.size):
+        n = order[to]
+        position[0, to], position[1, to], position[2, to], sorted_rows[to], rank[n] = x[n], y[n], z[n], rows[n], to
 
 
 def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:

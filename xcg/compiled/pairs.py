@@ -62,6 +62,15 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
 
 
 @jit
+def write_records(order, wrapped, radius, records):
+    """Write x, y, z and radius of particles to records (n, 4), in an order (n,) by cell."""
+    for n in range(order.size):
+        i = order[n]
+        records[n, 0], records[n, 1], records[n, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
+        records[n, 3] = radius[i]
+
+
+@jit
 def _reached(x, reach, lower, inverse, count, period):
     """First and last cell that [x - reach, x + reach] meets; beyond 0 ... count - 1 these are periodic images."""
     if count == 1:

@@ -140,7 +140,12 @@ class CellLists:
         starts, row = np.zeros(first_cell[-1] + 2, "int32"), np.empty(count, "int32")
         sort_by_key(cell, starts[1:], row)
         starts = starts[:-1]
-        records = np.column_stack([wrapped, radius])[row]
+        records = np.empty((count, 4))
+
+        def write(first: int, last: int) -> None:
+            loops.write_records(row[first:last], wrapped, radius, records[first:last])
+
+        for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
         fold = np.where(cells == 1, period, np.inf)
         return cls(

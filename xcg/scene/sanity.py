@@ -293,19 +293,18 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
         return
     some = _sample(len(row_i))
     row_i, row_j, point = row_i[some], row_j[some], frame["contact_point"][some]
-    side_i, side_j = (
-        np.where(row[:, None] < 0, 0.0, lattice.shortest(frame["position"][row] - point)) for row in (row_i, row_j)
-    )
-    pulling = pushing = 0
-    far = np.empty(0, int)
+    side_i, side_j = (lattice.shortest(frame["position"][row] - point) for row in (row_i, row_j))
+    side_i[row_i < 0] = side_j[row_j < 0] = 0.0
+    far, pulling, pushing = np.empty(0, int), 0, 0
     if "diameter" in frame:
         larger = np.maximum(*(np.where(row < 0, 0.0, frame["diameter"][row]) for row in (row_i, row_j)))
-        away = np.maximum(np.linalg.norm(side_i, axis=1), np.linalg.norm(side_j, axis=1))
+        away = np.sqrt(np.maximum(*(np.einsum("nk,nk->n", side, side) for side in (side_i, side_j))))
         distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
         far = np.flatnonzero(distance > _FAR)
     if "contact_force" in frame:
-        along = np.einsum("nk,nk->n", frame["contact_force"][some], np.where(row_i[:, None] < 0, -side_j, side_i))
-        pulling, pushing = int((along < 0.0).sum()), int((along > 0.0).sum())
+        side_i[row_i < 0] = -side_j[row_i < 0]
+        along = np.einsum("nk,nk->n", frame["contact_force"][some], side_i)
+        pulling, pushing = np.count_nonzero(along < 0.0), np.count_nonzero(along > 0.0)
     if far.size:
         i, j = (frame[name][some][far[0]] for name in ("contact_i", "contact_j"))
         warn_once(

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_finite, rising_pair
 from xcg.common.messages import warn_once, warn_user
 from xcg.compiled._jit import THREADS, for_each
-from xcg.compiled.arrays import counting_sort
-from xcg.compiled.cells import PointCells, lists_for_points
+from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
@@ -412,15 +411,13 @@ def _sorted(
     Returns the first point of each cell (cells + 1,), the place of each point among the sorted ones (n,), these
     (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are unsigned.
     """
-    places = ((position.T - lower) * per_size).astype("int64")
-    cell, count = np.ravel_multi_index(tuple(np.minimum(places, shape - 1).T), shape), math.prod(shape.tolist())
-    order = counting_sort(cell, count)
-    start, rank = np.zeros(count + 1, "uint64"), np.empty(len(rows), "uint64")
-    np.cumsum(np.bincount(cell, minlength=count), out=start[1:])
-    rank[order] = np.arange(len(rows))
-    place = np.zeros((3, len(rows) + PAD))
-    place[:, : len(rows)] = position[:, order]
-    return start, rank, place, rows[order]
+    many, count = len(rows), math.prod(shape.tolist())
+    start, (cell, order, rank) = np.zeros(count + 2, "int64"), np.empty((3, many), "int64")
+    place, sorted_rows = np.empty((3, many + PAD)), np.empty_like(rows)
+    place[:, many:] = 0.0
+    cells = triple(lower), triple(per_size), triple(shape)
+    sort_by_cell(*position, rows, *cells, start, cell, order, rank, place, sorted_rows)
+    return start[:-1].view("uint64"), rank.view("uint64"), place, sorted_rows
 
 
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
