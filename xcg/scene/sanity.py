@@ -94,7 +94,7 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     low, high = np.minimum(i, j), np.maximum(i, j)
     lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
     if lows * highs < 2**62:
-        key = (low - low.min()) * highs + (high - high.min())
+        key = low * highs + high  # may go round the range of whole numbers: no two pairs meet
         sorted_keys = np.sort(key)  # far quicker than their order
         if (sorted_keys[1:] != sorted_keys[:-1]).all():
             return np.empty(0, int), np.empty(0, int)

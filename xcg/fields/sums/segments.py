@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.lines import closed_for, largest_error
 from xcg.compiled.polynomials import RADIUS
-from xcg.compiled.reach import Nodes, batches_in_reach
+from xcg.compiled.reach import Nodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
     BRANCH,
     FORCE,
@@ -26,7 +26,6 @@ from xcg.compiled.segments import (
     bounds_of_segments,
     deposit_segments,
     list_segments,
-    no_bounds,
 )
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
@@ -149,7 +148,7 @@ def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bo
 
 def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """Measure the segments of some contacts: bounds of runs, the longest, and whether any has a second segment."""
-    bounds, longest = no_bounds(len(contacts)), np.empty(4)
+    bounds, longest = no_bounds(len(contacts), RUN), np.empty(4)
     more = list_segments(*listing, contacts, None, bounds, longest)
     return bounds, longest, more
 
