@@ -17,7 +17,7 @@ from tests import ROOT
 from tests.loops import compiled
 from xcg.compiled import _jit
 from xcg.compiled._jit import for_each, leaf
-from xcg.compiled.matrices import _dot
+from xcg.compiled.matrices import dot
 
 COMPILED = ROOT / "xcg" / "compiled"
 INNER = """from xcg.compiled._jit import jit
@@ -129,10 +129,10 @@ def test_the_cache_can_be_turned_off(used):
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_leaf_functions_cannot_be_called_from_python():
     along = 1.0, 2.0, 3.0
-    assert compiled(_dot)(along, along) == 14.0
-    with pytest.raises(TypeError, match=r"_dot is compiled for loops; from Python, call _dot\.py_func"):
-        _dot(along, along)
-    assert _dot.py_func(along, along) == 14.0
+    assert compiled(dot)(along, along) == 14.0
+    with pytest.raises(TypeError, match=r"dot is compiled for loops; from Python, call dot\.py_func"):
+        dot(along, along)
+    assert dot.py_func(along, along) == 14.0
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")

@@ -96,25 +96,7 @@ def test_numbers_are_loaded_and_stored_by_address(store):
             assert memory[index] == value
 
 
-@pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
-@pytest.mark.parametrize("dtype", ["float64", "float32", "int32"])
-def test_keep8_compresses_the_numbers_below_one(dtype, compresses):
-    rng = np.random.default_rng(10)
-    with mock.patch.object(simd, "_COMPRESSES", compresses):
-        keep = compiled(simd.keep8, 8)
-        for many in range(1, 17):
-            before, tests = np.arange(100).astype(dtype).reshape(2, 50), 2 * rng.random(16)
-            by_compiler, by_python, k = before.copy(), before.copy(), 8 * (many > 8)
-            count = keep(by_compiler, 1, 3, 0, 20, tests, k, many)
-            assert simd.keep8.py_func(by_python, 1, 3, 0, 20, tests, k, many) == count
-            kept = [20 + n for n in range(min(8, many - k)) if tests[k + n] < 1.0]
-            assert by_compiler[1, 3 : 3 + count].tolist() == by_python[1, 3 : 3 + count].tolist() == kept
-            by_compiler[1, 3 + count : 11] = before[1, 3 + count : 11]
-            by_compiler[1, 3 : 3 + count] = before[1, 3 : 3 + count]
-            assert_same_bits(by_compiler, before)
-
-
-@pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
+@pytest.mark.parametrize("compresses", sorted({False, cells._COMPRESSES}))
 @pytest.mark.parametrize("real", ["float64", "float32", None])
 def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresses):
     """Both forms of what lists points write the same bits, of the points that are near, and nothing before them."""
@@ -126,7 +108,7 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
     # whether the last digit counts is not the point here
     points[:, abs(away - 1.0) < 1e-5] = 9.0
     away[abs(away - 1.0) < 1e-5] = 9.0
-    with mock.patch.object(simd, "_COMPRESSES", compresses):
+    with mock.patch.object(cells, "_COMPRESSES", compresses):
         instruction, others = cells.list_near_place, tuple(place)
         if not of_place:
             instruction, others = cells.list_near_segment, (*place, *e, 0.5)

@@ -16,7 +16,6 @@ import xcg
 from tests import planning, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg import SceneWarning
-from xcg.compiled.contacts import far_and_pulling
 from xcg.compiled.points import deposit
 from xcg.compiled.segments import deposit_segments, list_segments
 from xcg.fields.coarse_grain import WORTH_SHARING
@@ -422,7 +421,7 @@ def test_loops_are_compiled_once_for_scenes_of_any_form(changed):
         "no grains": lambda: ds.isel(particle=slice(0, 0), contact=slice(0, 0)),
         "grains at rest": lambda: ds.assign(velocity=0.0 * ds.velocity),
     }
-    loops = deposit, deposit_segments, list_segments, far_and_pulling
+    loops = deposit, deposit_segments, list_segments
     before = [set(loop.signatures) for loop in loops]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -1,4 +1,4 @@
-"""Functions shared by loops: rules of Gauss-Legendre, sorting, transposing, rounding, bounds, the minimum image."""
+"""Functions shared by loops: rules of Gauss-Legendre, sorting, rounding, periodic images."""
 
 from __future__ import annotations
 
@@ -24,38 +24,11 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
 
 
 @leaf
-def counting_sort_places(key, start, place):
-    """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
+def sort_by_key(key, start, order):
+    """Write which thing comes first, second, ... (n,) by its key (n,), a whole number; those of one key stay in order.
 
     `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key k.
     """
-    for n in range(key.size):
-        start[key[n] + 1] += 1
-    for k in range(start.size - 1):
-        start[k + 1] += start[k]
-    for n in range(key.size):
-        k = key[n]
-        place[n] = start[k]
-        start[k] += 1
-
-
-def short_integers(most: int) -> str:
-    """Return the type of whole numbers up to `most`: of four bytes if they are enough."""
-    return "int32" if most < 2**31 else "int64"
-
-
-def counting_sort(key: NDArray, keys: int) -> NDArray:
-    """Return which thing comes first, second, ... (n,) by its key (n,), a whole number below `keys`, in its type.
-
-    Things of one key keep their order.
-    """
-    order = np.empty_like(key)
-    _counting_sort_order(key, np.zeros(keys + 1, order.dtype), order)
-    return order
-
-
-@leaf
-def _counting_sort_order(key, start, order):
     for n in range(key.size):
         start[key[n] + 1] += 1
     for k in range(start.size - 1):
@@ -65,37 +38,16 @@ def _counting_sort_order(key, start, order):
         start[key[n]] += 1
 
 
-@leaf
-def transpose_columns(records, column, factor, out):
-    """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
-
-    ``out[r, p, n] = factor[r, p] * records[p, n, column[r]]`` for r = 0, ... column.size - 1.
-    """
-    for p in range(records.shape[0]):
-        for n in range(records.shape[1]):
-            for r in range(column.size):
-                out[r, p, n] = factor[r, p] * records[p, n, column[r]]
+def short_integers(most: int) -> str:
+    """Return the type of whole numbers up to `most`: of four bytes if they are enough."""
+    return "int32" if most < 2**31 else "int64"
 
 
-@leaf
-def all_finite(numbers):
-    """Return whether all numbers (n,) are finite."""
-    finite = True
-    for n in range(numbers.size):
-        finite &= abs(numbers[n]) < np.inf
-    return finite
-
-
-@leaf
-def bounds_of(position):
-    """Lowest and highest coordinates, (3,) each, of points (n, 3), NaN where any is; infinity, -infinity of none."""
-    inf = np.inf
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
-    for n in range(position.shape[0]):
-        x, y, z = position[n, 0], position[n, 1], position[n, 2]
-        x0, y0, z0 = np.minimum(x, x0), np.minimum(y, y0), np.minimum(z, z0)
-        x1, y1, z1 = np.maximum(x, x1), np.maximum(y, y1), np.maximum(z, z1)
-    return (x0, y0, z0), (x1, y1, z1)
+def counting_sort(key: NDArray, keys: int) -> NDArray:
+    """Return the order of things (n,) by their keys (n,) below `keys`, see `sort_by_key`, in the type of the keys."""
+    order = np.empty_like(key)
+    sort_by_key(key, np.zeros(keys + 1, order.dtype), order)
+    return order
 
 
 @leaf
@@ -158,9 +110,6 @@ def nearest_images(vector, lattice, out):
         out[n, 0], out[n, 1], out[n, 2] = nearest_of(vector[n, 0], vector[n, 1], vector[n, 2], lattice)
 
 
-_BLOCK = 4096  # numbers that stay in the processor's first cache while their bytes are taken apart
-
-
 @leaf
 def round_bits(bits, drop, special):
     """Round floating-point numbers, given as integers (n,), to nearest even without their last `drop` bits.
@@ -173,16 +122,3 @@ def round_bits(bits, drop, special):
         x = bits[n]
         if x & special != special:
             bits[n] = (x + half + ((x >> drop) & one)) & mask
-
-
-@leaf
-def shuffle_bytes(numbers, out):
-    """Write the lowest bytes of unsigned integers (n,), then their second bytes, ...: out (bytes of a number, n)."""
-    eight, byte = numbers.dtype.type(8), numbers.dtype.type(255)
-    for first in range(0, numbers.size, _BLOCK):
-        end = min(first + _BLOCK, numbers.size)
-        shift = numbers.dtype.type(0)
-        for k in range(out.shape[0]):
-            for n in range(first, end):
-                out[k, n] = np.uint8((numbers[n] >> shift) & byte)
-            shift += eight

@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
+from numba.core import cgutils
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
-from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.reach import (
     ALONG,
     FIRST,
@@ -45,12 +46,9 @@ from xcg.compiled.simd import (
     EIGHT,
     add_scalar8,
     compiled_as,
-    keep8,
-    lanes_before,
     pointer_to,
     typed,
     vector_of,
-    write_kept,
 )
 
 VECTOR = 64  # bytes of the vectors, whatever their numbers are
@@ -61,19 +59,55 @@ def _dot(builder, a, b):
     return builder.fadd(builder.fadd(x, y), z)
 
 
+def _compresses() -> bool:
+    """Return whether processor and LLVM move chosen numbers of a vector to its front in one instruction."""
+    try:
+        features = binding.get_host_cpu_features()
+    except RuntimeError:  # unknown
+        return False
+    return binding.llvm_version_info >= (19,) and bool(features.get("avx512vl"))
+
+
+_COMPRESSES = _compresses()
+
+
 def _kept(context, builder, signature, args, tests, listed):
-    """Write what `listed` says, rows and vectors, of the points whose tests are below 1; returns how many they are."""
-    lanes, short = tests.type.count, ir.IntType(32)
+    """Write what `listed` says, rows and vectors, of the points whose tests are below 1; returns how many they are.
+
+    Memory that follows is overwritten, up to as many numbers as the vectors have lanes.
+    """
+    lanes, short, whole = tests.type.count, ir.IntType(32), ir.IntType(64)
     place, _ = typed(context, builder, signature, args)
-    at, first, left = place(2), place(6), place(7)
-    near = builder.fcmp_ordered("<", tests, ir.Constant(tests.type, [1.0] * lanes))
-    near = builder.and_(near, lanes_before(builder, left, lanes))
+    first, left = (vector_of(builder, [builder.trunc(place(k), short)] * lanes) for k in (6, 7))
     ramp = ir.Constant(ir.VectorType(short, lanes), list(range(lanes)))
-    numbers = builder.add(vector_of(builder, [builder.trunc(first, short)] * lanes), ramp)
-    kept = [(signature.args[0], args[0], row, vector) for row, vector in listed.items()]
-    kept.append((signature.args[1], args[1], NODE, numbers))
-    rows = [(kind, array, ir.Constant(ir.IntType(64), int(row)), vector) for kind, array, row, vector in kept]
-    return write_kept(context, builder, near, at, rows)
+    near = builder.fcmp_ordered("<", tests, ir.Constant(tests.type, [1.0] * lanes))
+    near = builder.and_(near, builder.icmp_signed("<", ramp, left))
+    bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
+    for lane in range(0 if _COMPRESSES else lanes):
+        found.append(
+            builder.add(found[-1], builder.zext(builder.extract_element(near, ir.Constant(short, lane)), whole))
+        )
+    kept = [(0, row, vector) for row, vector in listed.items()]
+    for k, row, vector in (*kept, (1, NODE, builder.add(first, ramp))):
+        to = [ir.Constant(whole, int(row)), place(2)]
+        target, align = pointer_to(context, builder, signature.args[k], args[k], to, lanes)
+        if _COMPRESSES:
+            number = signature.args[k].dtype
+            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
+            of = ir.FunctionType(vector.type, [vector.type, near.type, vector.type])
+            name = f"llvm.experimental.vector.compress.v{lanes}{kind}"
+            compress = cgutils.get_or_insert_function(builder.module, of, name)
+            zeros = ir.Constant(vector.type, None)
+            builder.store(builder.call(compress, [vector, near, zeros]), target, align=align)
+        else:
+            start = builder.bitcast(target, vector.type.element.as_pointer())
+            for lane in range(lanes):  # what is not kept is overwritten by the next
+                value = builder.extract_element(vector, ir.Constant(short, lane))
+                builder.store(value, builder.gep(start, [found[lane]]), align=align)
+    if not _COMPRESSES:
+        return found[-1]
+    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bits, [bits]), f"llvm.ctpop.i{lanes}")
+    return builder.zext(builder.call(count, [builder.bitcast(near, bits)]), whole)
 
 
 def _list_near_place(typingctx, values, numbers, at, px, py, pz, first, left, x, y, z):
@@ -180,7 +214,7 @@ class PointCells(NamedTuple):
 
 
 @leaf
-def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, position, sorted_rows):
+def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, order, rank, position, sorted_rows):
     """Sort points by the cell that they are in; points of one cell keep their order.
 
     Parameters
@@ -191,8 +225,8 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, posit
         As in `PointCells`.
     start : (cells + 2,)
         Zeros; written: the first point of each cell; the number of points in the last two places.
-    cell, rank : (n,)
-        Written: the cell of each point, and its place among all.
+    cell, order, rank : (n,)
+        Written: the cell of each point, which point comes first, second, ..., and the place of each among all.
     position, sorted_rows : (3, n or more), (n,)
         Written: the points and their numbers, sorted.
     """
@@ -202,10 +236,10 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, posit
         iy = min(last_y, np.int64((y[n] - lower[1]) * per_size[1]))
         iz = min(last_z, np.int64((z[n] - lower[2]) * per_size[2]))
         cell[n] = (ix * shape[1] + iy) * shape[2] + iz
-    counting_sort_places(cell, start[1:], rank)
-    for n in range(x.size):
-        to = rank[n]
-        position[0, to], position[1, to], position[2, to], sorted_rows[to] = x[n], y[n], z[n], rows[n]
+    sort_by_key(cell, start[1:], order)
+    for to in range(x.size):
+        n = order[to]
+        position[0, to], position[1, to], position[2, to], sorted_rows[to], rank[n] = x[n], y[n], z[n], rows[n], to
 
 
 def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:
@@ -240,17 +274,6 @@ def _beyond(x, k, lower, size, per_size, margin):
 
 
 @inner
-def _keep_rows(count, lists):
-    """Keep the listed rows of cells that are closer than 1; return their number."""
-    values, numbers = lists.values, lists.numbers
-    tests, kept = values[ROW2], np.uint64(0)
-    for k in range(0, count, EIGHT):
-        keep8(numbers, FIRST, kept, FIRST, k, tests, k, count)
-        kept += keep8(numbers, END, kept, END, k, tests, k, count)
-    return kept
-
-
-@inner
 def points_in_ball(x, y, z, cells, lists):
     """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
     if cells is None:
@@ -277,7 +300,9 @@ def points_in_ball(x, y, z, cells, lists):
         begin, end = np.floor(here - half), np.floor(here + half)
         numbers[FIRST, k] = numbers[ROW, k] + np.int32(min(last + 1.0, max(0.0, begin)))
         numbers[END, k] = numbers[ROW, k] + np.int32(min(last, max(-1.0, end)) + 1.0)
-    for k in range(_keep_rows(count, lists)):
+    for k in range(count):
+        if not values[ROW2, k] < 1.0:
+            continue
         first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
         left = np.int64(end - first)
         while True:
@@ -339,7 +364,9 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         numbers[END, k] = numbers[ROW, k] + base + np.int32(min(highest, max(lowest - one, end)) + one)
     ex, ey, ez, length = real(bx * per_length), real(by * per_length), real(bz * per_length), real(length)
     lanes = np.uint64(VECTOR // values.itemsize)
-    for k in range(_keep_rows(count, lists)):
+    for k in range(count):
+        if not values[ROW2, k] < 1.0:
+            continue
         first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
         left = np.int64(end - first)
         while True:

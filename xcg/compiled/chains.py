@@ -7,10 +7,12 @@ in the order of the contacts. The searches keep their own stack, so that a chain
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import jit
+from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.contacts import AHEAD
-from xcg.compiled.matrices import principal
+from xcg.compiled.matrices import dot, principal
 from xcg.compiled.simd import prefetch
 
 UNSEEN, TOO_SHORT = -1, -2
@@ -48,33 +50,17 @@ def aligned_contacts(i, j, branch, direction, qualifies, cosine, aligned):
         if p < 0 or q < 0 or not (qualifies[p] and qualifies[q]):
             continue
         b = branch[c]
-        limit = cosine * math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
-        u, v = direction[p], direction[q]
-        aligned[c] = (
-            abs(b[0] * u[0] + b[1] * u[1] + b[2] * u[2]) >= limit
-            and abs(b[0] * v[0] + b[1] * v[1] + b[2] * v[2]) >= limit
-        )
+        limit = cosine * math.sqrt(dot(b, b))
+        aligned[c] = abs(dot(b, direction[p])) >= limit and abs(dot(b, direction[q])) >= limit
 
 
-@jit
-def rows_of_contacts(i, j, chosen, count):
+def rows_of_contacts(i: NDArray, j: NDArray, chosen: NDArray, count: int) -> tuple[NDArray, NDArray]:
     """Compressed rows of the graph whose edges are the chosen contacts: start (count + 1,), contact (2 edges,)."""
-    start = np.zeros(count + 1, np.int64)
-    for c in range(i.size):
-        if chosen[c]:
-            start[i[c] + 1] += 1
-            start[j[c] + 1] += 1
-    for p in range(count):
-        start[p + 1] += start[p]
-    contact = np.empty(start[count], np.int64)
-    cursor = start[:-1].copy()
-    for c in range(i.size):
-        if chosen[c]:
-            contact[cursor[i[c]]] = c
-            contact[cursor[j[c]]] = c
-            cursor[i[c]] += 1
-            cursor[j[c]] += 1
-    return start, contact
+    edges = np.flatnonzero(chosen)
+    ends, start = np.column_stack([i[edges], j[edges]]).ravel(), np.zeros(count + 2, np.int64)
+    order = np.empty(ends.size, np.int64)
+    sort_by_key(ends, start[1:], order)  # leaves where each row ends, and the next begins
+    return start[:-1], edges[order // 2]
 
 
 @jit
@@ -86,15 +72,10 @@ def _far_end(i, j, c, p):
 
 
 @jit
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@jit
 def _step(p, q, sign, branch, onward, place, parent):
     """Go from p to q: place q beside p, and turn its direction onward."""
     parent[q] = p
-    turn = 1.0 if sign * _dot(branch, onward[q]) >= 0.0 else -1.0
+    turn = 1.0 if sign * dot(branch, onward[q]) >= 0.0 else -1.0
     for k in range(3):
         place[q, k] = place[p, k] + sign * branch[k]
         onward[q, k] *= turn
@@ -174,9 +155,9 @@ def branching_chains(
                 c = contact[e]
                 q, sign = _far_end(i, j, c, p)
                 if one_sided:
-                    ahead = sign * _dot(branch[c], onward[p])
+                    ahead = sign * dot(branch[c], onward[p])
                     ahead = -ahead if p == seed and way == 1 else ahead
-                    if ahead < -_SIDEWAYS * math.sqrt(_dot(branch[c], branch[c])):
+                    if ahead < -_SIDEWAYS * math.sqrt(dot(branch[c], branch[c])):
                         continue
                 if chain[q] == UNSEEN:
                     chain[q] = count
@@ -204,7 +185,7 @@ def _nearest_link(p, i, j, branch, start, contact, chain, onward, either_way):
     for e in range(start[p], start[p + 1]):
         c = contact[e]
         q, sign = _far_end(i, j, c, p)
-        cosine = sign * _dot(branch[c], onward[p]) / math.sqrt(_dot(branch[c], branch[c]))
+        cosine = sign * dot(branch[c], onward[p]) / math.sqrt(dot(branch[c], branch[c]))
         ahead = abs(cosine) if either_way else cosine
         if chain[q] == UNSEEN and ahead > _SIDEWAYS and ahead > abs(best_cosine):
             best, best_cosine = c, cosine

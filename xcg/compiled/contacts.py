@@ -20,39 +20,6 @@ def add_rows(row, sign, values, out):
 
 
 @leaf
-def partners_by_lower(row_i, row_j, least, ends, partner):
-    """Group pairs by the lower of their numbers, and write the higher ones (n,), group after group, as numbers from 0.
-
-    `least` is the lowest number of all. ``ends`` (numbers + 1,) is zeros before; afterwards group k ends before
-    ``ends[k]``.
-    """
-    for n in range(row_i.size):
-        ends[min(row_i[n], row_j[n]) - least + 1] += 1
-    for k in range(ends.size - 1):
-        ends[k + 1] += ends[k]
-    for n in range(row_i.size):
-        low = min(row_i[n], row_j[n]) - least
-        partner[ends[low]] = max(row_i[n], row_j[n]) - least
-        ends[low] += 1
-
-
-@leaf
-def a_pair_twice(ends, partner, last):
-    """Return whether any group of rows has one partner twice; `partner` (n,) holds the partners of group after group.
-
-    Group k ends before ``ends[k]``. Of each partner, `last` holds the group that had it last, and no group before.
-    """
-    n = 0
-    for k in range(ends.size):
-        while n < ends[k]:
-            if last[partner[n]] == k:
-                return True
-            last[partner[n]] = k
-            n += 1
-    return False
-
-
-@leaf
 def k_core(row_i, row_j, weight, least, degree, kept):
     """Find the k-core: take out rows of fewer than `least` partners, again and again, until all that stay have as many.
 
@@ -284,42 +251,3 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
 @inner
 def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
-
-
-@leaf
-def far_and_pulling(row_i, row_j, every, position, diameter, point, force, period, lattice, far):
-    """Sample contacts: count points far from a centre, and forces on i that pull and push.
-
-    Parameters
-    ----------
-    diameter : array (particles,) or None
-        Nothing is far without it.
-    force : array (n, 3) or None
-        Nothing pulls or pushes without it.
-    far : float
-        Distance in diameters of the larger grain.
-
-    Returns
-    -------
-    far, first, most, pulling, pushing
-        Numbers of contacts; the first that is far, and its distance in diameters.
-    """
-    count, first, most, pulling, pushing = 0, -1, 0.0, 0, 0
-    for n in range(0, row_i.size, every):
-        i, j = row_i[n], row_j[n]
-        x, y, z = side(position, i, point, n, period, lattice)
-        to_x, to_y, to_z = side(position, j, point, n, period, lattice)
-        if diameter is not None:
-            larger = max(diameter[i] if i >= 0 else 0.0, diameter[j] if j >= 0 else 0.0)
-            distance = max(_length(x, y, z), _length(to_x, to_y, to_z)) / larger if larger > 0.0 else 0.0
-            if distance > far:
-                count += 1
-                if first < 0:
-                    first, most = n, distance
-        if force is not None:
-            if i < 0:
-                x, y, z = -to_x, -to_y, -to_z
-            along = force[n, 0] * x + force[n, 1] * y + force[n, 2] * z
-            pulling += along < 0.0
-            pushing += along > 0.0
-    return count, first, most, pulling, pushing

@@ -153,7 +153,7 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
     if kind is LUCY_FULL:
         fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
     elif spread is TABULATED:
-        _filltabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
+        _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
     elif kind == GAUSSIAN + 1:
         _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
     elif kind == LUCY + 1:
@@ -165,7 +165,7 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
 
 
 @inner
-def _filltabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
     if table is PLAIN:
         return
     if not has_shells(table):

@@ -23,8 +23,7 @@ _ONE_LINE, _ONE_PLANE = 1e-13, 1e-11
 # Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
 # 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
 _RANK_THRESHOLD = 1e-9
-# Centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16 of it.
-_ROUNDING = 1e-13
+_ROUNDING = 1e-13  # what centring one grain, or several in one place, leaves, of what is subtracted: a few 1e-16
 # A derivative is determined where the grains span no less of its axis.
 _SPANNED = 1.0 - 1e-6
 # Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
@@ -317,7 +316,8 @@ def flags_of(active: Sequence[bool], about_node: bool) -> int:
 
 
 @inner
-def _dot(a, b):
+def dot(a, b):
+    """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -438,13 +438,13 @@ def fit_rows(rows, first, found, many, flags):
             b1 = _moved(_three(rows, shear + three, n), v / mass, offsets)
             b2 = _moved(_three(rows, shear + three + three, n), w / mass, offsets)
         c0, c1, c2 = (c00, c01, c02), (c01, c11, c12), (c02, c12, c22)
-        g0 = _dot(b0, c0), _dot(b0, c1), _dot(b0, c2)
-        g1 = _dot(b1, c0), _dot(b1, c1), _dot(b1, c2)
-        g2 = _dot(b2, c0), _dot(b2, c1), _dot(b2, c2)
+        g0 = dot(b0, c0), dot(b0, c1), dot(b0, c2)
+        g1 = dot(b1, c0), dot(b1, c1), dot(b1, c2)
+        g2 = dot(b2, c0), dot(b2, c1), dot(b2, c2)
         _put_three(rows, gradient, n, g0)
         _put_three(rows, gradient + three, n, g1)
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        _put_three(rows, explained, n, (known * _dot(g0, b0), known * _dot(g0, b1), known * _dot(g0, b2)))
-        _put_three(rows, explained + three, n, (known * _dot(g1, b1), known * _dot(g1, b2), known * _dot(g2, b2)))
+        _put_three(rows, explained, n, (known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)))
+        _put_three(rows, explained + three, n, (known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)))

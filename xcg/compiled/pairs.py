@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import jit
-from xcg.compiled.arrays import counting_sort_places, nearest_image
+from xcg.compiled.arrays import nearest_image, sort_by_key
 
 
 @jit
@@ -62,25 +62,12 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
 
 
 @jit
-def write_records(place, wrapped, radius, first, records, row):
-    """Write particles to their places among all, sorted by cell.
-
-    Parameters
-    ----------
-    place : (n,)
-        Place of each particle.
-    first : int
-        Row of the first of these particles.
-    records : (n, 4)
-        x, y, z, radius in the order of the cells, set here.
-    row : (n,)
-        Row that each record comes from, set here.
-    """
-    for i in range(place.size):
-        at = place[i]
-        records[at, 0], records[at, 1], records[at, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
-        records[at, 3] = radius[i]
-        row[at] = first + i
+def write_records(order, wrapped, radius, records):
+    """Write x, y, z and radius of particles to records (n, 4), in an order (n,) by cell."""
+    for n in range(order.size):
+        i = order[n]
+        records[n, 0], records[n, 1], records[n, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
+        records[n, 3] = radius[i]
 
 
 @jit
@@ -233,17 +220,16 @@ def sort_pairs(low, high, rows, first, last, pairs):
     for n in range(low.size):
         before += low[n] < first
         count += first <= low[n] < last
-    own_low, own_high, place = np.empty(count, low.dtype), np.empty(count, low.dtype), np.empty(count, np.int64)
+    own_low, own_high, order = np.empty(count, low.dtype), np.empty(count, low.dtype), np.empty(count, np.int64)
     count = 0
     for n in range(low.size):
         if first <= low[n] < last:
             own_low[count], own_high[count] = low[n] - first, high[n]
             count += 1
-    counting_sort_places(own_high, np.zeros(rows + 1, np.int64), place)
+    sort_by_key(own_high, np.zeros(rows + 1, np.int64), order)
     low_by_high, high_by_high = np.empty(count, low.dtype), np.empty(count, low.dtype)
     for n in range(count):
-        low_by_high[place[n]], high_by_high[place[n]] = own_low[n], own_high[n]
-    counting_sort_places(low_by_high, np.zeros(last - first + 1, np.int64), place)
+        low_by_high[n], high_by_high[n] = own_low[order[n]], own_high[order[n]]
+    sort_by_key(low_by_high, np.zeros(last - first + 1, np.int64), order)
     for n in range(count):
-        at = before + place[n]
-        pairs[at, 0], pairs[at, 1] = low_by_high[n] + first, high_by_high[n]
+        pairs[before + n, 0], pairs[before + n, 1] = low_by_high[order[n]] + first, high_by_high[order[n]]

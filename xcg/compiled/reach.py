@@ -285,24 +285,26 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
 
 
 @leaf
-def _bounds_of_batches(records, rows, bounds):
-    for n in range(records.shape[0] if rows is None else rows.size):
-        row = n if rows is None else rows[n]
+def _bounds_of_batches(position, rows, bounds):
+    for n in range(rows.size):
         batch = bounds[n // BATCH]
         for k in range(3):
-            x = records[row, k]
+            x = position[rows[n], k]
             batch[0, k] = min(x, batch[0, k])
             batch[1, k] = max(x, batch[1, k])
 
 
-def batches_of(records: NDArray, rows: NDArray | None = None) -> NDArray:
-    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` records, or of the records of some rows.
+def batches_of(position: NDArray, rows: NDArray) -> NDArray:
+    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` rows of positions (n, 3)."""
+    bounds = no_bounds(len(rows), BATCH)
+    _bounds_of_batches(position, rows, bounds)
+    return bounds
 
-    Records (m, c) begin with the place.
-    """
-    bounds = np.empty((-(-len(records if rows is None else rows) // BATCH), 2, 3))
+
+def no_bounds(count: int, run: int) -> NDArray:
+    """Bounds (runs, 2, 3) of the runs of so many places before any is known."""
+    bounds = np.empty((-(-count // run), 2, 3))
     bounds[:, 0], bounds[:, 1] = np.inf, -np.inf
-    _bounds_of_batches(records, rows, bounds)
     return bounds
 
 

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points
@@ -163,18 +164,6 @@ def ring_means(sums, rings, difference, tensors, level, flow, record, tensor, ou
                     out[g, n, c] += rings.share[k] * record[c]
 
 
-@inner
-def _first_from(number, first, last, low):
-    """First of the numbers first <= k < last, which rise, that is not below a limit."""
-    while first < last:
-        middle = (first + last) // 2
-        if number[middle] < low:
-            first = middle + 1
-        else:
-            last = middle
-    return first
-
-
 @leaf
 def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums, out):
     """Add the squares of the weights of grains in the fits of rings to `out`.
@@ -208,7 +197,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
         x, y = position[i, 0], position[i, 1]
         radius, azimuth = math.sqrt(x * x + y * y), math.atan2(y, x)
         along, across = math.cos(azimuth), math.sin(azimuth)
-        for n in range(_first_from(rings.place[:, 0], 0, rings.place.shape[0], radius - cutoff), rings.place.shape[0]):
+        for n in range(np.searchsorted(rings.place[:, 0], radius - cutoff), rings.place.shape[0]):
             r = rings.place[n, 0]
             if r - radius >= cutoff:
                 break
@@ -228,7 +217,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                 low, high = middle - half, middle + half
                 if high < rings.angle[first] or low > rings.angle[last - 1]:
                     continue
-                k = _first_from(rings.angle, first, last, low)
+                k = first + np.searchsorted(rings.angle[first:last], low)
                 # at the far side both ends of the range are one place
                 while k < last and (rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)):
                     # cos(angle - azimuth), sin(azimuth - angle)

@@ -20,7 +20,16 @@ from xcg.compiled.cell_means import volumes_along_segment
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
 from xcg.compiled.lines import SHORT, SHORT_ORDER, fill_segments
-from xcg.compiled.reach import ALONG, NODE, Q2, WEIGHT, batch_reaches, nodes_around_segment, periodic_images
+from xcg.compiled.reach import (
+    ALONG,
+    NODE,
+    Q2,
+    WEIGHT,
+    batch_reaches,
+    no_bounds,
+    nodes_around_segment,
+    periodic_images,
+)  # fmt: skip
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
 
@@ -250,16 +259,9 @@ def _bounds_of_segments(records, bounds):
                 _widen(bounds[n // RUN], k, records[n, START + k], records[n, BRANCH + k])
 
 
-def no_bounds(count: int) -> NDArray:
-    """Bounds (runs, 2, 3) of the runs of so many segments before any is known."""
-    bounds = np.empty((-(-count // RUN), 2, 3))
-    bounds[:, 0], bounds[:, 1] = np.inf, -np.inf
-    return bounds
-
-
 def bounds_of_segments(records: NDArray) -> NDArray:
     """Lowest and highest place, (runs, 2, 3), of each run of `RUN` segments."""
-    bounds = no_bounds(len(records))
+    bounds = no_bounds(len(records), RUN)
     _bounds_of_segments(records, bounds)
     return bounds
 

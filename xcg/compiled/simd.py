@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from llvmlite import binding, ir
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
@@ -160,85 +160,6 @@ def ramp8(lists, to, squares, at, first, step, origin, factor):
     d = (real(first) + np.arange(EIGHT, dtype=real)) * real(step) - real(origin)
     lists[to, at : at + EIGHT] = real(factor) * d
     lists[squares, at : at + EIGHT] = d * d
-
-
-def _compresses() -> bool:
-    """Return whether processor and LLVM move chosen numbers of a vector to its front in one instruction."""
-    try:
-        features = binding.get_host_cpu_features()
-    except RuntimeError:  # unknown
-        return False
-    return binding.llvm_version_info >= (19,) and bool(features.get("avx512vl"))
-
-
-_COMPRESSES = _compresses()
-
-
-def lanes_before(builder, left, lanes):
-    """Mask of the first `left` lanes, a signed number of 64 bits."""
-    short = ir.IntType(32)
-    number = ir.Constant(ir.VectorType(short, lanes), list(range(lanes)))
-    return builder.icmp_signed("<", number, vector_of(builder, [builder.trunc(left, short)] * lanes))
-
-
-def write_kept(context, builder, near, at, kept):
-    """Write the lanes of vectors where a mask is set to arrays, from a place on; returns how many lanes there are.
-
-    `kept` are (type of the array, array, row, vector). Memory that follows is overwritten, up to as many numbers as
-    lanes.
-    """
-    lanes, whole = near.type.count, ir.IntType(64)
-    bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
-    for lane in range(0 if _COMPRESSES else lanes):
-        index = ir.Constant(ir.IntType(32), lane)
-        found.append(builder.add(found[-1], builder.zext(builder.extract_element(near, index), whole)))
-    for array_type, array, row, vector in kept:
-        target, align = pointer_to(context, builder, array_type, array, [row, at], lanes)
-        if _COMPRESSES:
-            number = array_type.dtype
-            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
-            of = ir.FunctionType(vector.type, [vector.type, near.type, vector.type])
-            name = f"llvm.experimental.vector.compress.v{lanes}{kind}"
-            compress = cgutils.get_or_insert_function(builder.module, of, name)
-            zeros = ir.Constant(vector.type, None)
-            builder.store(builder.call(compress, [vector, near, zeros]), target, align=align)
-        else:
-            start = builder.bitcast(target, vector.type.element.as_pointer())
-            for lane in range(lanes):  # what is not kept is overwritten by the next
-                value = builder.extract_element(vector, ir.Constant(ir.IntType(32), lane))
-                builder.store(value, builder.gep(start, [found[lane]]), align=align)
-    if not _COMPRESSES:
-        return found[-1]
-    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bits, [bits]), f"llvm.ctpop.i{lanes}")
-    return builder.zext(builder.call(count, [builder.bitcast(near, bits)]), whole)
-
-
-def _keep8(typingctx, lists, to, at, row, first, tests, k, many):
-    def generate(context, builder, signature, args):
-        place, _ = typed(context, builder, signature, args)
-        array_type, array = signature.args[0], args[0]
-        test, align = pointer_to(context, builder, signature.args[5], args[5], [place(6)], EIGHT)
-        values = builder.load(test, align=align)
-        near = builder.fcmp_ordered("<", values, ir.Constant(values.type, [1.0] * EIGHT))
-        near = builder.and_(near, lanes_before(builder, builder.sub(place(7), place(6)), EIGHT))
-        source, align = pointer_to(context, builder, array_type, array, [place(3), place(4)], EIGHT)
-        kept = [(array_type, array, place(1), builder.load(source, align=align))]
-        return write_kept(context, builder, near, place(2), kept)
-
-    return types.uint64(lists, to, at, row, first, tests, k, many), generate
-
-
-@compiled_as(_keep8)
-def keep8(lists, to, at, row, first, tests, k, many):
-    """Write some of ``lists[row, first : first + 8]`` to ``lists[to]``, from `at` on: where ``tests[k : k + 8] < 1``.
-
-    From the `many`-th test on none is written. Returns how many were; memory that follows them is overwritten, up to
-    eight numbers from `at` on. `to` may be `row` where `at` is not beyond `first`.
-    """
-    near = (tests[k : k + EIGHT] < 1.0)[: int(many) - int(k)]
-    kept = lists[row, first : first + EIGHT][: len(near)][near]
-    lists[to, at : at + len(kept)] = kept
-    return np.uint64(len(kept))
 
 
 def _prefetch(typingctx, array, row):

@@ -13,7 +13,7 @@ from xcg.common.checks import check_choice, is_finite
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
-from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
@@ -137,14 +137,13 @@ class CellLists:
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
-        starts, place = np.zeros(first_cell[-1] + 2, "int32"), np.empty(count, "int64")
-        counting_sort_places(cell, starts[1:], place)
+        starts, row = np.zeros(first_cell[-1] + 2, "int32"), np.empty(count, "int32")
+        sort_by_key(cell, starts[1:], row)
         starts = starts[:-1]
-        records, row = np.empty((count, 4)), np.empty(count, "int32")
+        records = np.empty((count, 4))
 
         def write(first: int, last: int) -> None:
-            some = slice(first, last)
-            loops.write_records(place[some], wrapped[some], radius[some], first, records, row)
+            loops.write_records(row[first:last], wrapped, radius, records[first:last])
 
         for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_whole
 from xcg.common.messages import SceneError, plain
-from xcg.compiled.arrays import all_finite
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import (
@@ -169,7 +168,7 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
 
 def check_finite(name: str, frame: Frame, source: str) -> None:
     """Raise SceneError for a variable that is not finite in a row of data, as an assigned one may be."""
-    if frame[name].dtype != np.float64 or all_finite(np.ascontiguousarray(frame[name]).reshape(-1)):
+    if frame[name].dtype.kind != "f" or np.isfinite(frame[name]).all():
         return
     row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
     at_contacts = variable(name).dims[0] == "contact"

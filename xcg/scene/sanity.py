@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once, warn_user
-from xcg.compiled.contacts import a_pair_twice, far_and_pulling, partners_by_lower
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 
@@ -14,7 +13,6 @@ from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
-_DENSE = 16  # ids are looked up in a table where they span no more numbers than this for each contact
 # Rows from both sides are one contact where their forces differ from opposite ones by no more than this share of the
 # larger, or of a hundredth of the mean force of such rows, and their points by this share of the smaller radius.
 _OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.15
@@ -89,32 +87,23 @@ def unit_vectors(vector: NDArray) -> NDArray:
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
 
-    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs shows that there are
-    none.
+    Which of the two comes first makes no difference. Spheres touch once, and a sort shows that no pair repeats.
     """
-    none = np.empty(0, int), np.empty(0, int)
     if not len(i):
-        return none
-    least, most = min(i.min(), j.min()), max(i.max(), j.max())
-    count = int(most) - int(least) + 1
-    if count <= _DENSE * len(i) and not _any_repeated(i, j, least, count):
-        return none
+        return np.empty(0, int), np.empty(0, int)
     low, high = np.minimum(i, j), np.maximum(i, j)
     lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
     if lows * highs < 2**62:
-        order = np.argsort((low - low.min()) * highs + (high - high.min()), kind="stable")
+        key = low * highs + high  # may go round the range of whole numbers: no two pairs meet
+        sorted_keys = np.sort(key)  # far quicker than their order
+        if (sorted_keys[1:] != sorted_keys[:-1]).all():
+            return np.empty(0, int), np.empty(0, int)
+        order = np.argsort(key, kind="stable")
     else:
         order = np.lexsort((high, low))
     same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
     inside = np.append(same, False) | np.insert(same, 0, False)
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
-
-
-def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
-    """Return whether any pair of the `count` numbers from `least` on stands more than once."""
-    ends, partner = np.zeros(count + 1, "int64"), np.empty_like(i)
-    partners_by_lower(i, j, least, ends, partner)
-    return a_pair_twice(ends[:-1], partner, np.full(count, -1))
 
 
 def _copies(
@@ -302,17 +291,26 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
     """
     if not len(frame["position"]) or not len(row_i):
         return
-    every = _sample(len(row_i)).step
-    looked = len(range(0, len(row_i), every))
-    of_frame = (frame.get("diameter"), frame["contact_point"], frame.get("contact_force"))
-    rows = row_i, row_j, every, frame["position"]
-    far, first, farthest, pulling, pushing = far_and_pulling(*rows, *of_frame, *lattice.for_loops, _FAR)
-    if far:
-        i, j = frame["contact_i"][first], frame["contact_j"][first]
+    some = _sample(len(row_i))
+    row_i, row_j, point = row_i[some], row_j[some], frame["contact_point"][some]
+    side_i, side_j = (lattice.shortest(frame["position"][row] - point) for row in (row_i, row_j))
+    side_i[row_i < 0] = side_j[row_j < 0] = 0.0
+    far, pulling, pushing = np.empty(0, int), 0, 0
+    if "diameter" in frame:
+        larger = np.maximum(*(np.where(row < 0, 0.0, frame["diameter"][row]) for row in (row_i, row_j)))
+        away = np.sqrt(np.maximum(*(np.einsum("nk,nk->n", side, side) for side in (side_i, side_j))))
+        distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
+        far = np.flatnonzero(distance > _FAR)
+    if "contact_force" in frame:
+        side_i[row_i < 0] = -side_j[row_i < 0]
+        along = np.einsum("nk,nk->n", frame["contact_force"][some], side_i)
+        pulling, pushing = int((along < 0.0).sum()), int((along > 0.0).sum())
+    if far.size:
+        i, j = (frame[name][some][far[0]] for name in ("contact_i", "contact_j"))
         warn_once(
             "far contacts",
-            f"{source}: {far} of {looked} contacts looked at lie more than {_FAR:g} diameters from the "
-            f"centre of a particle of theirs ({farthest:.3g} diameters for contact_i={i}, contact_j={j}): "
+            f"{source}: {far.size} of {len(point)} contacts looked at lie more than {_FAR:g} diameters from the "
+            f"centre of a particle of theirs ({distance[far[0]]:.3g} diameters for contact_i={i}, contact_j={j}): "
             "they are of another step or box, ids are mixed up, positions were changed without contact_point, or "
             "periodic= lacks an axis",
         )

@@ -415,11 +415,11 @@ def _sorted(
     (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are unsigned.
     """
     many, count = len(rows), math.prod(shape.tolist())
-    start, cell, rank = np.zeros(count + 2, "int64"), np.empty(many, "int64"), np.empty(many, "int64")
+    start, (cell, order, rank) = np.zeros(count + 2, "int64"), np.empty((3, many), "int64")
     place, sorted_rows = np.empty((3, many + PAD)), np.empty_like(rows)
     place[:, many:] = 0.0
     cells = triple(lower), triple(per_size), triple(shape)
-    sort_by_cell(*position, rows, *cells, start, cell, rank, place, sorted_rows)
+    sort_by_cell(*position, rows, *cells, start, cell, order, rank, place, sorted_rows)
     return start[:-1].view("uint64"), rank.view("uint64"), place, sorted_rows
 
 

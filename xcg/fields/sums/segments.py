@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.lines import closed_for, largest_error
 from xcg.compiled.polynomials import RADIUS
-from xcg.compiled.reach import Nodes, batches_in_reach
+from xcg.compiled.reach import Nodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
     BRANCH,
     FORCE,
@@ -26,7 +26,6 @@ from xcg.compiled.segments import (
     bounds_of_segments,
     deposit_segments,
     list_segments,
-    no_bounds,
 )
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
@@ -192,7 +191,7 @@ def _segments(
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
-        bounds, longest = no_bounds(len(contacts)), np.empty(4)
+        bounds, longest = no_bounds(len(contacts), RUN), np.empty(4)
         more = list_segments(*listing, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled.arrays import bounds_of, transpose_columns
 from xcg.compiled.cell_means import cell_means
 from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
@@ -144,13 +143,13 @@ class Layout:
         """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
         columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
         factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
-        return columns.astype("uint64"), np.concatenate(factors)
+        return columns, np.concatenate(factors)
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
         column, factor = self._rows
         out, first = np.empty((column.size, *records.shape[:2])), 0
-        transpose_columns(records, column, factor, out)
+        np.multiply(records.transpose(2, 0, 1)[column], factor[:, :, None], out=out)
         for name, (columns, _) in self.moments.items():
             yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
             first += columns.size
@@ -328,7 +327,7 @@ class StepRows:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
             return np.zeros(0, "int32")  # as of others, so that nothing is compiled for it
-        lower, upper = bounds_of(position)
+        lower, upper = ([float(found(x)) for x in position.T] for found in (np.min, np.max))  # axis=0 is slow
         farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
             self.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
