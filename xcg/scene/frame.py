@@ -309,7 +309,8 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     if "particle_id" in arrays and ds.sizes["time"]:
         for t in sorted({0, ds.sizes["time"] - 1}):
             valid = arrays["particle_id"][t] != PADDING
-            ends.append({name: a[t][valid] for name, a in arrays.items()})
+            rows = slice(None) if valid.all() else valid  # without a copy where they are all
+            ends.append({name: a[t][rows] for name, a in arrays.items()})
     outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
     if outside:
         measured = measure_frames(ends)
