@@ -8,7 +8,7 @@ import sys
 from tests import dumps
 
 # outside the loops; they may fall, and not rise
-MOST_FUNCTIONS, MOST_MODULES, MOST_OF_OPENING = 156, 25, 152
+MOST_FUNCTIONS, MOST_MODULES, MOST_OF_OPENING = 120, 23, 120
 
 COUNT = """
 import json, sys, warnings
@@ -74,6 +74,8 @@ print(json.dumps(count(lambda: ds.cg.coarse_grain(["velocity", "density"], axes=
 
 def test_functions_of_opening_two_text_files_do_not_grow(tmp_path):
     dumps.write_series(tmp_path, steps=[0])
+    for path in tmp_path.iterdir():
+        os.utime(path, (0, 0))  # headers of new files are not remembered
     work = """
 files = {"particles": "p.0.dump", "contacts": "c.0.dump"}
 xcg.open_scene(**files)

@@ -49,7 +49,7 @@ Sampling: TypeAlias = Literal["node", "cell"]
 Preset: TypeAlias = Literal["pysammos", "lammps"]
 Per: TypeAlias = Literal["accessible"]
 # defaults of presets in place of those below
-_OF_PRESETS: dict[Any, dict[str, Any]] = {
+OF_PRESETS: dict[Any, dict[str, Any]] = {
     "lammps": {"kernel": "shifted gaussian", "gradient": "finite_difference"},
     "pysammos": {"temperature": "biased"},
 }
@@ -236,11 +236,6 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
 
-def as_preset(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments together with the defaults of the preset that they name."""
-    return _OF_PRESETS.get(str(options.get("preset")), {}) | dict(options)
-
-
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
@@ -252,7 +247,7 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            result = function(scene, request(*args, **as_preset(options)))
+            result = function(scene, request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options)))
             return result if scene is ds else as_selected(result, ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]

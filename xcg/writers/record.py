@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 
 from xcg.common.messages import SceneError, did_you_mean
 from xcg.fields.coarse_grain import answer, coarse_grain
-from xcg.fields.request import Request, as_preset
+from xcg.fields.request import OF_PRESETS, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.frame import check_times
@@ -329,5 +329,5 @@ def record(
     for word in options:
         if word not in (known := inspect.signature(coarse_grain).parameters):
             raise TypeError(f"record() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}")
-    request = Request(fields, **as_preset(options))
+    request = Request(fields, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
     return Recorder(Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite)
