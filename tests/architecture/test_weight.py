@@ -7,7 +7,7 @@ import tokenize
 from tests import ROOT
 
 PACKAGE = ROOT / "xcg"
-MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 148, 23793, 450, 60
+MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 148, 23797, 450, 60
 # tables of rows
 SHORT = {"__init__.py", "fields/formulas/rows/orientation.py"}
 ADVICE = "the package grew: take out as much as you add, or raise the limit above in this commit and say why"

@@ -94,14 +94,18 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     low, high = np.minimum(i, j), np.maximum(i, j)
     lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
     if lows * highs < 2**62:
-        key = low * highs + high  # may go round the range of whole numbers: no two pairs meet
+        key = low
+        key *= highs  # in place, as there may be many; may go round the range of whole numbers: no two pairs meet
+        key += high
+        del high
         sorted_keys = np.sort(key)  # far quicker than their order
         if (sorted_keys[1:] != sorted_keys[:-1]).all():
             return np.empty(0, int), np.empty(0, int)
         order = np.argsort(key, kind="stable")
+        same = key[order[1:]] == key[order[:-1]]
     else:
         order = np.lexsort((high, low))
-    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+        same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
     inside = np.append(same, False) | np.insert(same, 0, False)
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
 
