@@ -19,7 +19,16 @@ CORE = [
     "readers/engines/test_lammps", "readers/engines/test_mercury", "test_datasets", "writers/test_vtkhdf",
 ]  # fmt: skip
 RUNNER = ["pytest>=8.0", "pytest-benchmark>=5.0", "pytest-xdist>=3.6", "hypothesis>=6.100"]
-OPTIONAL = ["matplotlib", "zarr", "sklearn", "distributed", "bokeh", "networkx", "pyvista", "pyarrow"]
+OPTIONAL = [
+    "matplotlib",
+    "zarr",
+    "sklearn",
+    "distributed",
+    "bokeh",
+    "networkx",
+    "pyvista",
+    "pyarrow",
+]
 LARGEST_WHEEL = 8_000_000  # bytes, most of them sample data
 
 
@@ -33,11 +42,15 @@ def run_core(session, *options):
     folder = Path(session.create_tmp()) / "run"
     shutil.rmtree(folder, ignore_errors=True)
     for name in ["tests", "docs", "examples"]:
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("_build", "__pycache__"))
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("_build", "__pycache__")
+        )
     for name in ["pyproject.toml", "README.md", "CITATION.cff", "LICENSE"]:
         shutil.copy(ROOT / name, folder)
     session.chdir(folder)
-    session.run("python", "-c", "import xcg; print(xcg.__file__); assert 'site-packages' in xcg.__file__")
+    session.run(
+        "python", "-c", "import xcg; print(xcg.__file__); assert 'site-packages' in xcg.__file__"
+    )
     files = [f"tests/{name}.py" for name in CORE]
     # warnings are of versions that a developer may never see: they do not fail here
     session.run(
@@ -66,7 +79,16 @@ def tests(session):
 def full(session):
     """Run all tests, also those marked slow: long fuzzing under bounds checks."""
     session.install("--editable", ".", *group("test"))
-    session.run("pytest", "--numprocesses", "auto", "--dist", "worksteal", "-m", "slow or not slow", *session.posargs)
+    session.run(
+        "pytest",
+        "--numprocesses",
+        "auto",
+        "--dist",
+        "worksteal",
+        "-m",
+        "slow or not slow",
+        *session.posargs,
+    )
 
 
 @nox.session(python="3.11")
@@ -74,13 +96,22 @@ def minimum(session):
     """Run the core tests with the lowest versions that pyproject.toml allows, on the oldest Python."""
     project = PYPROJECT["project"]
     extras = [name for names in project["optional-dependencies"].values() for name in names]
-    lowest = [re.sub(r">=(\d+(?:\.\d+)*)", r"==\1.*", name) for name in [*project["dependencies"], *extras]]
+    lowest = [
+        re.sub(r">=(\d+(?:\.\d+)*)", r"==\1.*", name)
+        for name in [*project["dependencies"], *extras]
+    ]
     constraints = Path(session.create_tmp()) / "lowest.txt"
-    constraints.write_text("\n".join(dict.fromkeys(re.sub(r"\[\w+\]", "", name) for name in lowest)))
+    constraints.write_text(
+        "\n".join(dict.fromkeys(re.sub(r"\[\w+\]", "", name) for name in lowest))
+    )
     session.install(".", *RUNNER, "--constraint", str(constraints))
     session.run("pip", "list")
     # VTK 9.3 to 9.7.1 misreads flat images in VTKHDF (docs/saving.md); so these are not tested with the lowest VTK
-    run_core(session, "-k", "not (test_reads_back_equal or test_axes_with_one_node or test_fixed_axes_give_the_origin)")
+    run_core(
+        session,
+        "-k",
+        "not (test_reads_back_equal or test_axes_with_one_node or test_fixed_axes_give_the_origin)",
+    )
 
 
 @nox.session
@@ -110,13 +141,17 @@ def wheel(session):
     session.run("python", "-m", "build", "--outdir", str(dist), ".")
     (built,), (source,) = dist.glob("*.whl"), dist.glob("*.tar.gz")
     session.run("twine", "check", "--strict", str(built), str(source))
-    session.run("pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(dist / "again"), str(source))
+    session.run(
+        "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(dist / "again"), str(source)
+    )
     (again,) = (dist / "again").glob("*.whl")
     names = set(ZipFile(built).namelist())
     if differing := names ^ set(ZipFile(again).namelist()):
         session.error(f"only one of wheel and source package holds {sorted(differing)}")
     if built.stat().st_size > LARGEST_WHEEL:
-        session.error(f"{built.name} has {built.stat().st_size} bytes, more than {LARGEST_WHEEL}: leave out samples")
+        session.error(
+            f"{built.name} has {built.stat().st_size} bytes, more than {LARGEST_WHEEL}: leave out samples"
+        )
     session.log(f"{built.name}: {built.stat().st_size} bytes, {len(names)} files")
     session.install(str(built), *RUNNER)
     session.run("pip", "check")

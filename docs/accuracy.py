@@ -67,7 +67,9 @@ class Panel:
     ways: Sequence[Way]
     legend: str = "lower left"
     headroom: float = 100.0  # factor above the largest error, for labels
-    floors: Mapping[str, Callable[[], Any]] = field(default_factory=dict)  # what no way can be faster than
+    floors: Mapping[str, Callable[[], Any]] = field(
+        default_factory=dict
+    )  # what no way can be faster than
 
 
 # --- scenes and exact values -----------------------------------------------------------------------------
@@ -91,7 +93,9 @@ def mesh(ds: xr.Dataset, width: float = WIDTH, refined: int = 1) -> dict[str, An
     return {
         "width": width,
         "spacing": width / refined,
-        "bounds": {a: (0.0, float(edge)) for a, edge in zip("xyz", ds.attrs["box_upper"], strict=True)},
+        "bounds": {
+            a: (0.0, float(edge)) for a, edge in zip("xyz", ds.attrs["box_upper"], strict=True)
+        },
     }
 
 
@@ -112,17 +116,24 @@ def nearest_image(vectors: NDArray, ds: xr.Dataset) -> NDArray:
     return vectors - box * np.rint(vectors / box) if ds.attrs["periodic"] else vectors
 
 
-def exact_point_sums(ds: xr.Dataset, nodes: NDArray, column: NDArray, kernel: BruteKernel, axes: slice) -> NDArray:
+def exact_point_sums(
+    ds: xr.Dataset, nodes: NDArray, column: NDArray, kernel: BruteKernel, axes: slice
+) -> NDArray:
     """Sum of column x Psi at points, straight from the definition; `axes` are those that are seen."""
     position = ds.position.values[0]
     distances = (np.linalg.norm(nearest_image(position - r, ds)[:, axes], axis=1) for r in nodes)
     return np.array([np.tensordot(kernel(distance), column, 1) for distance in distances])
 
 
-def exact_contact_stress(ds: xr.Dataset, nodes: NDArray, kernel: BruteKernel, axes: slice) -> NDArray:
+def exact_contact_stress(
+    ds: xr.Dataset, nodes: NDArray, kernel: BruteKernel, axes: slice
+) -> NDArray:
     """Contact stress at points by composite quadrature of every branch, times the extent of axes that are not seen."""
     position, force = ds.position.values[0], ds.contact_force.values[0]
-    rows = [np.searchsorted(ds.particle_id.values[0], ds[name].values[0]) for name in ("contact_i", "contact_j")]
+    rows = [
+        np.searchsorted(ds.particle_id.values[0], ds[name].values[0])
+        for name in ("contact_i", "contact_j")
+    ]
     start = position[rows[0]]
     branch = nearest_image(start - position[rows[1]], ds)
     longest = np.linalg.norm(branch, axis=1).max()
@@ -167,7 +178,9 @@ def contact_stress(particles: int) -> Panel:
     index, nodes = some_nodes(stress(0.0))
     exact = exact_contact_stress(ds, nodes, BruteKernel("lucy", WIDTH), slice(0, 3))
 
-    def way(name: str, series: str, rtol: float, label: str = "right", default: bool = False) -> Way:
+    def way(
+        name: str, series: str, rtol: float, label: str = "right", default: bool = False
+    ) -> Way:
         error = relative(stress(rtol).contact_stress.values[0][index], exact)
         run = partial(again, deposit_segments, captured(SEGMENTS, lambda: stress(rtol)))
         return Way(name, run, error, series, default, label=label)
@@ -179,12 +192,18 @@ def contact_stress(particles: int) -> Panel:
         label = {RULES[0]: "right", RULES[-1]: "below"}.get(order, "")
         with planning(gauss_limits=lambda *_, limits=limits: limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
-    for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
+    for exponent in range(
+        1, 5
+    ):  # from 1e-5 on the rule is the closed form for branches of this length
         ways.append(way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "left"))
     ways.append(way("rtol 0", "closed form", 0.0, default=True))
     (args,) = captured(SEGMENTS, lambda: stress(0.0))
     return Panel(
-        "(a) contact stress", "|error| / max |sigma|", "loop over contacts", ways, floors=floors(SEGMENTS, args)
+        "(a) contact stress",
+        "|error| / max |sigma|",
+        "loop over contacts",
+        ways,
+        floors=floors(SEGMENTS, args),
     )
 
 
@@ -196,7 +215,9 @@ def volume_fraction(particles: int) -> Panel:
         return ds.cg.coarse_grain("volume_fraction", width=WIDTH)
 
     index, nodes = some_nodes(fraction())
-    exact = exact_point_sums(ds, nodes, ds.volume.values[0], BruteKernel("lucy", WIDTH), slice(0, 3))
+    exact = exact_point_sums(
+        ds, nodes, ds.volume.values[0], BruteKernel("lucy", WIDTH), slice(0, 3)
+    )
     (args,) = captured(POINTS, fraction)
 
     def way(name: str, series: str, loop: Callable[..., None], default: bool = False) -> Way:
@@ -206,13 +227,21 @@ def volume_fraction(particles: int) -> Panel:
         return Way(name, partial(loop, *args), error, series, default, label=label)
 
     ways = [way("evaluated", "kernel evaluated", deposit, default=True)]
-    ways.append(way("single precision", "weights in single precision", alternatives.single_precision()))
+    ways.append(
+        way("single precision", "weights in single precision", alternatives.single_precision())
+    )
     for series, make in (
         ("table, rounded down", alternatives.floored_table),
         ("table, interpolated", alternatives.interpolated_table),
     ):
         ways += [way(f"{bins} bins", series, make(bins)) for bins in (10**2, 10**3, 10**4, 10**5)]
-    return Panel("(b) volume fraction", "|error| / max phi", "loop over grains", ways, floors=floors(POINTS, args))
+    return Panel(
+        "(b) volume fraction",
+        "|error| / max phi",
+        "loop over grains",
+        ways,
+        floors=floors(POINTS, args),
+    )
 
 
 def kinetic_stress(particles: int) -> Panel:
@@ -230,7 +259,9 @@ def kinetic_stress(particles: int) -> Panel:
         f = ds.cg.coarse_grain("density", width=WIDTH)
         index, nodes = some_nodes(f)
         m, v = left.mass.values[0], left.velocity.values[0]
-        moments = np.concatenate([m[:, None], m[:, None] * v, (m * v.T[:, None] * v.T).reshape(9, -1).T], axis=1)
+        moments = np.concatenate(
+            [m[:, None], m[:, None] * v, (m * v.T[:, None] * v.T).reshape(9, -1).T], axis=1
+        )
         sums = exact_point_sums(ds, nodes, moments, BruteKernel("lucy", WIDTH), slice(0, 3))
         p = sums[:, 1:4]
         exact = sums[:, 4:].reshape(-1, 3, 3) - p[:, :, None] * p[:, None, :] / sums[:, :1, None]
@@ -251,11 +282,17 @@ def kinetic_stress(particles: int) -> Panel:
                 label = ""  # the point lies on that of the other frame
             ways.append(Way(name, run, error, group, loop is deposit, group, label))
     return Panel(
-        "(c) kinetic stress of a fast frame", "|error| / max |sigma_k|", "scene to field", ways, "center right"
+        "(c) kinetic stress of a fast frame",
+        "|error| / max |sigma_k|",
+        "scene to field",
+        ways,
+        "center right",
     )
 
 
-def temperature_ways(ds: xr.Dataset, width: float) -> tuple[dict[str, Callable[[], xr.DataArray]], xr.DataArray]:
+def temperature_ways(
+    ds: xr.Dataset, width: float
+) -> tuple[dict[str, Callable[[], xr.DataArray]], xr.DataArray]:
     """Ways to the velocity that fluctuations are about, and the temperature of the fluctuations that were put in."""
     nodes = mesh(ds, width)
     x, v, m = ds.position.values[0], ds.velocity.values[0], ds.mass.values[0]
@@ -272,7 +309,9 @@ def temperature_ways(ds: xr.Dataset, width: float) -> tuple[dict[str, Callable[[
 
     def about_fit(gradient: str, way: str = "unbiased") -> xr.DataArray:
         names = ["granular_temperature"]
-        return ds.cg.coarse_grain(names, gradient=gradient, temperature=way, **nodes).granular_temperature
+        return ds.cg.coarse_grain(
+            names, gradient=gradient, temperature=way, **nodes
+        ).granular_temperature
 
     ways: dict[str, Callable[[], xr.DataArray]] = {
         "V at the node": about_node,
@@ -297,7 +336,9 @@ def temperature(particles: int) -> Panel:
                 label = "below"  # beside the kernel gradient, which takes as long
             if (fluctuation and name == "V at the node") or name == "the same per density":
                 label = ""  # right above that of the other series; right beside the default
-            found.append(Way(name, run, error, series, name == "linear, least squares", series, label))
+            found.append(
+                Way(name, run, error, series, name == "linear, least squares", series, label)
+            )
     return Panel(
         "(d) granular temperature",
         "rms error / T, or / (shear rate x d)^2",
@@ -318,13 +359,17 @@ def velocity_gradient(particles: int) -> Panel:
     truth = RATE * np.outer([1, 0, 0], [0, 0, 1])
 
     def of_grains(gradient: str) -> xr.DataArray:
-        return ds.cg.coarse_grain("velocity_gradient", gradient=gradient, **mesh(ds)).velocity_gradient
+        return ds.cg.coarse_grain(
+            "velocity_gradient", gradient=gradient, **mesh(ds)
+        ).velocity_gradient
 
     def of_nodes(refined: int) -> xr.DataArray:
         """Central differences of V on a mesh, at every `refined`-th node."""
         v = ds.cg.coarse_grain("velocity", **mesh(ds, refined=refined)).velocity
         slopes = np.gradient(v.values[0], WIDTH / refined, axis=(0, 1, 2), edge_order=2)
-        whole = xr.DataArray(np.stack(slopes, axis=-1)[None], dims=(*v.dims, "direction"), coords=v.coords)
+        whole = xr.DataArray(
+            np.stack(slopes, axis=-1)[None], dims=(*v.dims, "direction"), coords=v.coords
+        )
         return whole.isel({a: slice(None, None, refined) for a in "xyz"})
 
     ways = []
@@ -360,7 +405,11 @@ def profiles(particles: int) -> Panel:
 
         def averaged(refined: int, name: str = name) -> NDArray:
             spacing = {"x": WIDTH / refined, "y": WIDTH / refined, "z": WIDTH}
-            return ds.cg.coarse_grain(name, width=WIDTH, spacing=spacing)[name].mean(["x", "y"]).values[0]
+            return (
+                ds.cg.coarse_grain(name, width=WIDTH, spacing=spacing)[name]
+                .mean(["x", "y"])
+                .values[0]
+            )
 
         z = ds.cg.coarse_grain("density", axes="z", width=WIDTH).z.values
         rows = np.linspace(0, len(z) - 1, 3).astype(int)
@@ -371,13 +420,27 @@ def profiles(particles: int) -> Panel:
             exact = exact_contact_stress(ds, nodes, kernel, slice(2, 3))
         exact = exact / (box[0] * box[1])
         series = name.replace("_", " ")
-        ways.append(Way("marginal", marginal, relative(marginal()[rows], exact), series, True, series, "below"))
+        ways.append(
+            Way(
+                "marginal",
+                marginal,
+                relative(marginal()[rows], exact),
+                series,
+                True,
+                series,
+                "below",
+            )
+        )
         for refined in (1, 2, 4):
             side = "right" if name != "density" else "below" if refined == 4 else "left"
             label = "mesh w" if refined == 1 else f"mesh w/{refined}"
             run = partial(averaged, refined)
-            ways.append(Way(label, run, relative(run()[rows], exact), series, group=series, label=side))
-    return Panel("(f) depth profile", "|error| / largest value", "scene to field", ways, "lower right")
+            ways.append(
+                Way(label, run, relative(run()[rows], exact), series, group=series, label=side)
+            )
+    return Panel(
+        "(f) depth profile", "|error| / largest value", "scene to field", ways, "lower right"
+    )
 
 
 PANELS = (contact_stress, volume_fraction, kinetic_stress, temperature, velocity_gradient, profiles)
@@ -431,7 +494,10 @@ def measure(panel: Panel, particles: int, repeats: int) -> tuple[list[Point], di
 
 def by_group(points: Sequence[Point]) -> dict[str, list[Point]]:
     """Points that can be compared with each other."""
-    return {g: [p for p in points if p.way.group == g] for g in dict.fromkeys(p.way.group for p in points)}
+    return {
+        g: [p for p in points if p.way.group == g]
+        for g in dict.fromkeys(p.way.group for p in points)
+    }
 
 
 def front(points: Sequence[Point]) -> list[Point]:
@@ -470,14 +536,20 @@ def nodes_reached(target: str, args: Sequence[Any], ratio: float) -> float:
     ball, tube = 4 / 3 * np.pi * ratio**3, np.pi * ratio**3
     if target == POINTS:
         return ball
-    return float(ball + tube * np.linalg.norm(args[0].records[:, BRANCH : BRANCH + 3], axis=1).mean())
+    return float(
+        ball + tube * np.linalg.norm(args[0].records[:, BRANCH : BRANCH + 3], axis=1).mean()
+    )
 
 
 def bare_sums(target: str, args: Sequence[Any], reached: float) -> tuple[NDArray, NDArray, NDArray]:
     """Arguments of `multiply_add` for as many sums as a loop adds to."""
     moments = args[-1] if target == SEGMENTS else args[-2]
     items = len(args[0].records if target == SEGMENTS else args[0].order)
-    return np.zeros(moments.size), np.ones(max(1, round(reached * moments.shape[-1]))), np.ones(items)
+    return (
+        np.zeros(moments.size),
+        np.ones(max(1, round(reached * moments.shape[-1]))),
+        np.ones(items),
+    )
 
 
 def floors(target: str, args: Sequence[Any]) -> dict[str, Callable[[], Any]]:
@@ -528,7 +600,11 @@ class Times:
         """Time of one way over that of another; `series` is that of the first, and of both where it is a group."""
 
         def time_of(name: str, series: str | None) -> float:
-            found = [p.time for p in self._points if p.way.name == name and series in (None, p.way.series)]
+            found = [
+                p.time
+                for p in self._points
+                if p.way.name == name and series in (None, p.way.series)
+            ]
             return found[0] if found else time_of(name, None)
 
         return f"{time_of(name, series) / time_of(than, series):.2g}"
@@ -561,7 +637,9 @@ because it has to find the nodes and their weights. The ways of other programs a
 weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
 {tests}
 """
-TESTS = "Tests (`tests/docs/test_accuracy.py`) check everything here that does not depend on the clock."
+TESTS = (
+    "Tests (`tests/docs/test_accuracy.py`) check everything here that does not depend on the clock."
+)
 
 
 def says_contact_stress(x: Times) -> str:
@@ -659,7 +737,13 @@ LABELS: dict[str, dict[str, Any]] = {
     "right": {"xytext": (9, 0), "ha": "left", "va": "center"},
     "left": {"xytext": (-9, 0), "ha": "right", "va": "center"},
     "below": {"xytext": (0, -9), "ha": "center", "va": "top"},
-    "up": {"xytext": (-2, 9), "ha": "left", "va": "bottom", "rotation": 30, "rotation_mode": "anchor"},
+    "up": {
+        "xytext": (-2, 9),
+        "ha": "left",
+        "va": "bottom",
+        "rotation": 30,
+        "rotation_mode": "anchor",
+    },
 }
 
 
@@ -673,17 +757,40 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
         ax.set_xlabel(f"{panel.timed} [µs per particle]")
         for group in by_group(points).values():
             line = front(group)
-            ax.step([p.time for p in line], [p.error for p in line], "0.8", lw=5, where="post", zorder=1)
+            ax.step(
+                [p.time for p in line], [p.error for p in line], "0.8", lw=5, where="post", zorder=1
+            )
         for k, name in enumerate(dict.fromkeys(p.way.series for p in points)):
             own = [p for p in points if p.way.series == name]
-            ax.plot([p.time for p in own], [p.error for p in own], MARKERS[k], color=f"C{k}", ms=6, label=name)
+            ax.plot(
+                [p.time for p in own],
+                [p.error for p in own],
+                MARKERS[k],
+                color=f"C{k}",
+                ms=6,
+                label=name,
+            )
             for p in own:
                 if p.way.label:
                     about = LABELS[p.way.label]
                     at = (p.time, p.error)
-                    ax.annotate(p.way.name, at, textcoords="offset points", fontsize=8.5, color=f"C{k}", **about)
+                    ax.annotate(
+                        p.way.name,
+                        at,
+                        textcoords="offset points",
+                        fontsize=8.5,
+                        color=f"C{k}",
+                        **about,
+                    )
         chosen = [p for p in points if p.way.default]
-        ax.plot([p.time for p in chosen], [p.error for p in chosen], "ko", mfc="none", ms=14, label="xcg's default")
+        ax.plot(
+            [p.time for p in chosen],
+            [p.error for p in chosen],
+            "ko",
+            mfc="none",
+            ms=14,
+            label="xcg's default",
+        )
         for style, (name, least) in zip(("-.", ":"), bare.items(), strict=False):
             ax.axvline(least, color="k", ls=style, lw=1, label=f"floor: {name}")
         every = [*(p.time for p in points), *bare.values()]
@@ -692,7 +799,9 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
         ax.set_xlim(low / room, high * room)
         ax.set_ylim(ROUNDING / 30, panel.headroom * max(p.error for p in points))
         wide = high * room > 30 * low / room
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if wide else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        ax.xaxis.set_major_locator(
+            LogLocator(subs=(1.0, 3.0) if wide else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+        )
         ax.xaxis.set_major_formatter("{x:g}")
         ax.xaxis.set_minor_formatter(NullFormatter())
         ax.grid(alpha=0.25)
@@ -733,13 +842,19 @@ def table_of_temperatures(particles: int) -> str:
     found = temperatures_by_width(particles)
     ways = list(next(iter(found.values())))
     lines = ["| w / d | " + " | ".join(ways) + " |", "|---" * (1 + len(ways)) + "|"]
-    lines += [f"| {w} | " + " | ".join(f"{mean:.2f}" for mean in row.values()) + " |" for w, row in found.items()]
+    lines += [
+        f"| {w} | " + " | ".join(f"{mean:.2f}" for mean in row.values()) + " |"
+        for w, row in found.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
 def wrapped(text: str) -> str:
     """Paragraphs in lines of even length, also after numbers have been put in."""
-    return "\n\n".join(textwrap.fill(part, 118, break_on_hyphens=False) for part in text.split("\n\n")) + "\n"
+    return (
+        "\n\n".join(textwrap.fill(part, 118, break_on_hyphens=False) for part in text.split("\n\n"))
+        + "\n"
+    )
 
 
 def one_thread() -> Any:
@@ -750,9 +865,15 @@ def one_thread() -> Any:
 @one_thread()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--particles", type=int, default=20_000, help="grains of the packing (default 20000)")
-    parser.add_argument("--repeats", type=int, default=15, help="times that each way is run (default 15)")
-    parser.add_argument("--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure")
+    parser.add_argument(
+        "--particles", type=int, default=20_000, help="grains of the packing (default 20000)"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=15, help="times that each way is run (default 15)"
+    )
+    parser.add_argument(
+        "--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure"
+    )
     given = parser.parse_args()
     if given.part != "physics":
         write_between("accuracy.md", "arithmetic", arithmetic(given.particles, given.repeats))
@@ -779,7 +900,10 @@ def arithmetic(n: int, repeats: int) -> str:
 
 def machine() -> str:
     features = llvm.get_host_cpu_features()
-    vectors = next((name for key, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if features.get(key)), None)
+    vectors = next(
+        (name for key, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if features.get(key)),
+        None,
+    )
     return f"one of {os.cpu_count()} cores" + (f" with {vectors}" if vectors else "")
 
 

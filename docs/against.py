@@ -74,7 +74,9 @@ def commit_folder(commit: str) -> Iterator[Path]:
 
 
 def _git(*arguments: str) -> None:
-    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         message = f"git {' '.join(arguments)}: {done.stderr.strip()}"
         raise SystemExit(message)
@@ -86,7 +88,9 @@ def worker(folder: Path, particles: int) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "docs.against", str(particles)]
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     pipe = subprocess.PIPE
-    started = subprocess.Popen(command, cwd=folder, env=environment, stdin=pipe, stdout=pipe, text=True)
+    started = subprocess.Popen(
+        command, cwd=folder, env=environment, stdin=pipe, stdout=pipe, text=True
+    )
     try:
         yield started
     finally:
@@ -109,13 +113,21 @@ def seconds(process: subprocess.Popen[str], case: int) -> float:
 def compare(commit: str, particles: int, turns: int, words: str = "") -> bool:
     """Print how each case with these words changed; tell whether any became slower."""
     slower = False
-    with commit_folder(commit) as folder, worker(folder, particles) as old, worker(ROOT, particles) as new:
-        print(f"| case | {commit} (s) | here (s) | ratio | {CONFIDENCE:.0%} limits | |\n|---|---|---|---|---|---|")
+    with (
+        commit_folder(commit) as folder,
+        worker(folder, particles) as old,
+        worker(ROOT, particles) as new,
+    ):
+        print(
+            f"| case | {commit} (s) | here (s) | ratio | {CONFIDENCE:.0%} limits | |\n|---|---|---|---|---|---|"
+        )
         for number, case in enumerate(cases.CASES):
             if words not in case.name:
                 continue
             name = f"{case.name}, {case.threads} thread{case.over and 's'}{case.over}"
-            first = [seconds(process, number) for process in (old, new)]  # compiles, and is not counted
+            first = [
+                seconds(process, number) for process in (old, new)
+            ]  # compiles, and is not counted
             if not np.isfinite(first).all():
                 print(f"| {name} | {first[0]:.3g} | {first[1]:.3g} | | | fails |", flush=True)
                 continue
@@ -124,11 +136,16 @@ def compare(commit: str, particles: int, turns: int, words: str = "") -> bool:
             slower |= change.verdict == "slower"
             low, high = change.limits
             best = " | ".join(f"{least:.3g}" for least in took.min(axis=0))
-            print(f"| {name} | {best} | {change.median:.3f} | {low:.3f} to {high:.3f} | {change.verdict} |", flush=True)
+            print(
+                f"| {name} | {best} | {change.median:.3f} | {low:.3f} to {high:.3f} | {change.verdict} |",
+                flush=True,
+            )
     return slower
 
 
-def _turn(old: subprocess.Popen[str], new: subprocess.Popen[str], case: int, *, swapped: bool) -> tuple[float, float]:
+def _turn(
+    old: subprocess.Popen[str], new: subprocess.Popen[str], case: int, *, swapped: bool
+) -> tuple[float, float]:
     """Seconds of both, in one order or the other."""
     if swapped:
         later = seconds(new, case)
@@ -151,6 +168,8 @@ def serve(particles: int) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Run cases whose numbers come from standard input.")
+    parser = argparse.ArgumentParser(
+        description="Run cases whose numbers come from standard input."
+    )
     parser.add_argument("particles", type=int)
     serve(parser.parse_args().particles)

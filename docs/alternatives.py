@@ -39,7 +39,9 @@ def with_weights(fill: Callable[..., None]) -> Callable[..., None]:
     if "fill_values" not in loop.__code__.co_names:
         msg = "the point deposit no longer calls fill_values: say here what to put in its place"
         raise NotImplementedError(msg)
-    return jit(FunctionType(loop.__code__, {**loop.__globals__, "fill_values": fill}, loop.__name__))
+    return jit(
+        FunctionType(loop.__code__, {**loop.__globals__, "fill_values": fill}, loop.__name__)
+    )
 
 
 def _lucy_table(bins: int) -> NDArray:
@@ -132,7 +134,9 @@ def two_passes(*args: Any) -> None:
 # --- velocity at the grains ------------------------------------------------------------------------------
 
 
-def velocity_at_grains(position: NDArray, velocity: NDArray, mass: NDArray, cutoff: float) -> NDArray:
+def velocity_at_grains(
+    position: NDArray, velocity: NDArray, mass: NDArray, cutoff: float
+) -> NDArray:
     """V(r_i) of every grain by Lucy's kernel: the field evaluated at the grains instead of at nodes (no periods)."""
     cell = ((position - position.min(axis=0)) / cutoff).astype(int)
     order = np.lexsort(cell.T[::-1])

@@ -17,7 +17,9 @@ PICTURES = Path(__file__).parent / "_static"
 
 def write(name: str, picture: Image.Image) -> None:
     """Write a picture in 128 colours, which makes it small."""
-    picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(PICTURES / f"answer_{name}.png", optimize=True)
+    picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(
+        PICTURES / f"answer_{name}.png", optimize=True
+    )
 
 
 def save(name: str) -> None:
@@ -50,7 +52,13 @@ def heap() -> None:
     f.isel(time=0).cg.plot("volume_fraction", ax=ax)
     ax.plot(surface.x, surface.height, "r-", lw=1.5, label="free surface")
     line = part.height.mean() + fit.slope.item() * (part.x - part.x.mean())
-    ax.plot(part.x, line, "w--", lw=2, label=f"angle {fit.angle.item():.1f} ± {fit.angle_error.item():.1f}°")
+    ax.plot(
+        part.x,
+        line,
+        "w--",
+        lw=2,
+        label=f"angle {fit.angle.item():.1f} ± {fit.angle_error.item():.1f}°",
+    )
     ax.set(xlim=(0, 130), ylim=(0, 32), title="")
     ax.legend(loc="upper right", facecolor="0.5", labelcolor="w")
     save("heap")
@@ -59,7 +67,9 @@ def heap() -> None:
 def biaxial() -> None:
     """Draw the force chains of a biaxial test, and the shear strain between two steps of it."""
     ds = xcg.datasets.open("biaxial")
-    ds.cg.displacement(["shear_strain"], width="2 d43", spacing=0.5).isel(time=1).cg.plot("shear_strain", vmax=0.3)
+    ds.cg.displacement(["shear_strain"], width="2 d43", spacing=0.5).isel(time=1).cg.plot(
+        "shear_strain", vmax=0.3
+    )
     save("strain")
     ds.cg.force_chains(alpha=45, threshold="mean").cg.plot_chains(time=1)
     save("chains")

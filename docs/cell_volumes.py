@@ -10,7 +10,10 @@ def table() -> list[str]:
     """Mean and scatter of the volume fraction over cells of several sizes, in diameters."""
     ds = xcg.datasets.dense_packing(20_000)
     d = float(ds.attrs["d43"])
-    rows = ["| h / d | exact | kernel, w = 0.5 d | kernel, w = 0.75 d | kernel, w = 1.5 d |", "|---|---|---|---|---|"]
+    rows = [
+        "| h / d | exact | kernel, w = 0.5 d | kernel, w = 0.75 d | kernel, w = 1.5 d |",
+        "|---|---|---|---|---|",
+    ]
     for size in (0.5, 1.0, 2.0, 4.0):
         exact = ds.cg.cell_volumes(size * d).volume_fraction
         found = [f"{float(exact.mean()):.4f} ± {float(exact.std()):.3f}"]

@@ -33,7 +33,11 @@ html_search_scorer = str(Path(__file__).with_name("scorer.js"))
 html_show_sourcelink = False
 html_logo = html_favicon = "_static/logo.svg"
 html_sidebars = {"index": []}
-html_theme_options = {"logo": {"text": "", "alt_text": "xcg"}, "navbar_align": "left", "show_prev_next": False}
+html_theme_options = {
+    "logo": {"text": "", "alt_text": "xcg"},
+    "navbar_align": "left",
+    "show_prev_next": False,
+}
 
 myst_enable_extensions = ["attrs_block", "deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -66,12 +70,25 @@ sphinx_gallery_conf = {
 }
 
 # Formulas are drawn without a network: MathJax of an installed package is copied into the site.
-MATHJAX = next(path for path in metadata.files("sphinx-mathjax-offline") if path.name == "tex-chtml.js").locate().parent
+MATHJAX = (
+    next(path for path in metadata.files("sphinx-mathjax-offline") if path.name == "tex-chtml.js")
+    .locate()
+    .parent
+)
 mathjax_path = "mathjax/tex-chtml.js"
 
 # Links to other projects, where their lists of names can be fetched.
 numpydoc_xref_aliases = {"Dataset": "xarray.Dataset", "path": "pathlib.Path"}
-numpydoc_xref_ignore = {"optional", "or", "of", "sequence", "mapping", "callable", "array_like", "default"}
+numpydoc_xref_ignore = {
+    "optional",
+    "or",
+    "of",
+    "sequence",
+    "mapping",
+    "callable",
+    "array_like",
+    "default",
+}
 
 
 def reachable(address):
@@ -90,7 +107,9 @@ OTHERS = {
     "python": "https://docs.python.org/3",
     "xarray": "https://docs.xarray.dev/en/stable",
 }
-intersphinx_mapping = {name: (address, None) for name, address in OTHERS.items() if reachable(address)}
+intersphinx_mapping = {
+    name: (address, None) for name, address in OTHERS.items() if reachable(address)
+}
 numpydoc_xref_param_type = "python" in intersphinx_mapping
 
 

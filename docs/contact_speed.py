@@ -22,7 +22,12 @@ from xcg.packing.pairs import CellLists, find_pairs
 PHI = 0.6
 RATIOS = (1, 2, 3, 5, 10, 20, 50, 100)
 MOST_TESTS = 1e9  # of one run
-NAMES = {"hierarchical": "hierarchical", "linked": "linked cells", "tree": "cKDTree", "freud": "freud"}
+NAMES = {
+    "hierarchical": "hierarchical",
+    "linked": "linked cells",
+    "tree": "cKDTree",
+    "freud": "freud",
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,9 @@ class Packing:
 
     def lists(self, levels: int | None) -> CellLists:
         """Cell lists with so many levels."""
-        return CellLists.of(self.position, self.radius, np.zeros(3), np.full(3, self.edge), skin=0.0, levels=levels)
+        return CellLists.of(
+            self.position, self.radius, np.zeros(3), np.full(3, self.edge), skin=0.0, levels=levels
+        )
 
 
 @dataclass(frozen=True)
@@ -80,17 +87,25 @@ def ours(packing: Packing, method: str, repeat: int) -> Measured:
     """`find_pairs`, whole, or cell lists and a share of the search."""
     count = len(packing.radius)
     lists = packing.lists(1 if method == "linked-cell" else None)
-    probe = [lists.find(first, first + 10)[2] for first in np.linspace(0, count - 10, 20, dtype=int)]
+    probe = [
+        lists.find(first, first + 10)[2] for first in np.linspace(0, count - 10, 20, dtype=int)
+    ]
     expected = sum(probe) / 200 * count
     if expected < MOST_TESTS:
 
         def run() -> object:
-            return find_pairs(packing.position, packing.radius, packing.box, "xyz", method=method, threads=1)
+            return find_pairs(
+                packing.position, packing.radius, packing.box, "xyz", method=method, threads=1
+            )
 
         return Measured(
-            seconds(run, repeat if expected < MOST_TESTS / 10 else 1) / count, False, lists.find(0, count)[2] / count
+            seconds(run, repeat if expected < MOST_TESTS / 10 else 1) / count,
+            False,
+            lists.find(0, count)[2] / count,
         )
-    blocks = np.linspace(0, count - 10, max(20, int(MOST_TESTS / (expected / count) / 10)), dtype=int)
+    blocks = np.linspace(
+        0, count - 10, max(20, int(MOST_TESTS / (expected / count) / 10)), dtype=int
+    )
     tests = 0
 
     def share() -> None:
@@ -114,7 +129,9 @@ def tree(packing: Packing, repeat: int) -> Measured:
     if within < 3e7:
 
         def run() -> NDArray:
-            i, j = cKDTree(x, boxsize=packing.edge).query_pairs(2 * r.max(), output_type="ndarray").T
+            i, j = (
+                cKDTree(x, boxsize=packing.edge).query_pairs(2 * r.max(), output_type="ndarray").T
+            )
             return _touching(packing, i, j)
 
         times.append(seconds(run, repeat))
@@ -149,7 +166,9 @@ def with_freud(packing: Packing, repeat: int) -> Measured | None:
         return _touching(packing, i[i < j], j[i < j])
 
     build = seconds(lambda: freud.locality.AABBQuery(box, x), repeat)
-    return Measured((build + (seconds(query, repeat) - build) * count / len(some)) / count, len(some) < count)
+    return Measured(
+        (build + (seconds(query, repeat) - build) * count / len(some)) / count, len(some) < count
+    )
 
 
 def measure(kind: str, count: int, ratios: tuple[int, ...], repeat: int) -> list[dict]:
@@ -212,13 +231,17 @@ def draw(results: dict[str, list[dict]], path: Path) -> None:
     mpl.use("agg")
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(1, len(results), figsize=(10, 4.2), sharey=True, layout="constrained")
+    figure, panels = plt.subplots(
+        1, len(results), figsize=(10, 4.2), sharey=True, layout="constrained"
+    )
     colours = {"hierarchical": "C0", "linked": "C3", "tree": "C1", "freud": "C2"}
     for panel, (kind, rows) in zip(panels, results.items(), strict=True):
         for name, label in NAMES.items():
             known = [(row["ratio"], row[name]) for row in rows if row[name] is not None]
             x, y = [ratio for ratio, _ in known], [m.time * 1e9 for _, m in known]
-            panel.plot(x, y, color=colours[name], label=label, lw=2 if name == "hierarchical" else 1.3)
+            panel.plot(
+                x, y, color=colours[name], label=label, lw=2 if name == "hierarchical" else 1.3
+            )
             for ratio, m in known:
                 face = "white" if m.scaled else colours[name]
                 panel.plot(ratio, m.time * 1e9, "o", color=colours[name], mfc=face, ms=5)
@@ -234,12 +257,16 @@ def draw(results: dict[str, list[dict]], path: Path) -> None:
 def main() -> None:
     """Measure, print, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="20 000 particles, ratios to 10, no picture")
+    parser.add_argument(
+        "--quick", action="store_true", help="20 000 particles, ratios to 10, no picture"
+    )
     quick = parser.parse_args().quick
     results = {}
     for kind in ("bidisperse", "series A"):
         print(f"\n{kind}\n\n{HEAD}")
-        results[kind] = measure(kind, 20_000, RATIOS[:5], 2) if quick else measure(kind, 100_000, RATIOS, 4)
+        results[kind] = (
+            measure(kind, 20_000, RATIOS[:5], 2) if quick else measure(kind, 100_000, RATIOS, 4)
+        )
     if not quick:
         draw(results, Path(__file__).parent / "_static" / "contact_speed.png")
 

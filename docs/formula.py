@@ -6,12 +6,24 @@ GREEK = {
     "alpha", "beta", "gamma", "delta", "epsilon", "eta", "theta", "lambda", "mu", "nu", "rho", "sigma", "tau", "phi",
     "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Sigma", "Phi", "Psi", "Omega",
 }  # fmt: skip
-NAMES = {"sum": r"\sum", "int": r"\int", "d43": "d_{43}", "d32": "d_{32}", "D2min": r"D^2_{\min}", "ds": r"\,ds"}
+NAMES = {
+    "sum": r"\sum",
+    "int": r"\int",
+    "d43": "d_{43}",
+    "d32": "d_{32}",
+    "D2min": r"D^2_{\min}",
+    "ds": r"\,ds",
+}
 FUNCTIONS = {"tr", "det", "dev", "curl"}
 RELATIONS = {"=": "=", "+": "+", "-": "-", ":=": ":=", "<=": r"\le", ">=": r"\ge", ",": ","}
 PRODUCTS = {":": "{:}", ".": r"\cdot", "x": r"\times"}
 CLOSING = {"(": ")", "[": "]", "<": ">", "|": "|"}
-BRACKETS = {"(": ("(", ")"), "[": ("[", "]"), "<": (r"\langle", r"\rangle"), "|": (r"\lvert", r"\rvert")}
+BRACKETS = {
+    "(": ("(", ")"),
+    "[": ("[", "]"),
+    "<": (r"\langle", r"\rangle"),
+    "|": (r"\lvert", r"\rvert"),
+}
 TOKEN = re.compile(r"\s*(`\w+`|\d+D\b|\d+|[A-Za-z]\w*'?(?:_\w+|s\b)?|<=|>=|\S)")
 
 
@@ -24,7 +36,9 @@ def mathematics(formula: str) -> str:
         depth += (token in "([") - (token in ")]")
         before = parts[-1] if parts else (False, [])
         article = token == "a" and following and _is_word(following)
-        words = not depth and (article or _is_word(token) or token in (",", ";") or (before[0] and token == ":"))
+        words = not depth and (
+            article or _is_word(token) or token in (",", ";") or (before[0] and token == ":")
+        )
         if not parts or words != before[0]:
             parts.append((words, []))
         parts[-1][1].append(token)

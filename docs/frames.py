@@ -26,7 +26,9 @@ OMEGA, RADIUS = 1.0, 0.03  # of drum.in
 
 def drum() -> xr.Dataset:
     """Grains in a drum that turns about y; three steps of the steady flow."""
-    return xcg.open_scene(DATA / "lammps_drum" / "particles.dump.gz", gravity=(0, 0, -9.81)).compute()
+    return xcg.open_scene(
+        DATA / "lammps_drum" / "particles.dump.gz", gravity=(0, 0, -9.81)
+    ).compute()
 
 
 def along_surface(ds: xr.Dataset) -> tuple[xcg.Rotated, float]:
@@ -83,25 +85,43 @@ def main() -> None:
     frame, slope = along_surface(ds)
     plane = ds.cg.coarse_grain("velocity", axes="xz", spacing=0.001).velocity.mean("time")
     profile = ds.cg.coarse_grain(
-        ["velocity", "volume_fraction"], frame=frame, axes="z", at={"x": 0.0}, spacing=0.0005, for_averages=True
+        ["velocity", "volume_fraction"],
+        frame=frame,
+        axes="z",
+        at={"x": 0.0},
+        spacing=0.0005,
+        for_averages=True,
     ).cg.time_average()
     f, g = below(ds), silo()
 
-    figure, (left, middle, right, last) = plt.subplots(1, 4, figsize=(14, 3.9), layout="constrained")
+    figure, (left, middle, right, last) = plt.subplots(
+        1, 4, figsize=(14, 3.9), layout="constrained"
+    )
     speed = np.sqrt((plane**2).sum("component", skipna=False))
     image = left.pcolormesh(plane.x * 1e3, plane.z * 1e3, speed.T, cmap="viridis")
     figure.colorbar(image, label="speed [m s$^{-1}$]")
     every = plane.isel(x=slice(None, None, 4), z=slice(None, None, 4))
     left.quiver(every.x * 1e3, every.z * 1e3, *(every.sel(component=c).T for c in "xz"), color="w")
-    left.set(xlabel="$x$ [mm]", ylabel="$z$ [mm]", aspect="equal", title=f"a drum, slope {slope:.0f} degrees")
+    left.set(
+        xlabel="$x$ [mm]",
+        ylabel="$z$ [mm]",
+        aspect="equal",
+        title=f"a drum, slope {slope:.0f} degrees",
+    )
     seen = profile.where(profile.volume_fraction > 0.1)
     middle.plot(seen.velocity.sel(component="x"), seen.z * 1e3)
     middle.plot(OMEGA * seen.z, seen.z * 1e3, "k--", label=r"$\Omega z$")
-    middle.set(xlabel="velocity down the surface [m s$^{-1}$]", ylabel="along its normal [mm]", title="Rotated")
+    middle.set(
+        xlabel="velocity down the surface [m s$^{-1}$]",
+        ylabel="along its normal [mm]",
+        title="Rotated",
+    )
     middle.legend(fontsize=8)
     right.plot(f.r * 1e3, f.velocity.sel(component="theta"))
     right.plot(f.r * 1e3, OMEGA * f.r, "k--", label=r"$\Omega r$")
-    right.set(xlabel="$r$ [mm]", ylabel=r"$V_\theta$ [m s$^{-1}$]", title="Cylindrical, 1 rad below")
+    right.set(
+        xlabel="$r$ [mm]", ylabel=r"$V_\theta$ [m s$^{-1}$]", title="Cylindrical, 1 rad below"
+    )
     right.legend(fontsize=8)
     last.plot(g.r * 1e3, g.volume_fraction)
     last.axvline(25, color="k", lw=0.8)
@@ -111,9 +131,13 @@ def main() -> None:
 
     rim = f.sel(r=slice(0.8 * RADIUS, RADIUS - 0.0015))
     turning = (rim.velocity.sel(component="theta") / rim.r).mean().item()
-    print(f"V_theta / r = {turning:.3f} rad/s near the rim, the drum {OMEGA}; slope {slope:.1f} degrees")
+    print(
+        f"V_theta / r = {turning:.3f} rad/s near the rim, the drum {OMEGA}; slope {slope:.1f} degrees"
+    )
     share, places = ratio(ds)
-    print(f"time of {places} places averaged over theta / of a mesh of as many nodes: {share:.2f}; {path.name}")
+    print(
+        f"time of {places} places averaged over theta / of a mesh of as many nodes: {share:.2f}; {path.name}"
+    )
 
 
 if __name__ == "__main__":

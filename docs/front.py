@@ -16,9 +16,13 @@ def main() -> None:
     f = ds.cg.coarse_grain("velocity", width=1.0, spacing=0.4)
     plotter = pyvista.Plotter(off_screen=True, window_size=(1000, 640))
     grains = ds.isel(particle=(ds.position.sel(component="x")[0] < 9.6).values).drop_dims("contact")
-    grains.drop_vars("box").assign_attrs(periodic="").cg.view("velocity", clim=(0, 10), plotter=plotter)
+    grains.drop_vars("box").assign_attrs(periodic="").cg.view(
+        "velocity", clim=(0, 10), plotter=plotter
+    )
     field = (
-        f.sel(x=slice(9.6, None), z=slice(-0.5, None)).cg.to_pyvista().threshold(scalars="velocity", all_scalars=True)
+        f.sel(x=slice(9.6, None), z=slice(-0.5, None))
+        .cg.to_pyvista()
+        .threshold(scalars="velocity", all_scalars=True)
     )
     plotter.add_mesh(field, scalars="velocity", clim=(0, 10), show_scalar_bar=False, lighting=False)
     plotter.camera_position = CAMERA

@@ -16,7 +16,13 @@ from tests import flows
 from tests.flows import LENGTH, NODES, Flow
 
 PICTURE = Path(__file__).parent / "_static" / "physics.png"
-DEFAULT = {"width": 0.75, "spacing": 1.0, "frames": 16, "kernel": "lucy", "sampling": "node"}  # spacing in widths
+DEFAULT = {
+    "width": 0.75,
+    "spacing": 1.0,
+    "frames": 16,
+    "kernel": "lucy",
+    "sampling": "node",
+}  # spacing in widths
 CHOICES: Mapping[str, Sequence[Any]] = {
     "width": (0.5, 0.75, 1.0, 1.5, 2.0),
     "spacing": (0.5, 1.0, 1.5, 2.0),
@@ -110,13 +116,17 @@ def table_of_flows() -> str:
     for name, make in {**flows.FLOWS, "column": flows.column}.items():
         flow = make(60)
         nodes = NODES if name != "column" else NODES | {"bounds": {"z": (3.0, 24.0)}}
-        chosen = flow.scene.cg.choose_width(flow.field, frames=16, sample=16, **nodes).best_width.item()
+        chosen = flow.scene.cg.choose_width(
+            flow.field, frames=16, sample=16, **nodes
+        ).best_width.item()
         size = float(np.sqrt(np.mean(flow.truth(np.linspace(*nodes["bounds"]["z"], 200)) ** 2)))
         cells = []
         for width in (0.75, chosen):
             f = flow.scene.cg.coarse_grain(flow.field, width=width, **nodes)
             cells.append([f"{100 * e / size:.2g} %" for e in flow.errors(f)])
-        rows.append(f"| {name} | {flow.field} | {' | '.join(cells[0])} | {chosen:.2f} d | {' | '.join(cells[1])} |")
+        rows.append(
+            f"| {name} | {flow.field} | {' | '.join(cells[0])} | {chosen:.2f} d | {' | '.join(cells[1])} |"
+        )
     return "\n".join(rows)
 
 
@@ -134,8 +144,15 @@ def main() -> str:
     ax.loglog(widths, noise, "s", color="C1", label="noise of one frame")
     ax.loglog(widths, bias[6] * (widths / widths[6]) ** 2, "C0-", lw=1, label="slope 2")
     ax.loglog(widths, noise[6] * (widths / widths[6]) ** -0.5, "C1-", lw=1, label="slope -1/2")
-    ax.loglog(widths, np.hypot(bias, noise / 4), "k--", lw=1, label="error of the mean of 16 frames")
-    ax.set(xlabel="width [diameters]", ylabel="relative error", title="Width (sine, profile)", ylim=(2e-3, 1))
+    ax.loglog(
+        widths, np.hypot(bias, noise / 4), "k--", lw=1, label="error of the mean of 16 frames"
+    )
+    ax.set(
+        xlabel="width [diameters]",
+        ylabel="relative error",
+        title="Width (sine, profile)",
+        ylim=(2e-3, 1),
+    )
     ax.legend(fontsize="small")
 
     ax, counts = axes[0, 1], np.array([1, 2, 4, 8, 16, 32, 64])
@@ -146,7 +163,11 @@ def main() -> str:
     ax.loglog(counts, total, "ko", label="error of the mean")
     ax.loglog(counts, spread / np.sqrt(counts), "C1-", lw=1, label="noise, slope -1/2")
     ax.axhline(of_width(flow, 0.75)[0] / size, color="C0", lw=1, label="bias")
-    ax.set(xlabel="number of frames", ylabel="relative error", title="Frames (sine, profile, w = 0.75 d)")
+    ax.set(
+        xlabel="number of frames",
+        ylabel="relative error",
+        title="Frames (sine, profile, w = 0.75 d)",
+    )
     ax.legend(fontsize="small")
 
     ax, ratios = axes[1, 0], np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0])
@@ -155,7 +176,11 @@ def main() -> str:
         ax.loglog(ratios, loss[:, 0], f"C{k}o-", label=f"linear, w = {w} d")
         ax.loglog(ratios, loss[:, 1], f"C{k}s--", label=f"cubic, w = {w} d")
     ax.loglog(ratios, lines[0.75][3, 0] * ratios**2, "k:", lw=1, label="slope 2")
-    ax.set(xlabel="spacing over width", ylabel="relative error", title="Spacing (sine of wavelength 12 d, no noise)")
+    ax.set(
+        xlabel="spacing over width",
+        ylabel="relative error",
+        title="Spacing (sine of wavelength 12 d, no noise)",
+    )
     ax.legend(fontsize="small")
 
     ax, whole = axes[1, 1], flows.sine(64, side=SIDE)
@@ -163,11 +188,20 @@ def main() -> str:
     of_choice(whole, points, DEFAULT)
     found = []
     for k, (name, values) in enumerate(CHOICES.items()):
-        own = [(name, value, *of_choice(whole, points, {**DEFAULT, name: value})) for value in values]
+        own = [
+            (name, value, *of_choice(whole, points, {**DEFAULT, name: value})) for value in values
+        ]
         ax.loglog([o[2] for o in own], [o[3] for o in own], f"C{k}o-", lw=1, label=name)
         for _, value, t, e in own:
             if value != DEFAULT[name]:
-                ax.annotate(f"{value}", (t, e), textcoords="offset points", xytext=(5, 4), fontsize=8, color=f"C{k}")
+                ax.annotate(
+                    f"{value}",
+                    (t, e),
+                    textcoords="offset points",
+                    xytext=(5, 4),
+                    fontsize=8,
+                    color=f"C{k}",
+                )
         found += own
     t, e = of_choice(whole, points, DEFAULT)
     ax.loglog(t, e, "ko", mfc="none", ms=14, label="default")
@@ -176,7 +210,11 @@ def main() -> str:
     for ax in axes.flat:
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(
-                LogLocator(subs=(1.0, 2.0, 5.0) if np.ptp(np.log10(axis.get_view_interval())) < 3 else (1.0,))
+                LogLocator(
+                    subs=(1.0, 2.0, 5.0)
+                    if np.ptp(np.log10(axis.get_view_interval())) < 3
+                    else (1.0,)
+                )
             )
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
@@ -188,4 +226,9 @@ def main() -> str:
         linear, cubic = 100 * lines[0.75][list(ratios).index(ratio)]
         rows.append(f"  | {ratio:g} w | {linear:.2g} % | {cubic:.2g} % |")
     spacing, front = "\n" + "\n".join(rows) + "\n", ", ".join(on_the_front(found))
-    return TEXT.format(spacing=spacing, front=front, particles=whole.scene.sizes["particle"], table=table_of_flows())
+    return TEXT.format(
+        spacing=spacing,
+        front=front,
+        particles=whole.scene.sizes["particle"],
+        table=table_of_flows(),
+    )

@@ -32,7 +32,9 @@ def columns(name: str) -> dict[str, Callable[[Case], str]]:
         "mass": lambda c: number(residuals.mass(c.ds, c.width)),
         "continuity": lambda c: number(residuals.continuity(c.ds, c.width, c.points)),
         "stress": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points)),
-        "stress by quadrature": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points, rtol=1e-2)),
+        "stress by quadrature": lambda c: number(
+            residuals.stress_divergence(c.ds, c.width, c.points, rtol=1e-2)
+        ),
         "periodicity": lambda c: number(residuals.periodicity(c.ds, c.width, c.points)),
         "marginals": lambda c: number(residuals.marginals(c.ds, c.width, c.points[0])),
         "virial": lambda c: number(residuals.virial(c.ds, c.width)),
@@ -58,7 +60,9 @@ def table(data: Path, count: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("data", type=Path, help="folder of the sample data, with one folder a scene")
+    parser.add_argument(
+        "data", type=Path, help="folder of the sample data, with one folder a scene"
+    )
     parser.add_argument("--points", type=int, default=5, help="points a scene (default 5)")
     given = parser.parse_args()
     write_between("stability.md", "residuals", table(given.data, given.points))

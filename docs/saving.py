@@ -31,8 +31,12 @@ WAYS: dict[str, dict[str, Any]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
-    parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
+    parser.add_argument(
+        "--particles", type=int, default=100_000, help="grains of the packing (default 100000)"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=5, help="times that each case is run (default 5)"
+    )
     given = parser.parse_args()
     ds = xcg.datasets.dense_packing(given.particles)
     fields = ds.cg.coarse_grain()
@@ -41,14 +45,20 @@ def main() -> None:
         def save(suffix: str, options: dict[str, Any]) -> Path:
             return xcg.save(fields, Path(folder) / f"f{suffix}", overwrite=True, **options)
 
-        cases = [partial(save, suffix, options) for suffix in (".nc", ".zarr") for options in WAYS.values()]
+        cases = [
+            partial(save, suffix, options)
+            for suffix in (".nc", ".zarr")
+            for options in WAYS.values()
+        ]
         cases += [partial(ds.cg.coarse_grain), partial(by_xarray, fields, Path(folder) / "x.nc")]
         times = fastest(cases, given.repeats)
         sizes = [size_of(case()) for case in cases[: 2 * len(WAYS)]]
     count, computing = len(WAYS), times[2 * len(WAYS)]
     lines = ["| way | NetCDF (s) | Zarr (s) | size |", "|---|---|---|---|"]
     for k, name in enumerate(WAYS):
-        lines.append(f"| {name} | {times[k]:.2f} | {times[count + k]:.2f} | {sizes[k] / fields.nbytes:.0%} |")
+        lines.append(
+            f"| {name} | {times[k]:.2f} | {times[count + k]:.2f} | {sizes[k] / fields.nbytes:.0%} |"
+        )
     lines.append(f"| xarray's `to_netcdf(encoding={{... zlib level 1}})` | {times[-1]:.2f} | | |")
     lines.append(f"| for comparison: computing the fields | {computing:.2f} | | |")
     write_between("saving.md", "table", "\n".join(lines))
@@ -61,7 +71,11 @@ def by_xarray(fields: xr.Dataset, path: Path) -> None:
 
 
 def size_of(path: Path) -> int:
-    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+    return (
+        sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
+        if path.is_dir()
+        else path.stat().st_size
+    )
 
 
 if __name__ == "__main__":

@@ -87,7 +87,9 @@ def opening(folder: Path) -> None:
         rows.append(["open again", f"{processor(open_scene):.2f}"])
         ds = open_scene()
         for name, wanted in (("3 fields", FIELDS), ("all fields", None)):
-            rows.append([f"`coarse_grain`, {name}", f"{processor(partial(ds.cg.coarse_grain, wanted)):.2f}"])
+            rows.append(
+                [f"`coarse_grain`, {name}", f"{processor(partial(ds.cg.coarse_grain, wanted)):.2f}"]
+            )
             f = ds.cg.coarse_grain(wanted)
             seconds = processor(partial(f.to_netcdf, Path(cache) / "f.nc", compute=False), 2)
             rows.append([f"graph of `to_netcdf`, {name}", f"{seconds:.2f}"])
@@ -117,7 +119,14 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
     for form in forms:
         for steps in counts:
             with tempfile.TemporaryDirectory() as out:
-                command = [sys.executable, "-c", _JOB, str(folder), str(steps), f"{out}/f{SUFFIXES[form]}"]
+                command = [
+                    sys.executable,
+                    "-c",
+                    _JOB,
+                    str(folder),
+                    str(steps),
+                    f"{out}/f{SUFFIXES[form]}",
+                ]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 raise RuntimeError(done.stderr)
@@ -156,14 +165,20 @@ def parsing(folder: Path, particles: int) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
-    packers: dict[str, Callable[[bytes], bytes]] = {"": bytes, ".gz": partial(gzip.compress, compresslevel=6)}
+    packers: dict[str, Callable[[bytes], bytes]] = {
+        "": bytes,
+        ".gz": partial(gzip.compress, compresslevel=6),
+    }
     if _zstd() is not None:
         packers[".zst"] = _zstd().compress
     texts = dict(zip(("p.0.dump", "c.0.dump"), series.dump_texts(ds, 0), strict=True))
     texts["m.fstat"] = series.fstat_text(ds)
     rows = []
     for name, content in texts.items():
-        engine, kind = Mercury() if name == "m.fstat" else Lammps(), "particles" if name == "p.0.dump" else "contacts"
+        engine, kind = (
+            Mercury() if name == "m.fstat" else Lammps(),
+            "particles" if name == "p.0.dump" else "contacts",
+        )
         raw = content.encode()
         for suffix, pack in packers.items():
             path = folder / f"{name}{suffix}"
@@ -171,7 +186,8 @@ def parsing(folder: Path, particles: int) -> None:
             (ref,) = getattr(engine, f"index_{kind}")([str(path)], ReadOptions())
             size = ref.length / MEGA
             read = [
-                partial(getattr(engine, f"read_{kind}"), ref, ReadOptions(alone=threads)) for threads in (False, True)
+                partial(getattr(engine, f"read_{kind}"), ref, ReadOptions(alone=threads))
+                for threads in (False, True)
             ]
             one = processor(read[0])
             unpacked = processor(lambda ref=ref: deque(text.body_of(ref), 0))
@@ -181,10 +197,21 @@ def parsing(folder: Path, particles: int) -> None:
                          f"{size / one:.0f}", f"{alone / both:.2f}", f"{one:.2f}"])  # fmt: skip
             path.unlink()
             if not suffix:
-                body = raw[ref.offset :].replace(b" \n", b"\n").replace(b"\n", b" \n")  # as these parsers are told
+                body = (
+                    raw[ref.offset :].replace(b" \n", b"\n").replace(b"\n", b" \n")
+                )  # as these parsers are told
                 for way, work in parsers(body, len(ref.columns)).items():
                     seconds = processor(work, 2)
-                    rows.append([f"- all columns by {way}", "", "", f"{size / seconds:.0f}", "", f"{seconds:.2f}"])
+                    rows.append(
+                        [
+                            f"- all columns by {way}",
+                            "",
+                            "",
+                            f"{size / seconds:.0f}",
+                            "",
+                            f"{seconds:.2f}",
+                        ]
+                    )
     seconds = processor(partial(cases.fields, ds), 2)
     rows.append([f"all fields of {particles:,} grains", "", "", "", "", f"{seconds:.2f}"])
     table(["", "text (MB)", "read and unpacked (MB/s)", "read and parsed (MB/s)", "two threads, times as fast",
@@ -208,7 +235,9 @@ def parsers(body: bytes, columns: int) -> dict[str, Callable[[], object]]:
         import polars
 
         schema = {f"{k}": polars.Float64 for k in range(columns)} | {"end": polars.String}
-        ways["polars"] = lambda: polars.read_csv(body, separator=" ", has_header=False, schema=schema)
+        ways["polars"] = lambda: polars.read_csv(
+            body, separator=" ", has_header=False, schema=schema
+        )
     with suppress(ImportError):
         import pyarrow
         import pyarrow.csv
@@ -232,7 +261,9 @@ def converting(folder: Path, steps: int) -> None:
     size = sum(
         path.stat().st_size
         for kind in ("particles", "contacts")
-        for path in sorted(Path(files[kind]).parent.glob(f"{Path(files[kind]).stem}_[0-9]*.vtp"))[:steps]
+        for path in sorted(Path(files[kind]).parent.glob(f"{Path(files[kind]).stem}_[0-9]*.vtp"))[
+            :steps
+        ]
     )
 
     def load(scene: Any) -> float:
@@ -244,9 +275,13 @@ def converting(folder: Path, steps: int) -> None:
             target = Path(out) / f"scene{suffix}"
             seconds = processor(lambda target=target: ds.cg.save(target, overwrite=True), 1) / steps
             inside = [target] if suffix == ".nc" else [p for p in target.rglob("*") if p.is_file()]
-            again = xr.open_zarr(target) if suffix == ".zarr" else xr.open_dataset(target, chunks={})
+            again = (
+                xr.open_zarr(target) if suffix == ".zarr" else xr.open_dataset(target, chunks={})
+            )
             size = sum(p.stat().st_size for p in inside)
-            rows.append([suffix, f"{size / steps / MEGA:.1f}", f"{seconds:.3f}", f"{load(again):.3f}"])
+            rows.append(
+                [suffix, f"{size / steps / MEGA:.1f}", f"{seconds:.3f}", f"{load(again):.3f}"]
+            )
             again.close()
     table(["", "MB a step", "processor time to convert a step (s)", "to load a step (s)"], rows)
 
@@ -276,7 +311,14 @@ def overhead(steps: int) -> None:
         start, busy = time.perf_counter(), time.process_time()
         graph.compute(**options)
         seconds, busy = time.perf_counter() - start, time.process_time() - busy
-        rows.append([name, f"{seconds:.1f}", f"{1e6 * seconds / len(tasks):.0f}", f"{1e6 * busy / len(tasks):.0f}"])
+        rows.append(
+            [
+                name,
+                f"{seconds:.1f}",
+                f"{1e6 * seconds / len(tasks):.0f}",
+                f"{1e6 * busy / len(tasks):.0f}",
+            ]
+        )
 
     run("1 thread", scheduler="synchronous")
     run("2 threads", scheduler="threads", num_workers=2)
@@ -286,7 +328,13 @@ def overhead(steps: int) -> None:
     ):
         run("distributed, 2 processes")
     table(
-        [f"{steps:,} steps, {len(tasks):,} tasks", "time (s)", "us a task", "of which in the scheduler's process"], rows
+        [
+            f"{steps:,} steps, {len(tasks):,} tasks",
+            "time (s)",
+            "us a task",
+            "of which in the scheduler's process",
+        ],
+        rows,
     )
 
 
@@ -332,10 +380,14 @@ def long(folder: Path, particles: int, steps: int) -> None:
 
     def started() -> subprocess.Popen[str]:
         pipe = subprocess.PIPE
-        return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment, start_new_session=True)
+        return subprocess.Popen(
+            command, stdout=pipe, stderr=pipe, text=True, env=environment, start_new_session=True
+        )
 
     def wait_for(share: float) -> None:
-        while len(list(folder.glob(".*.begun/*/velocity/c.*"))) < share * steps:  # a step of this size is a chunk
+        while (
+            len(list(folder.glob(".*.begun/*/velocity/c.*"))) < share * steps
+        ):  # a step of this size is a chunk
             time.sleep(0.2)
 
     job, seconds = started(), time.perf_counter()
@@ -350,10 +402,15 @@ def long(folder: Path, particles: int, steps: int) -> None:
     second, client, worker = json.loads(out.splitlines()[1])
     f, ds = xr.open_zarr(target), scene_of(files)
     some = ds.isel(time=slice(None, None, max(1, steps // 10)))
-    expected = some.cg.coarse_grain(FIELDS, spacing=2.0 * ds.attrs["d43"]).compute(scheduler="synchronous")
+    expected = some.cg.coarse_grain(FIELDS, spacing=2.0 * ds.attrs["d43"]).compute(
+        scheduler="synchronous"
+    )
     same = all(f[name].sel(time=some.time).load().equals(expected[name]) for name in FIELDS)
     growth = 1.0 + 0.01 * xr.DataArray(range(steps), dims="time")
-    error = float(abs(f.velocity / growth - f.velocity.isel(time=0)).max() / abs(f.velocity.isel(time=0)).max())
+    error = float(
+        abs(f.velocity / growth - f.velocity.isel(time=0)).max()
+        / abs(f.velocity.isel(time=0)).max()
+    )
     reading = processor(lambda: some.isel(time=[1]).compute(scheduler="synchronous"), 3)
     rows = [
         ["files (GB)", f"{size:.1f}"], ["until all processes are killed (s)", f"{first:.0f}"],
@@ -366,7 +423,9 @@ def long(folder: Path, particles: int, steps: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     for name in ("write", "open", "memory", "read", "text", "convert"):
         command = commands.add_parser(name)

@@ -49,7 +49,15 @@ loops with the bare arithmetic.
 
 """
 FEW = 4  # times that each large case is run
-COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
+COLUMNS = (
+    "case",
+    "grains",
+    "threads",
+    "time a step (s)",
+    "us a grain and step",
+    "peak memory (MB)",
+    "data (MB)",
+)
 FIRST = """
 From the start of a process to all fields of 1000 grains that are given as arrays: {cold} s with nothing compiled,
 {warm} s from the second time on (the least of four), as compiled code is kept on disk; importing
@@ -73,7 +81,11 @@ def measured(jobs: list[cases.Case], particles: int, repeats: int) -> dict[str, 
         ds = job.scene(particles)
         quartiles = np.percentile(times, [25, 75]) / ds.sizes["time"]
         result = job.run(ds)
-        data = None if job.work is cases.end_to_end else round((ds.nbytes + getattr(result, "nbytes", 0)) / 1e6)
+        data = (
+            None
+            if job.work is cases.end_to_end
+            else round((ds.nbytes + getattr(result, "nbytes", 0)) / 1e6)
+        )
         del result
         label = f"{job.name} | {ds.sizes['particle']:,} | {job.threads}{job.over}"
         found[label] = [
@@ -92,12 +104,19 @@ def measured_run(particles: int, large: int, repeats: int) -> dict[str, Any]:
     if large:
         seconds |= measured(cases.LARGE, large, FEW)
     small = {
-        f"{steps:,} | {grains:,} | {threads}": round(1e3 * cases.small_steps(grains, steps, threads), 1)
+        f"{steps:,} | {grains:,} | {threads}": round(
+            1e3 * cases.small_steps(grains, steps, threads), 1
+        )
         for steps, grains in SMALL
         for threads in (1, 2)
     }
     first = [*cases.first_result(), cases.libraries()]
-    return {"date": datetime.now(UTC).strftime("%Y-%m-%d"), "seconds": seconds, "small": small, "first": first}
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "seconds": seconds,
+        "small": small,
+        "first": first,
+    }
 
 
 def between(values: Sequence[float], digits: str = ".3g") -> str:
@@ -113,7 +132,9 @@ def rows(runs: Sequence[dict[str, Any]]) -> list[str]:
         times = [seconds for run in runs for seconds in run["seconds"].get(label, [])[:2]]
         grains = int(label.split(" | ")[1].replace(",", ""))
         each = between([1e6 * seconds / grains for seconds in times], ".2f")
-        lines.append(f"| {label} | {between(times)} | {each} | {peak} | {'' if data is None else data} |")
+        lines.append(
+            f"| {label} | {between(times)} | {each} | {peak} | {'' if data is None else data} |"
+        )
     return lines
 
 
@@ -125,29 +146,50 @@ def write_section(runs: Sequence[dict[str, Any]], given: argparse.Namespace) -> 
         count=count, base=base, few=FEW, machine=machine().replace("one of ", ""),
         days=" and ".join(run["date"] for run in runs), **vars(given),
     )  # fmt: skip
-    text += "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *rows(runs)]) + "\n"
+    text += (
+        "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *rows(runs)])
+        + "\n"
+    )
     cold, warm, libraries = (
         between([run["first"][k] for run in runs if len(run["first"]) > k], ".1f") for k in range(3)
     )
     text += FIRST.format(cold=cold, warm=warm, libraries=libraries)
     small = {label: [run["small"][label] for run in runs] for label in runs[-1]["small"]}
-    text += "\n".join(f"| {label} | {between(times, '.1f')} |" for label, times in small.items()) + "\n"
+    text += (
+        "\n".join(f"| {label} | {between(times, '.1f')} |" for label, times in small.items()) + "\n"
+    )
     write_between("accuracy.md", "speed", text)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
-    parser.add_argument("--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out")
-    parser.add_argument("--repeats", type=int, default=8, help="times that each case is run (default 8)")
-    parser.add_argument("--against", metavar="COMMIT", help="compare with the package of a commit, and write nothing")
-    parser.add_argument("--only", metavar="WORDS", help="only cases with these words; write nothing")
+    parser.add_argument(
+        "--particles", type=int, default=100_000, help="grains of the packing (default 100000)"
+    )
+    parser.add_argument(
+        "--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=8, help="times that each case is run (default 8)"
+    )
+    parser.add_argument(
+        "--against",
+        metavar="COMMIT",
+        help="compare with the package of a commit, and write nothing",
+    )
+    parser.add_argument(
+        "--only", metavar="WORDS", help="only cases with these words; write nothing"
+    )
     given = parser.parse_args()
     if given.against:
         turns = max(given.repeats, against.fewest())
         raise SystemExit(against.compare(given.against, given.particles, turns, given.only or ""))
     if given.only:
-        measured([case for case in cases.CASES if given.only in case.name], given.particles, given.repeats)
+        measured(
+            [case for case in cases.CASES if given.only in case.name],
+            given.particles,
+            given.repeats,
+        )
         return
     with RUNS.open("a") as file:
         file.write(json.dumps(measured_run(given.particles, given.large, given.repeats)) + "\n")

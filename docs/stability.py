@@ -12,7 +12,9 @@ from tests.stability.physical import LIMITS
 HERE = Path(__file__).parent
 COLUMNS = "| case | what goes wrong | what xcg does | naive error | xcg | tolerance |"
 HEAD = f"{{.numbers}}\n{COLUMNS}\n|---|---|---|---|---|---|\n"
-LIMITS_HEAD = "| case | what goes wrong | what xcg states | true error | stated |\n|---|---|---|---|---|\n"
+LIMITS_HEAD = (
+    "| case | what goes wrong | what xcg states | true error | stated |\n|---|---|---|---|---|\n"
+)
 
 
 def main() -> None:
@@ -25,15 +27,20 @@ def main() -> None:
     ]
     limits = [limit() for limit in LIMITS]
     physical = [
-        f"| {x.what} | {x.fails} | {x.says} | {100 * x.true:.2g} % | {100 * x.stated:.2g} % |\n" for x in limits
+        f"| {x.what} | {x.fails} | {x.says} | {100 * x.true:.2g} % | {100 * x.stated:.2g} % |\n"
+        for x in limits
     ]
     write_between("stability.md", "cases", HEAD + "".join(rows))
     write_between("stability.md", "limits", LIMITS_HEAD + "".join(physical))
     figure, ax = plt.subplots(figsize=(8.5, 4.2), layout="constrained")
     y = np.arange(len(results))[::-1]
     floor = 1e-17
-    ax.barh(y + 0.2, [max(c.naive, floor) for c in results], 0.38, left=floor, color="C3", label="naive")
-    ax.barh(y - 0.2, [max(c.ours, floor) for c in results], 0.38, left=floor, color="C0", label="xcg")
+    ax.barh(
+        y + 0.2, [max(c.naive, floor) for c in results], 0.38, left=floor, color="C3", label="naive"
+    )
+    ax.barh(
+        y - 0.2, [max(c.ours, floor) for c in results], 0.38, left=floor, color="C0", label="xcg"
+    )
     ax.plot([c.bound for c in results], y - 0.2, "k|", ms=9, label="tolerance")
     ax.set_xscale("log")
     ax.set_xlim(floor, None)

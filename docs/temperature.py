@@ -32,7 +32,9 @@ def found(
         weight = f.fluctuation_density.where(known, 0.0)
         rest = [d for d in weight.dims if d != "phase"]
         true = xr.DataArray(truth, dims="time")
-        ratios.append((f.granular_temperature.fillna(0.0) * weight).sum(rest) / (true * weight).sum(rest))
+        ratios.append(
+            (f.granular_temperature.fillna(0.0) * weight).sum(rest) / (true * weight).sum(rest)
+        )
         share = float(known.mean())
     return ratios[1], ratios[0], share
 
@@ -51,11 +53,17 @@ def independent(phi: float, small: float, grains: int = 40_000) -> xr.Dataset:
 
 
 def table_of_independent() -> str:
-    lines = ['| w / d | phi | volume | plane (`axes="xz"`) | profile | 2 : 1 | small | known |', "|---" * 8 + "|"]
+    lines = [
+        '| w / d | phi | volume | plane (`axes="xz"`) | profile | 2 : 1 | small | known |',
+        "|---" * 8 + "|",
+    ]
     for width, phi in product(WIDTHS, (0.1, 0.3, 0.6)):
         same, mixed = independent(phi, 1.0), independent(phi, 0.5)
         options = {"spacing": 0.75, "width": width}
-        ones = [found(same, np.ones(same.sizes["time"]), axes=axes, **options) for axes in ("xyz", "xz", "z")]
+        ones = [
+            found(same, np.ones(same.sizes["time"]), axes=axes, **options)
+            for axes in ("xyz", "xz", "z")
+        ]
         two = found(mixed, np.ones(mixed.sizes["time"]), by="species", **options)
         cells = [f"{float(new):.2f}, {float(old):.2f}" for new, old, _ in ones]
         cells += [f"{float(two[0][k]):.2f}, {float(two[1][k]):.2f}" for k in (0, 2)]
@@ -69,8 +77,12 @@ def table_of_gases() -> str:
     for width in WIDTHS:
         cells = []
         for phi in (0.1, 0.4):
-            ds = xcg.open_scene(str(DATA / "lammps_gas" / f"gas_{phi}.dump.gz"), units="reduced").load()
-            new, old, share = found(ds, ds.velocity.var("particle").mean("component").values, width, spacing=0.5)
+            ds = xcg.open_scene(
+                str(DATA / "lammps_gas" / f"gas_{phi}.dump.gz"), units="reduced"
+            ).load()
+            new, old, share = found(
+                ds, ds.velocity.var("particle").mean("component").values, width, spacing=0.5
+            )
             cells.append(f"{float(new):.2f}, {float(old):.2f} | {100 * share:.0f} %")
         lines.append(f"| {width} | " + " | ".join(cells) + " |")
         print(lines[-1], flush=True)
@@ -84,19 +96,25 @@ def sheared() -> tuple[xr.Dataset, np.ndarray, float]:
     starts, steps, truth = [k for k, line in enumerate(lines) if line == "ITEM: TIMESTEP"], [], []
     for start in starts:
         tilt, length = float(lines[start + 5].split()[2]), float(lines[start + 6].split()[1])
-        rows = np.array([line.split() for line in lines[start + 9 : start + 9 + int(lines[start + 3])]], float)
+        rows = np.array(
+            [line.split() for line in lines[start + 9 : start + 9 + int(lines[start + 3])]], float
+        )
         x, v = rows[:, 1:4], rows[:, 4:7]
         own = v - [1, 0, 0] * (RATE * x[:, 1:2])
         truth.append(((own - own.mean(axis=0)) ** 2).mean())
         cell = np.array([[length, 0, 0], [tilt, length, 0], [0, 0, length]])
         images = np.array(list(product((-2, -1, 0, 1, 2), (-1, 0, 1), (-1, 0, 1))))
         position = (x + (images @ cell)[:, None]).reshape(-1, 3)
-        velocity = (v + RATE * length * images[:, 1, None, None] * np.array([1, 0, 0])).reshape(-1, 3)
+        velocity = (v + RATE * length * images[:, 1, None, None] * np.array([1, 0, 0])).reshape(
+            -1, 3
+        )
         near = ((position > -4.0) & (position < length + 4.0)).all(axis=1)  # the widest support
         steps.append((position[near], velocity[near]))
     positions, velocities = zip(*steps, strict=True)
     sizes = [np.ones(len(p)) for p in positions]
-    ds = xcg.scene_from_arrays(list(positions), velocity=list(velocities), diameter=sizes, density=1.0, units="reduced")
+    ds = xcg.scene_from_arrays(
+        list(positions), velocity=list(velocities), diameter=sizes, density=1.0, units="reduced"
+    )
     return ds, np.array(truth), length
 
 

@@ -51,29 +51,42 @@ def main() -> None:
         spacing=1e-3,
     ).isel(time=0)  # fmt: skip
     weight = GRAVITY * float(ds.mass.sum())
-    carried = -float(side.wall_force.sel(component="z")), -float(floor.wall_force.sel(component="z"))
+    carried = (
+        -float(side.wall_force.sel(component="z")),
+        -float(floor.wall_force.sel(component="z")),
+    )
 
     top = float(ds.position.sel(component="z").max())
     load = GRAVITY * float(inside.density.sel(z=slice(0.05, 0.18)).mean())
     mean = side.normal_traction.mean("theta")
     friction = -side.shear_traction.sel(along="z").mean("theta")
     fitted = mean.sel(z=slice(0.005, top - 0.005))
-    (k, length), _ = curve_fit(lambda h, k, length: janssen(h, k, length, load), top - fitted.z, fitted, (0.5, 0.05))
+    (k, length), _ = curve_fit(
+        lambda h, k, length: janssen(h, k, length, load), top - fitted.z, fitted, (0.5, 0.05)
+    )
 
     z = np.linspace(0, top, 200)
     figure, (left, middle, right) = plt.subplots(
         1, 3, figsize=(11, 4.6), layout="constrained", width_ratios=[1.5, 1, 1]
     )
-    image = left.pcolormesh(side.theta, side.z * 1e3, side.normal_traction.T / 1e3, cmap="viridis", vmax=4)
+    image = left.pcolormesh(
+        side.theta, side.z * 1e3, side.normal_traction.T / 1e3, cmap="viridis", vmax=4
+    )
     figure.colorbar(image, label="normal traction [kPa]", extend="max")
     left.set(xlabel=r"$\theta$ [rad]", ylabel="$z$ [mm]", title="the side, unrolled")
     middle.plot(mean / 1e3, mean.z * 1e3, label="silo, mean over the angle")
     middle.plot(janssen(top - z, k, length, load) / 1e3, z * 1e3, "k--", label="Janssen, fitted")
-    middle.plot(k * load * (top - z) / 1e3, z * 1e3, ":", color="0.5", label="without friction of the side")
+    middle.plot(
+        k * load * (top - z) / 1e3, z * 1e3, ":", color="0.5", label="without friction of the side"
+    )
     middle.set(xlabel="pressure on the side [kPa]", ylabel="$z$ [mm]", xlim=(0, 3.5))
     middle.legend(loc="upper right", fontsize=8)
     right.plot(friction / 1e3, friction.z * 1e3, label="upwards on the grains, side")
-    right.plot(inside.stress.sel(component="z", direction="z") / 1e3, inside.z * 1e3, label=r"$\sigma_{zz}$ inside")
+    right.plot(
+        inside.stress.sel(component="z", direction="z") / 1e3,
+        inside.z * 1e3,
+        label=r"$\sigma_{zz}$ inside",
+    )
     right.plot(load * (top - z) / 1e3, z * 1e3, ":", color="0.5", label="weight above")
     right.set(xlabel="stress [kPa]", ylabel="$z$ [mm]", xlim=(-0.3, 3.0), ylim=middle.get_ylim())
     right.legend(loc="upper right", fontsize=8)
@@ -84,9 +97,13 @@ def main() -> None:
     print(f"| weight of the grains | {weight:.4f} |")
     print(f"| carried by the side | {carried[0]:.4f} |")
     print(f"| carried by the floor | {carried[1]:.4f} |")
-    print(f"\nK = {k:.2f}, l = {length * 1e3:.0f} mm, K mu = {RADIUS / (2 * length):.3f}, fill {top * 1e3:.0f} mm")
+    print(
+        f"\nK = {k:.2f}, l = {length * 1e3:.0f} mm, K mu = {RADIUS / (2 * length):.3f}, fill {top * 1e3:.0f} mm"
+    )
     bulk = inside.volume_fraction.sel(z=slice(0.05, 0.18)).mean().item()
-    ratio = (side.shear_traction.sel(along="z") * side.area).sum() / (side.normal_traction * side.area).sum()
+    ratio = (side.shear_traction.sel(along="z") * side.area).sum() / (
+        side.normal_traction * side.area
+    ).sum()
     print(f"phi = {bulk:.3f}, shear over normal force on the side {-ratio.item():.3f}; {path.name}")
 
 

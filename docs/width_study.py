@@ -41,7 +41,9 @@ def sweep(ds, kernel: str, width: float, points: np.ndarray) -> tuple[np.ndarray
         )
         for point in points.tolist()
     ]
-    return np.array([f.volume_fraction.item() for f in found]), np.array([f.pressure.item() for f in found])
+    return np.array([f.volume_fraction.item() for f in found]), np.array(
+        [f.pressure.item() for f in found]
+    )
 
 
 def main() -> None:
@@ -50,7 +52,9 @@ def main() -> None:
     points = edge * Sobol(3, rng=0).random(POINTS)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharex=True)
     for kernel, colour in KERNELS.items():
-        values = np.array([sweep(ds, kernel, w * DIAMETER, points) for w in WIDTHS])  # width, field, point
+        values = np.array(
+            [sweep(ds, kernel, w * DIAMETER, points) for w in WIDTHS]
+        )  # width, field, point
         for k, axes in enumerate((left, right)):
             low, high = values[:, k].min(axis=1), values[:, k].max(axis=1)
             axes.fill_between(WIDTHS, low, high, color=colour, alpha=0.15, lw=0)
@@ -60,11 +64,20 @@ def main() -> None:
         spread = np.ptp(values, axis=2) / values.mean(axis=2)
         for target in (0.75, 1.5, 3.0):
             nearest = np.abs(WIDTHS - target).argmin()
-            print(f"{kernel:10s} w = {WIDTHS[nearest]:.2f} d: (max - min) / mean = {spread[nearest].round(5)}")
-    for axes, exact, name in ((left, VOLUME_FRACTION, "volume fraction"), (right, PRESSURE, r"pressure [$f / d^2$]")):
+            print(
+                f"{kernel:10s} w = {WIDTHS[nearest]:.2f} d: (max - min) / mean = {spread[nearest].round(5)}"
+            )
+    for axes, exact, name in (
+        (left, VOLUME_FRACTION, "volume fraction"),
+        (right, PRESSURE, r"pressure [$f / d^2$]"),
+    ):
         axes.axhline(exact, color="black", lw=1, ls="--", label="exact")
-        axes.set(xlabel="width over diameter, $w / d$", ylabel=name, xscale="log", ylim=(0, 2.2 * exact))
-        axes.set_xticks([0.3, 0.5, 0.75, 1, 1.5, 2, 3], ["0.3", "0.5", "0.75", "1", "1.5", "2", "3"])
+        axes.set(
+            xlabel="width over diameter, $w / d$", ylabel=name, xscale="log", ylim=(0, 2.2 * exact)
+        )
+        axes.set_xticks(
+            [0.3, 0.5, 0.75, 1, 1.5, 2, 3], ["0.3", "0.5", "0.75", "1", "1.5", "2", "3"]
+        )
         axes.minorticks_off()
     left.legend(title=f"mean, min and max\nover {POINTS} points")
     folder = Path(__file__).with_name("_static")

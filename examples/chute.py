@@ -29,8 +29,13 @@ def table(profile: xr.Dataset) -> str:
     ]
     heads = ["z/d", "phi", "V_x", "shear rate", "T", "mu", "I"]
     flow = profile.cg.time_average().sel(component="x", z=slice(2, 35)).isel(z=slice(None, None, 6))
-    rows = [[float(flow.z[k]), *(float(flow[c][k]) for c in columns)] for k in range(flow.sizes["z"])]
-    lines = ["".join(f"{head:>11s}" for head in heads), *("".join(f"{v:11.4g}" for v in row) for row in rows)]
+    rows = [
+        [float(flow.z[k]), *(float(flow[c][k]) for c in columns)] for k in range(flow.sizes["z"])
+    ]
+    lines = [
+        "".join(f"{head:>11s}" for head in heads),
+        *("".join(f"{v:11.4g}" for v in row) for row in rows),
+    ]
     return "\n".join(lines)
 
 
@@ -68,7 +73,9 @@ def draw(profile: xr.Dataset, path: Path) -> None:
 def main(output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
     scene = xcg.open_scene(
-        DATA / "particles.*.dump.gz", contacts=DATA / "contacts.*.dump.gz", gravity=(0.4067, 0.0, -0.9135)
+        DATA / "particles.*.dump.gz",
+        contacts=DATA / "contacts.*.dump.gz",
+        gravity=(0.4067, 0.0, -0.9135),
     )
     print(scene.cg, end="\n\n")
 

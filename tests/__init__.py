@@ -45,13 +45,24 @@ def planning(**replaced: Any) -> Iterator[None]:
 def pyvista_draws() -> bool:
     """Whether PyVista is here and draws: VTK ends the process where there is neither a screen, EGL nor OSMesa."""
     code = "import pyvista as p; d = p.Plotter(off_screen=True); d.add_mesh(p.Sphere()); d.screenshot()"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode
+        == 0
+    )
 
 
 def steps_of_random_scenes(count: int) -> xr.Dataset:
     """Random scenes of different numbers of particles and contacts, as one scene of several steps."""
     steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(count)]
-    names = ["velocity", "diameter", "species", "contact_i", "contact_j", "contact_force", "contact_point"]
+    names = [
+        "velocity",
+        "diameter",
+        "species",
+        "contact_i",
+        "contact_j",
+        "contact_force",
+        "contact_point",
+    ]
     key = {"contact": "contact_i", "particle": "particle_id"}
     rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
     return xcg.scene_from_arrays(

@@ -18,7 +18,9 @@ def _profile(name, q, spread):
     if name == "gaussian":
         return np.where(inside, np.exp(-(q**2) / (2 * spread**2)), 0.0)
     if name == "shifted gaussian":
-        return np.where(inside, np.exp(-(q**2) / (2 * spread**2)) - np.exp(-1 / (2 * spread**2)), 0.0)
+        return np.where(
+            inside, np.exp(-(q**2) / (2 * spread**2)) - np.exp(-1 / (2 * spread**2)), 0.0
+        )
     return np.where(inside, 1.0, 0.0)
 
 
@@ -36,7 +38,11 @@ class BruteKernel:
         ratio = {"lucy": 2.0, "gaussian": 3.0, "shifted gaussian": 3.0, "heaviside": 1.0}[name]
         self.c, self.spread = ratio * width, 1 / ratio
         sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
-        total = _gauss(lambda q: _profile(name, q, self.spread) * q ** (dimension - 1), np.zeros(()), np.ones(()))
+        total = _gauss(
+            lambda q: _profile(name, q, self.spread) * q ** (dimension - 1),
+            np.zeros(()),
+            np.ones(()),
+        )
         self.norm = 1 / (sphere * total * self.c**dimension)
 
     def __call__(self, rho):
@@ -53,7 +59,9 @@ class BruteKernel:
             )  # fmt: skip
             return np.where(q < 1, 2 * line, 0.0) * self.norm * self.c
         disc = _gauss(
-            lambda r: _profile(self.name, np.minimum(r, 1 - 1e-16), self.spread) * r, safe, np.ones_like(safe)
+            lambda r: _profile(self.name, np.minimum(r, 1 - 1e-16), self.spread) * r,
+            safe,
+            np.ones_like(safe),
         )
         return np.where(q < 1, 2 * np.pi * disc, 0.0) * self.norm * self.c**2
 
@@ -93,7 +101,10 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
     frame = {n: ds[n].isel(time=0).values for n in ds.data_vars}
     keep = frame["particle_id"] >= 0
     axes = ["xyz".index(a) for a in seen]
-    period = [(frame["box"][k, 1] - frame["box"][k, 0]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)]
+    period = [
+        (frame["box"][k, 1] - frame["box"][k, 0]) if "xyz"[k] in ds.attrs["periodic"] else 0.0
+        for k in range(3)
+    ]
     plane = ["xyz".index(a) for a in ds.attrs["plane"]]
     pos, vel = frame["position"][keep], frame["velocity"][keep]
     mass, vol, dia = frame["mass"][keep], frame["volume"][keep], frame["diameter"][keep]
@@ -103,14 +114,22 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
     shifts = [np.array(n) * period for n in itertools.product(*reach)]
 
     def nearest(vector):
-        return np.array([v - p * round(v / p) if p else v for v, p in zip(vector, period, strict=True)])
+        return np.array(
+            [v - p * round(v / p) if p else v for v, p in zip(vector, period, strict=True)]
+        )
 
     contacts = []
     if "contact_i" in frame:
-        for i, j, f, c in zip(*(frame[f"contact_{n}"] for n in ("i", "j", "force", "point")), strict=True):
+        for i, j, f, c in zip(
+            *(frame[f"contact_{n}"] for n in ("i", "j", "force", "point")), strict=True
+        ):
             if i >= 0:
                 contacts.append((ids[int(i)], ids.get(int(j), -1), f, c))
-    partners, normals, total = [set() for _ in mass], np.zeros((len(mass), 3, 3)), np.zeros((len(mass), 3))
+    partners, normals, total = (
+        [set() for _ in mass],
+        np.zeros((len(mass), 3, 3)),
+        np.zeros((len(mass), 3)),
+    )
     sides, wall = [], []
     for row, (i, j, f, c) in enumerate(contacts):
         a = nearest(pos[i] - (pos[j] if j >= 0 else c))
@@ -204,7 +223,12 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             # what independent velocities of the grains leave: the fit to the velocity of one grain after the other
             one = np.eye(len(mass))[k]
             mean = m @ one / rho
-            left = one - mean - (x - centre)[:, axes] @ np.linalg.lstsq(design, root * (one - mean), rcond=1e-5)[0]
+            left = (
+                one
+                - mean
+                - (x - centre)[:, axes]
+                @ np.linalg.lstsq(design, root * (one - mean), rcond=1e-5)[0]
+            )
             free = m @ (left**2).sum(axis=1)
             if count > rank + 1 and free > 0.5 * rho / count:
                 T = sum(fluctuation[i, i] for i in plane) / (D * free)
@@ -223,7 +247,10 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             rate = np.sqrt(2 * (gamma**2).sum())
             put("shear_rate", rate)
             d = out["d43"][-1]
-            put("inertial_number", rate * d * np.sqrt(out["particle_density"][-1] / p) if p > 0 else np.nan)
+            put(
+                "inertial_number",
+                rate * d * np.sqrt(out["particle_density"][-1] / p) if p > 0 else np.nan,
+            )
     return out
 
 
@@ -245,7 +272,10 @@ def weights(ds, kernel, f, places, extent):
             images[k] = range(-most, most + 1)
     total = np.zeros((len(nodes), len(places)))
     for image in itertools.product(*images):
-        away = nodes[:, None] - (places + np.where(np.array(image) == 0, 0.0, image * length))[None][..., seen]
+        away = (
+            nodes[:, None]
+            - (places + np.where(np.array(image) == 0, 0.0, image * length))[None][..., seen]
+        )
         q = np.linalg.norm(away, axis=-1)
         total += kernel(q) if seen else 1.0
     averaged = [a for a in ds.attrs["plane"] if a not in f.coords]

@@ -66,7 +66,9 @@ def _own_cache(tmp_path_factory):
 @pytest.fixture(autouse=True, scope="session")
 def _one_time():
     """Stop the clock of histories, so that results of one second and of the next are identical."""
-    with mock.patch("xcg.steps.labels.datetime", **{"now.return_value": datetime(2026, 1, 1, tzinfo=UTC)}):
+    with mock.patch(
+        "xcg.steps.labels.datetime", **{"now.return_value": datetime(2026, 1, 1, tzinfo=UTC)}
+    ):
         yield
 
 
@@ -82,7 +84,9 @@ def computing():
     """Arguments of `compute` for one of dask's schedulers; a process takes seconds to start, so tests share it."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         processes = {"scheduler": "processes", "pool": pool}
-        yield lambda name: processes if name == "processes" else {"scheduler": name, "num_workers": 2}
+        yield (
+            lambda name: processes if name == "processes" else {"scheduler": name, "num_workers": 2}
+        )
 
 
 @pytest.fixture

@@ -41,7 +41,9 @@ def write(path: Path, text: str | Iterable[str]) -> Path:
     return path
 
 
-def write_series(folder: Path, steps: Sequence[int] = (0, 10, 20), before: str = "") -> tuple[str, str]:
+def write_series(
+    folder: Path, steps: Sequence[int] = (0, 10, 20), before: str = ""
+) -> tuple[str, str]:
     """Write one file a step of particles and of contacts; return their globs."""
     for step in steps:
         item = before.format(time=step / 10)

@@ -61,7 +61,9 @@ def start(job: str, path: Path, most: int | None = None) -> subprocess.Popen:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
     call = [sys.executable, "-m", "tests.faults", "--job", job, str(path)]
-    return subprocess.Popen(call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit)
+    return subprocess.Popen(
+        call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit
+    )
 
 
 def opened(path: Path) -> xr.Dataset:
@@ -71,13 +73,19 @@ def opened(path: Path) -> xr.Dataset:
 
         with h5py.File(path) as file:
             found = {}
-            file.visititems(lambda name, a: found.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None)
-        return xr.Dataset({name.replace("/", "."): ((), values.tobytes()) for name, values in found.items()})
+            file.visititems(
+                lambda name, a: found.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None
+            )
+        return xr.Dataset(
+            {name.replace("/", "."): ((), values.tobytes()) for name, values in found.items()}
+        )
     with xr.open_zarr(path, chunks=None) if path.suffix == ".zarr" else xr.open_dataset(path) as ds:
         return ds.load()
 
 
-def killed(job: str, path: Path, whole: xr.Dataset, kills: int, rng: random.Random) -> tuple[int, list[str]]:
+def killed(
+    job: str, path: Path, whole: xr.Dataset, kills: int, rng: random.Random
+) -> tuple[int, list[str]]:
     """Kill a job so many times, let it end, and compare; return how many kills were at work, and faults."""
     faults, midst = [], 0
     for _ in range(kills):
@@ -113,7 +121,9 @@ def full_disk(path: Path, whole: xr.Dataset) -> list[str]:
     if path.exists():
         faults.append(f"{path.name}: a file on a full disk")
     if path.name not in said:
-        faults.append(f"{path.name}: the error of a full disk does not name the file: {said[-300:]}")
+        faults.append(
+            f"{path.name}: the error of a full disk does not name the file: {said[-300:]}"
+        )
     start("save", path).communicate()
     if not opened(path).equals(whole):
         faults.append(f"{path.name}: not whole when there is room again")
@@ -129,13 +139,17 @@ def two_writers(job: str, path: Path, whole: xr.Dataset) -> list[str]:
     if 0 not in codes:
         faults.append(f"{path.name}: no writer of two ended well: {said}")
     return faults + [
-        f"{path.name}: {text[-300:]}" for code, text in zip(codes, said, strict=True) if code and path.name not in text
+        f"{path.name}: {text[-300:]}"
+        for code, text in zip(codes, said, strict=True)
+        if code and path.name not in text
     ]
 
 
 def main() -> int:
     """Run the rounds; return 1 if there is a fault."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=100, help="kills in all")
     parser.add_argument("--job", nargs=2, metavar=("JOB", "PATH"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()

@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 import xcg
 
 LENGTH = 12.0  # of the box along z, in diameters
-NODES = {"axes": "z", "bounds": {"z": (0.25, LENGTH - 0.25)}, "spacing": 0.5}  # of profiles, beside walls and jumps
+NODES = {
+    "axes": "z",
+    "bounds": {"z": (0.25, LENGTH - 0.25)},
+    "spacing": 0.5,
+}  # of profiles, beside walls and jumps
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,9 @@ class Flow:
         """Return the bias of the mean and the scatter of one frame, as root mean squares over the nodes."""
         value = self.value(f)
         scatter = float(value.var("time", ddof=1).mean())
-        bias = float(((value.mean("time") - self.truth(f.z)) ** 2).mean()) - scatter / f.sizes["time"]
+        bias = (
+            float(((value.mean("time") - self.truth(f.z)) ** 2).mean()) - scatter / f.sizes["time"]
+        )
         return max(bias, 0.0) ** 0.5, scatter**0.5
 
 
@@ -129,10 +135,16 @@ def column(frames: int, seed: int = 1, columns: int = 30) -> Flow:
     side, high = 6.0, 24
     base = rng.uniform(0, [side, side, 1.0], (frames, columns, 3))
     position = base[:, :, None, :] + np.arange(high)[:, None] * [0, 0, 1.0]
-    above = np.arange(high, 0, -1.0)  # weight carried by the lower contact of each grain, mass = g = 1
+    above = np.arange(
+        high, 0, -1.0
+    )  # weight carried by the lower contact of each grain, mass = g = 1
     row = np.arange(columns * high).reshape(columns, high)
     pairs = np.concatenate(
-        [np.stack([row[:, 1:].ravel(), row[:, :-1].ravel()]), np.stack([row[:, 0], 0 * row[:, 0] - 1])], 1
+        [
+            np.stack([row[:, 1:].ravel(), row[:, :-1].ravel()]),
+            np.stack([row[:, 0], 0 * row[:, 0] - 1]),
+        ],
+        1,
     )
     force = np.concatenate([np.tile(above[1:], columns), np.full(columns, above[0])])
     point = position - [0, 0, 0.5]

@@ -35,11 +35,14 @@ def binary_step(
     head += struct.pack(f"{order}iiqqi6i", 1, 2, step, len(rows), bool(tilts), 0, 0, 0, 0, 1, 1)
     head += struct.pack(f"{order}{6 + len(tilts)}d", *np.ravel(BOX), *tilts)
     head += struct.pack(f"{order}ii", len(columns), len(units)) + units.encode()
-    head += struct.pack(f"{order}?", time is not None) + (b"" if time is None else struct.pack(f"{order}d", time))
+    head += struct.pack(f"{order}?", time is not None) + (
+        b"" if time is None else struct.pack(f"{order}d", time)
+    )
     head += struct.pack(f"{order}i", len(names)) + names + struct.pack(f"{order}i", parts)
     blocks = np.array_split(rows, parts)
     return head + b"".join(
-        struct.pack(f"{order}i", block.size) + block.astype(f"{order}f8").tobytes() for block in blocks
+        struct.pack(f"{order}i", block.size) + block.astype(f"{order}f8").tobytes()
+        for block in blocks
     )
 
 
@@ -51,7 +54,12 @@ def write_netcdf(
     real = "f8" if double else "f4"
     with netCDF4.Dataset(path, "w", format="NETCDF3_64BIT_" + version) as file:
         file.set_auto_mask(False)
-        sizes = {"frame": None, "atom": len(next(iter(steps.values()))), "cell_spatial": 3, "cell_angular": 3}
+        sizes = {
+            "frame": None,
+            "atom": len(next(iter(steps.values()))),
+            "cell_spatial": 3,
+            "cell_angular": 3,
+        }
         for name, size in (sizes | {"label": 10, "spatial": 3, "vec2": 2}).items():
             file.createDimension(name, size)
         file.createVariable("spatial", "S1", ("spatial",))[:] = list("xyz")
@@ -76,7 +84,11 @@ def write_netcdf(
         for k, (step, rows) in enumerate(steps.items()):
             there = ~np.isnan(rows[:, 0])
             time[k] = step
-            file["cell_origin"][k], file["cell_lengths"][k], file["cell_angles"][k] = (0, 0, -1), lengths, angles
+            file["cell_origin"][k], file["cell_lengths"][k], file["cell_angles"][k] = (
+                (0, 0, -1),
+                lengths,
+                angles,
+            )
             for name, at in (("id", 0), ("type", 1), ("radius", 8), ("mass", 9)):
                 file[name][k, : there.sum()] = rows[there, at]
             file["coordinates"][k, : there.sum()] = rows[there, 2:5]

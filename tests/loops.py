@@ -24,5 +24,9 @@ def uncompiled(function: Any) -> Callable:
     """Make a compiled function the Python function that it was, and those that it calls too."""
     given = function.py_func
     used = given.__globals__
-    called = {name: uncompiled(used[name]) for name in given.__code__.co_names if hasattr(used.get(name), "py_func")}
+    called = {
+        name: uncompiled(used[name])
+        for name in given.__code__.co_names
+        if hasattr(used.get(name), "py_func")
+    }
     return FunctionType(given.__code__, used | called, given.__name__)

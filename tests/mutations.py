@@ -23,7 +23,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-COPIED = ("xcg", "tests", "docs", "examples", "pyproject.toml", "README.md", "CITATION.cff", "LICENSE")
+COPIED = (
+    "xcg",
+    "tests",
+    "docs",
+    "examples",
+    "pyproject.toml",
+    "README.md",
+    "CITATION.cff",
+    "LICENSE",
+)
 LONGEST = 900  # seconds; a loop that does not end is caught as well
 
 
@@ -423,7 +432,7 @@ TABLE = [
         "test_a_binary_dump_equals_the_text_dump_beside_it",
     ),
     Mutation(
-        "readers/engines/lammps_netcdf.py", "length + -length % 4)", "length)",
+        "readers/engines/lammps_netcdf.py", "length + -length % 4", "length",
         "test_records_of_odd_length_are_padded_unless_they_are_alone",
     ),
     Mutation(
@@ -441,7 +450,7 @@ TABLE = [
     ),
     # --- writers ---
     Mutation(
-        "writers/encoding.py", "(2 * _SINGLE if twice else 0.0)", "0.0",
+        "writers/encoding.py", "2 * _SINGLE if twice else 0.0", "0.0",
         "test_rounding_errors_are_within_the_stated_bound test_single_precision_errors_are_within_the_note",
     ),
     Mutation(
@@ -477,7 +486,9 @@ def files_of(names: list[str]) -> list[str]:
     texts = {path: path.read_text() for path in sorted((ROOT / "tests").rglob("test_*.py"))}
     found = []
     for name in names:
-        here = [path for path, text in texts.items() if re.search(rf"^def {name}\(", text, re.MULTILINE)]
+        here = [
+            path for path, text in texts.items() if re.search(rf"^def {name}\(", text, re.MULTILINE)
+        ]
         if not here:
             raise LookupError(f"there is no test of the name {name}: was it renamed?")
         found += [f"{path.relative_to(ROOT)}::{name}" for path in here]
@@ -487,11 +498,34 @@ def files_of(names: list[str]) -> list[str]:
 def run_tests(folder: Path, ids: list[str], cache: Path) -> tuple[int, str]:
     """Run tests on the package in a folder until one fails; return pytest's exit code, and that test or the output."""
     # a mutation of the same length within a second would leave the time and size that Python's own cache goes by
-    env = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", "-rf", *ids]
+    env = os.environ | {
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONPATH": str(folder),
+        "NUMBA_CACHE_DIR": str(cache),
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-q",
+        "-m",
+        "",
+        "-p",
+        "no:cacheprovider",
+        "--tb=line",
+        "-rf",
+        *ids,
+    ]
     try:
         done = subprocess.run(
-            command, cwd=folder, env=env, capture_output=True, text=True, timeout=LONGEST, check=False
+            command,
+            cwd=folder,
+            env=env,
+            capture_output=True,
+            text=True,
+            timeout=LONGEST,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return 1, "does not end"
@@ -516,14 +550,20 @@ def mutated(folder: Path, mutation: Mutation, ids: list[str], cache: Path) -> st
         if own != cache:
             shutil.rmtree(own)
     if code not in (0, 1):
-        raise RuntimeError(f"{mutation.file}: {mutation.new!r} is no mutation, pytest ended with {code}:\n{said}")
+        raise RuntimeError(
+            f"{mutation.file}: {mutation.new!r} is no mutation, pytest ended with {code}:\n{said}"
+        )
     return said if code else ""
 
 
 def main() -> int:
     """Run the rows of the table; return how pytest would end."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="WORD", default="", help="rows with this word in the file or the text")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", metavar="WORD", default="", help="rows with this word in the file or the text"
+    )
     only = parser.parse_args().only
     rows = [row for row in TABLE if only in " ".join(row)]
     if not rows:
@@ -531,7 +571,9 @@ def main() -> int:
     for row in rows:
         count = (ROOT / "xcg" / row.file).read_text().count(row.old)
         if count != 1:
-            raise LookupError(f"xcg/{row.file} holds {row.old!r} {count} times, expected once: update the table")
+            raise LookupError(
+                f"xcg/{row.file} holds {row.old!r} {count} times, expected once: update the table"
+            )
     ids = [files_of(row.tests.split()) for row in rows]
     survivors = 0
     with tempfile.TemporaryDirectory() as name:
@@ -540,7 +582,11 @@ def main() -> int:
         cache.mkdir()
         for part in COPIED:
             if (ROOT / part).is_dir():
-                shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "_build"))
+                shutil.copytree(
+                    ROOT / part,
+                    folder / part,
+                    ignore=shutil.ignore_patterns("__pycache__", "_build"),
+                )
             else:
                 shutil.copy2(ROOT / part, folder)
         code, said = run_tests(folder, sorted({one for some in ids for one in some}), cache)
@@ -551,7 +597,10 @@ def main() -> int:
             caught = mutated(folder, row, some, cache)
             survivors += not caught
             end = f"caught by {caught}" if caught else "SURVIVED"
-            print(f"{end}: {row.file}: {row.old!r} -> {row.new!r} ({time.monotonic() - start:.0f} s)", flush=True)
+            print(
+                f"{end}: {row.file}: {row.old!r} -> {row.new!r} ({time.monotonic() - start:.0f} s)",
+                flush=True,
+            )
     print(f"{len(rows) - survivors} of {len(rows)} mutations are caught")
     return int(survivors > 0)
 

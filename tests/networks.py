@@ -38,9 +38,13 @@ def nine_particles(across=0.2):
 def fork():
     """A stem of three grains that parts into two arms of three, 30 degrees to either side: nine grains."""
     stem = [(0.0, float(y)) for y in range(3)]
-    arms = [[(s * k * np.sin(np.pi / 6), 2 + k * np.cos(np.pi / 6)) for k in (1, 2, 3)] for s in (-1, 1)]
+    arms = [
+        [(s * k * np.sin(np.pi / 6), 2 + k * np.cos(np.pi / 6)) for k in (1, 2, 3)] for s in (-1, 1)
+    ]
     pairs = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (2, 6), (6, 7), (7, 8)]
-    return network(stem + arms[0] + arms[1], pairs, [2, 2, 1.1, 1, 1, 1.1, 1, 1], dimension=2, thickness=1.0)
+    return network(
+        stem + arms[0] + arms[1], pairs, [2, 2, 1.1, 1, 1, 1.1, 1, 1], dimension=2, thickness=1.0
+    )
 
 
 def chains_of(fc, t=0):

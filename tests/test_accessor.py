@@ -19,7 +19,9 @@ from xcg.fields.request import SharedOptions, arguments, takes
 from xcg.writers import chains, view, vtkhdf
 from xcg.writers import paraview as vtu
 
-METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
+METHODS = sorted(
+    name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method)
+)
 # methods whose functions have no place at the top of the package
 DEEPER = {
     "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
@@ -38,7 +40,9 @@ def test_a_method_is_its_function(scene, name):
     method = getattr(scene.cg, name)
     _, *parameters = inspect.signature(function).parameters.values()
     assert list(inspect.signature(method).parameters.values()) == parameters
-    assert inspect.signature(method).return_annotation == inspect.signature(function).return_annotation
+    assert (
+        inspect.signature(method).return_annotation == inspect.signature(function).return_annotation
+    )
     assert method.__doc__ == function.__doc__
     assert inspect.getsource(method) == inspect.getsource(function)
     assert getattr(CoarseGrainAccessor, name) is function
@@ -48,7 +52,11 @@ def test_a_method_is_its_function(scene, name):
 def test_every_argument_has_a_type_and_a_meaning(name):
     function = getattr(CoarseGrainAccessor, name)
     _, *parameters = inspect.signature(function).parameters.values()
-    told = inspect.cleandoc(function.__doc__).partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    told = (
+        inspect.cleandoc(function.__doc__)
+        .partition("Parameters\n----------\n")[2]
+        .partition("\n\n")[0]
+    )
     entries = [line.split(" : ")[0] for line in told.splitlines() if not line.startswith(" ")]
     named = {word.strip() for entry in entries for word in entry.split(",")}
     for parameter in parameters:
@@ -72,7 +80,9 @@ def test_all_coarse_graining_methods_share_options():
     assert inspect.signature(explain).parameters == inspect.signature(coarse_grain).parameters
     for function in (coarse_grain, explain, xcg.balance, xcg.width_sweep):
         parameters = inspect.signature(function).parameters
-        assert [p.default for name, p in parameters.items() if name in shared] == [f.default for f in shared.values()]
+        assert [p.default for name, p in parameters.items() if name in shared] == [
+            f.default for f in shared.values()
+        ]
     assert coarse_grain.__annotations__["rtol"] is float  # types, where they are asked for
 
 
@@ -104,9 +114,23 @@ def test_completion_offers_the_methods_of_each_kind(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    pictures, shared = {"plot", "plot_width", "movie", "free_surface", "fit_slope"}, {"view", "to_pyvista", "save"}
-    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu"} | correlations | pictures | shared
-    assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
+    pictures, shared = (
+        {"plot", "plot_width", "movie", "free_surface", "fit_slope"},
+        {"view", "to_pyvista", "save"},
+    )
+    assert (
+        offered["fields"]
+        == {"profile", "time_average", "to_vtkhdf", "to_vtu"} | correlations | pictures | shared
+    )
+    assert offered["chains"] >= {
+        "select_chains",
+        "chain_table",
+        "plot_rose",
+        "to_csv",
+        "to_vtp",
+        "to_vtkhdf",
+        "save",
+    }
     assert not offered["scene"] & offered["chains"] - shared
     assert set.union(*offered.values()) == set(METHODS)
     assert "__repr__" in dir(scene.cg)
@@ -115,9 +139,17 @@ def test_completion_offers_the_methods_of_each_kind(scene):
 @pytest.mark.parametrize(
     ("method", "given", "message"),
     [
-        ("coarse_grain", {"widht": 1.0}, r"coarse_grain\(\) got an unexpected .* 'widht'; did you mean 'width'\?"),
+        (
+            "coarse_grain",
+            {"widht": 1.0},
+            r"coarse_grain\(\) got an unexpected .* 'widht'; did you mean 'width'\?",
+        ),
         ("explain", {"spacin": 1.0}, "did you mean 'spacing'"),
-        ("width_sweep", {"widths": [1, 2, 3], "treshold": 1.0}, r"width_sweep\(\).*did you mean 'threshold'"),
+        (
+            "width_sweep",
+            {"widths": [1, 2, 3], "treshold": 1.0},
+            r"width_sweep\(\).*did you mean 'threshold'",
+        ),
         ("width_sweep", {}, r"width_sweep\(\).*'widths'"),
         ("balance", {"kernal": "lucy"}, "did you mean 'kernel'"),
         ("balance", {"fields": "density"}, "'fields'"),
@@ -145,7 +177,11 @@ def test_too_many_arguments_raise(scene):
             r"^unknown field 'densty'; did you mean 'density'\? Others are listed by xcg.FIELDS",
         ),
         ("explain", ["velocty", "density"], "did you mean 'velocity'"),
-        ("microstructure", "mean_stres", "unknown quantity 'mean_stres'; did you mean 'mean_stress'"),
+        (
+            "microstructure",
+            "mean_stres",
+            "unknown quantity 'mean_stres'; did you mean 'mean_stress'",
+        ),
     ],
 )
 def test_misspelt_names_suggest_the_right_ones(scene, method, given, message):
@@ -176,8 +212,12 @@ def test_completion_by_jedi(scene):
     assert {"coarse_grain", "explain"} <= names
     assert not {"to_csv", "profile"} & names
     (signature, *_) = jedi.Interpreter("ds.cg.coarse_grain(", [{"ds": scene}]).get_signatures()
-    assert [p.name for p in signature.params] == list(inspect.signature(scene.cg.coarse_grain).parameters)
-    assert [c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()] == ["threshold="]
+    assert [p.name for p in signature.params] == list(
+        inspect.signature(scene.cg.coarse_grain).parameters
+    )
+    assert [
+        c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()
+    ] == ["threshold="]
 
 
 def test_the_accessor_keeps_no_dataset_alive():
@@ -197,7 +237,8 @@ def test_the_accessor_keeps_no_dataset_alive():
 @pytest.mark.parametrize("given", ["particles.dump", 3, xr.DataArray([1.0])])
 def test_objects_that_are_no_scene_raise(given):
     with pytest.raises(
-        TypeError, match=f"coarse_grain: expected a scene.*, not {type(given).__name__}; files are opened"
+        TypeError,
+        match=f"coarse_grain: expected a scene.*, not {type(given).__name__}; files are opened",
     ):
         xcg.coarse_grain(given)
 
@@ -212,7 +253,9 @@ def test_parts_of_scenes_have_a_summary(part):
 
 def test_a_summary_computes_nothing():
     ds = xcg.datasets.random_scene(20)
-    lazy = xr.concat([ds, ds.assign_coords(time=ds.time + 1.0)], "time", data_vars="all").chunk(time=1)
+    lazy = xr.concat([ds, ds.assign_coords(time=ds.time + 1.0)], "time", data_vars="all").chunk(
+        time=1
+    )
     lazy.attrs = {k: v for k, v in lazy.attrs.items() if not k.startswith("box_")}
     with dask.config.set(scheduler=lambda *_, **__: pytest.fail("a summary computes")):
         assert "changes with time" in repr(lazy.cg)

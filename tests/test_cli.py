@@ -52,15 +52,31 @@ def series(tmp_path):
         x = rng.uniform(0, 1, (60, 3))
         x[0], x[1] = (0.02, 0.5, 0.5), (0.97, 0.5, 0.5)
         x[3] = x[2] + (0.0, 0.0, 0.09)
-        more = {"Velocity": rng.normal(size=(60, 3)), "Density": np.full(60, 2000.0), "Diameter": np.full(60, 0.1)}
+        more = {
+            "Velocity": rng.normal(size=(60, 3)),
+            "Density": np.full(60, 2000.0),
+            "Diameter": np.full(60, 0.1),
+        }
         more["Volume"] = more["Diameter"] ** 3 * np.pi / 6
-        write_vtp(tmp_path / f"VTU/DES_{number:04d}.vtp", x, time=number / 100, Particle_ID=np.arange(1, 61), **more)
+        write_vtp(
+            tmp_path / f"VTU/DES_{number:04d}.vtp",
+            x,
+            time=number / 100,
+            Particle_ID=np.arange(1, 61),
+            **more,
+        )
         if number != 151:
             force = np.array([[-3.0, 0.5, 0], [3.0, -0.5, 0], [1.0, 0, 0], [1.0, 0, 0]])
             point = np.array([[-0.005, 0.5, 0.5], [0.995, 0.5, 0.5], x[2], x[2]])
             i, j = [2, 1, 3, 3], [1, 2, 4, 4]  # a mirrored pair across the edge, and an exact copy
             write_contacts(
-                tmp_path / f"VTU/FC_{number:04d}.vtp", i, j, force, point, FORCE_CHAIN_FN=force, time=number / 100
+                tmp_path / f"VTU/FC_{number:04d}.vtp",
+                i,
+                j,
+                force,
+                point,
+                FORCE_CHAIN_FN=force,
+                time=number / 100,
             )
     bounds = {f"{a}_{end}": v for a in "xy" for end, v in (("min", 0.0), ("max", 1.0))}
     keys = {
@@ -79,7 +95,13 @@ def series(tmp_path):
 @pytest.fixture
 def few(series):
     """Fields that are quick to build, with and without contacts, for what is about files and not about values."""
-    costly = ("shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient")
+    costly = (
+        "shear_rate_tensor",
+        "pressure",
+        "granular_temperature",
+        "inertial_number",
+        "frictional_coefficient",
+    )
     path = series / "config.ini"
     path.write_text(changed(path.read_text(), **dict.fromkeys(costly, False)))
     return series
@@ -87,7 +109,9 @@ def few(series):
 
 def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
     folder = shared_data("mfix_chute")
-    text = changed(particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out")
+    text = changed(
+        particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out"
+    )
     (tmp_path / "config.ini").write_text(text)
     said = xcg_run("run", tmp_path / "config.ini")
     assert "x: 0.04, z: 0.02, in the files' unit" in said
@@ -112,7 +136,9 @@ def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
         for name in direct:
             # the period is recovered in single precision
             size = float(np.abs(direct[name]).max())
-            np.testing.assert_allclose(f[name], direct[name], rtol=0, atol=1e-5 * size, err_msg=name)
+            np.testing.assert_allclose(
+                f[name], direct[name], rtol=0, atol=1e-5 * size, err_msg=name
+            )
         assert float(f.pressure_xyz.max()) > 50
         assert float(f.volume_fraction.max()) < 0.75
         for t, number in enumerate(numbers):
@@ -120,7 +146,8 @@ def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
             assert nodes == (f.sizes["x"], f.sizes["y"], 1)
             np.testing.assert_array_equal(got["pressure_xy"][0].T, f.pressure_xy.isel(time=t))
             np.testing.assert_array_equal(
-                got["velocity"][0].transpose(1, 0, 2), f.velocity.isel(time=t).transpose("x", "y", "component")
+                got["velocity"][0].transpose(1, 0, 2),
+                f.velocity.isel(time=t).transpose("x", "y", "component"),
             )
     with xr.open_dataset(out / "CG_GranularTemperature_slices.h5") as s:
         assert {"granular_temperature_Kamrin", "granular_temperature_LAMMPS"} <= set(s)
@@ -144,12 +171,16 @@ def test_a_series_written_by_mfix_runs(series):
         periodic="x", box={"x": (0.0, 1.0)},
     )  # fmt: skip
     assert (ds.contact_i.values >= 0).sum(axis=1).tolist() == [2, 0, 2]  # mirror and copy are gone
-    f = ds.cg.coarse_grain("contact_stress", axes="x", width=0.2, extent={"y": 1, "z": 1}, spacing=0.05)
+    f = ds.cg.coarse_grain(
+        "contact_stress", axes="x", width=0.2, extent={"y": 1, "z": 1}, spacing=0.05
+    )
     assert (f.contact_stress.isel(time=1) == 0).all()
     total = f.contact_stress.isel(time=0).sum("x").values * 0.05
     x = ds.position.values[0]
     branch = x[1] - x[0] - [1, 0, 0]
-    expected = np.outer([-3.0, 0.5, 0], branch) + np.outer([1.0, 0, 0], x[2] - x[3] - [round(x[2, 0] - x[3, 0]), 0, 0])
+    expected = np.outer([-3.0, 0.5, 0], branch) + np.outer(
+        [1.0, 0, 0], x[2] - x[3] - [round(x[2, 0] - x[3, 0]), 0, 0]
+    )
     np.testing.assert_allclose(total, expected, atol=2e-3)
 
 
@@ -158,11 +189,18 @@ def test_steps_without_contact_files_run(series):
     with pytest.raises(xcg.SceneError, match="missing='empty'"):
         xcg.open_scene(str(series / "VTU/DES_*.vtp"), **options)
     with pytest.warns(xcg.SceneWarning, match="are left out"):
-        assert xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="skip", **options).sizes["time"] == 2
-    assert xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options).sizes["time"] == 3
+        assert (
+            xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="skip", **options).sizes["time"]
+            == 2
+        )
+    assert (
+        xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options).sizes["time"] == 3
+    )
     # the first step may be the empty one
     (series / "VTU/FC_0150.vtp").unlink()
-    assert "contact_force" in xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options)
+    assert "contact_force" in xcg.open_scene(
+        str(series / "VTU/DES_*.vtp"), missing="empty", **options
+    )
 
 
 @pytest.mark.parametrize(
@@ -177,7 +215,9 @@ def test_steps_without_contact_files_run(series):
 def test_steps_of_a_configuration_count_from_the_first(tmp_path, steps, expected):
     for number in range(1, 11):
         (tmp_path / f"P_{number:04d}.vtp").touch()
-    found = config._files(tmp_path, "P_", config._Section(tmp_path, "timesteps", steps), required=True)
+    found = config._files(
+        tmp_path, "P_", config._Section(tmp_path, "timesteps", steps), required=True
+    )
     assert found == [str(tmp_path / f"P_{number:04d}.vtp") for number in expected]
 
 
@@ -187,16 +227,23 @@ def test_compressed_files_are_among_those_of_a_configuration(series):
     last.with_name("FC_0152.vtp.gz").write_bytes(gzip.compress(last.read_bytes()))
     assert read_config(series / "config.ini").scene == plain
     last.unlink()
-    assert read_config(series / "config.ini").scene["contacts"] == [plain["contacts"][0], f"{last}.gz"]
+    assert read_config(series / "config.ini").scene["contacts"] == [
+        plain["contacts"][0],
+        f"{last}.gz",
+    ]
 
 
 def test_an_unknown_period_must_be_given(series):
     one = {"engine": "mfix", "periodic": "xz", "missing": "empty"}
-    with pytest.raises(xcg.SceneError, match="axis 'x' is periodic, but the box has no finite extent"):
+    with pytest.raises(
+        xcg.SceneError, match="axis 'x' is periodic, but the box has no finite extent"
+    ):
         xcg.open_scene(str(series / "VTU/DES_*.vtp"), contacts=str(series / "VTU/FC_*.vtp"), **one)
     with pytest.warns(xcg.SceneWarning, match="x: 1, in the files' unit"):
         ds = xcg.open_scene(
-            str(series / "VTU/DES_*.vtp"), contacts=str(series / "VTU/FC_*.vtp"), **one | {"periodic": "x"}
+            str(series / "VTU/DES_*.vtp"),
+            contacts=str(series / "VTU/FC_*.vtp"),
+            **one | {"periodic": "x"},
         )
     assert float(ds.box.values[0, 0] @ [-1, 1]) == pytest.approx(1.0, rel=1e-6)
 
@@ -234,7 +281,9 @@ def test_another_job_does_not_resume(few):
         next(steps)
     next(steps)
     steps.close()
-    (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type="Gaussian", x_max=0.9))
+    (few / "config.ini").write_text(
+        changed((few / "config.ini").read_text(), type="Gaussian", x_max=0.9)
+    )
     (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type="Lucy"))
     assert "earlier run" not in xcg_run("run", few / "config.ini")
 
@@ -287,7 +336,9 @@ def test_a_series_of_one_layer_runs(series):
         assert f.attrs["dimension"] == 2
         assert f.attrs["kernel_dimension"] == 2
         inside = f.volume_fraction.sel(x=slice(0.2, 0.8), y=slice(0.2, 0.8)).mean()
-        assert float(inside) == pytest.approx(60 * np.pi / 6 * 0.1**3 / 0.1, rel=0.2)  # a layer as thick as its grains
+        assert float(inside) == pytest.approx(
+            60 * np.pi / 6 * 0.1**3 / 0.1, rel=0.2
+        )  # a layer as thick as its grains
         empty = f.sample_count == 0
         assert np.isnan(f.velocity.where(empty)).all()
         assert "pressure_z" not in f
@@ -342,10 +393,14 @@ def test_messages_name_options_of_the_command_line(tmp_path):
     assert "'contact_point']: give --contacts (this Dataset holds" in xcg_run("chains", one, code=1)
     assert "alpha=100.0: expected an angle" in xcg_run("chains", one, "--alpha", 100, code=1)
     (tmp_path / "there.nc").touch()
-    assert "or pass --overwrite to replace it" in xcg_run("convert", one, "-o", tmp_path / "there.nc", code=1)
+    assert "or pass --overwrite to replace it" in xcg_run(
+        "convert", one, "-o", tmp_path / "there.nc", code=1
+    )
     text = '[scene]\nparticles = "P.pvd"\n'
     (tmp_path / "job.toml").write_text(text)  # where an argument is a key
-    assert "or pass missing='skip' to go on" in " ".join(xcg_run("run", tmp_path / "job.toml", code=1).split())
+    assert "or pass missing='skip' to go on" in " ".join(
+        xcg_run("run", tmp_path / "job.toml", code=1).split()
+    )
 
 
 def test_a_dry_run_lists_all_fields(tmp_path):
@@ -363,7 +418,9 @@ def test_a_dry_run_says_what_exists(tmp_path):
     (tmp_path / "job.toml").write_text(text)
     assert "exists" not in xcg_run("run", tmp_path / "job.toml", "--dry-run")
     xcg_run("run", tmp_path / "job.toml", "-q")
-    assert "fields.nc exists; --overwrite replaces it" in xcg_run("run", tmp_path / "job.toml", "--dry-run")
+    assert "fields.nc exists; --overwrite replaces it" in xcg_run(
+        "run", tmp_path / "job.toml", "--dry-run"
+    )
 
 
 def test_files_open_with_the_options_of_the_scene_of_a_job(tmp_path):
@@ -372,7 +429,9 @@ def test_files_open_with_the_options_of_the_scene_of_a_job(tmp_path):
     said = xcg_run("info", *files, "--box", "x=0:8,y=-1:9", "--units", "reduced", "--allow-unknown")
     box = {"x": (0, 8), "y": (-1, 9)}
     assert said.strip() == repr(
-        xcg.open_scene(particles, contacts=contacts, box=box, units="reduced", allow_unknown=True).cg
+        xcg.open_scene(
+            particles, contacts=contacts, box=box, units="reduced", allow_unknown=True
+        ).cg
     )
     assert "is not of the form x=0:0.1,z=0:0.2" in xcg_run("chains", *files, "--box", "x=0", code=2)
 
@@ -380,13 +439,18 @@ def test_files_open_with_the_options_of_the_scene_of_a_job(tmp_path):
 def test_messages_name_commands_in_place_of_python(tmp_path):
     xcg.datasets.random_scene(50).cg.save(tmp_path / "scene.nc")
     for options, expected in (
-        ('fields = "densty"', "Others are listed by 'xcg fields', variables of the scene by 'xcg info'"),
+        (
+            'fields = "densty"',
+            "Others are listed by 'xcg fields', variables of the scene by 'xcg info'",
+        ),
         (
             'fields = "density"\nerrors = true',
             "errors = true: .* of xcg.time_average in Python",
         ),
     ):
-        (tmp_path / "job.toml").write_text(f'[scene]\nparticles = "scene.nc"\n[fields]\n{options}\n')
+        (tmp_path / "job.toml").write_text(
+            f'[scene]\nparticles = "scene.nc"\n[fields]\n{options}\n'
+        )
         said = " ".join(xcg_run("run", tmp_path / "job.toml", code=1).split())
         assert re.search(expected, said), said
 
@@ -399,7 +463,9 @@ def test_usage_errors_exit_with_2(tmp_path):
 def test_a_job_in_toml_runs(tmp_path):
     pytest.importorskip("vtk")
     text = (ROOT / "examples" / "chute.toml").read_text()
-    text = text.replace("data/lammps_chute", str(ROOT / "examples/data/lammps_chute")).replace("../output", "out")
+    text = text.replace("data/lammps_chute", str(ROOT / "examples/data/lammps_chute")).replace(
+        "../output", "out"
+    )
     (tmp_path / "chute.toml").write_text(text)
     assert "into" in xcg_run("run", tmp_path / "chute.toml", "--dry-run")
     assert not (tmp_path / "out").exists()
@@ -422,7 +488,13 @@ def test_a_job_in_toml_runs(tmp_path):
 def test_what_a_job_leaves_out_has_the_documented_default(tmp_path):
     (tmp_path / "job.toml").write_text('[scene]\nparticles = "p.*.dump"\n')
     job = read_config(tmp_path / "job.toml")
-    assert (job.netcdf, job.vtkhdf, job.suffix, job.name, job.on_error) == (True, "", ".nc", "fields", "raise")
+    assert (job.netcdf, job.vtkhdf, job.suffix, job.name, job.on_error) == (
+        True,
+        "",
+        ".nc",
+        "fields",
+        "raise",
+    )
     assert job.folder == tmp_path / "xcg-output"
     assert job.scene == {"particles": [str(tmp_path / "p.*.dump")]}
     assert (job.fields, job.encoding, job.phases, job.slices) == ({}, {}, None, None)
@@ -464,13 +536,17 @@ def test_help_loads_no_more_than_the_package_does(words):
 
 
 def test_completion_loads_no_more_than_the_package_does():
-    said = said_by(_XCG_COMPLETE="bash_complete", COMP_WORDS="xcg chains --algorithm ", COMP_CWORD="3")
+    said = said_by(
+        _XCG_COMPLETE="bash_complete", COMP_WORDS="xcg chains --algorithm ", COMP_CWORD="3"
+    )
     assert said == "plain,branching\nplain,peters2005\nloaded []\n"
 
 
 def test_options_have_the_choices_of_the_library():
     def taken(command, option):
-        return next(tuple(p.type.choices) for p in group.commands[command].params if p.name == option)
+        return next(
+            tuple(p.type.choices) for p in group.commands[command].params if p.name == option
+        )
 
     assert taken("run", "on_error") == taken("chains", "on_error") == ON_ERROR
     assert taken("chains", "algorithm") == get_args(Algorithm)
@@ -479,7 +555,9 @@ def test_options_have_the_choices_of_the_library():
 def selected(step):
     """Steps of a scene as xarray leaves them: one without a dimension of time, none, and by their numbers."""
     ds = xcg.datasets.open("plane_shear", frozen=2).isel(time=slice(0, 4))
-    return {"one": ds.isel(time=2), "none": ds.isel(time=[]), "step": ds.swap_dims(time="step")}[step]
+    return {"one": ds.isel(time=2), "none": ds.isel(time=[]), "step": ds.swap_dims(time="step")}[
+        step
+    ]
 
 
 @pytest.mark.parametrize("suffix", ["zarr", "nc"])
@@ -498,7 +576,9 @@ def test_selected_steps_open_again_once_saved(tmp_path, suffix, step):
 def test_commands_accept_a_single_saved_step(tmp_path):
     path = selected("one").cg.save(tmp_path / "one.zarr")
     job = tmp_path / "job.toml"
-    job.write_text('[scene]\nparticles = "one.zarr"\n[fields]\nfields = ["density"]\naxes = "z"\nwidth = 1.0\n')
+    job.write_text(
+        '[scene]\nparticles = "one.zarr"\n[fields]\nfields = ["density"]\naxes = "z"\nwidth = 1.0\n'
+    )
     xcg_run("run", job, "-q")
     expected = selected("one").cg.coarse_grain("density", axes="z", width=1.0).compute()
     with xr.open_dataset(tmp_path / "xcg-output" / "fields.nc") as found:

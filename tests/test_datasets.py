@@ -20,7 +20,11 @@ def test_samples_open_with_contacts():
     shear = xcg.datasets.open("plane_shear")
     assert shear.sizes["time"] == 17
     # the sheared grains carry the shear stress from wall to wall
-    p = shear.isel(time=slice(8, None)).cg.coarse_grain(["stress", "velocity", "density"], axes="z").compute()
+    p = (
+        shear.isel(time=slice(8, None))
+        .cg.coarse_grain(["stress", "velocity", "density"], axes="z")
+        .compute()
+    )
     middle = p.cg.time_average().sel(z=slice(3, 8))
     assert (middle.stress.sel(component="x", direction="z") < 0).all()
     assert float(middle.velocity.sel(component="x").differentiate("z").mean()) > 0.2
@@ -41,7 +45,10 @@ def test_discs_are_discs(name):
 def test_unknown_samples_raise(monkeypatch, tmp_path):
     with pytest.raises(ValueError, match=r"unknown sample 'drum'; did you mean 'mixing_drum'\?"):
         xcg.datasets.open("drum")
-    with pytest.raises(ValueError, match=r"unknown sample 'shute'; did you mean 'chute'\? Samples are .*plane_shear"):
+    with pytest.raises(
+        ValueError,
+        match=r"unknown sample 'shute'; did you mean 'chute'\? Samples are .*plane_shear",
+    ):
         xcg.datasets.open("shute")
     monkeypatch.setattr(xcg.datasets, "_FOLDERS", (tmp_path,))
     with pytest.raises(FileNotFoundError, match="install xcg again"):
@@ -49,9 +56,13 @@ def test_unknown_samples_raise(monkeypatch, tmp_path):
 
 
 def test_the_wheel_holds_the_samples():
-    held = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    held = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+        "targets"
+    ]["wheel"]
     targets = held["force-include"].values()
-    assert {Path(t).parts[2] for t in targets} == {sample.folder for sample in xcg.datasets._SAMPLES.values()}
+    assert {Path(t).parts[2] for t in targets} == {
+        sample.folder for sample in xcg.datasets._SAMPLES.values()
+    }
     for source in held["force-include"]:
         assert (ROOT / source).exists()
 
@@ -63,7 +74,9 @@ def test_every_sample_opens_and_is_listed(name):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", xcg.SceneWarning)
         f = ds.cg.coarse_grain().compute()
-    told = [str(one.message) for one in told if "too few particles per node" not in str(one.message)]
+    told = [
+        str(one.message) for one in told if "too few particles per node" not in str(one.message)
+    ]
     if name in ("impact", "segregation"):  # where some grains are 4 and 2 times as large as others
         assert len(told) == 1
         assert "volume fraction" in told[0]
@@ -71,9 +84,14 @@ def test_every_sample_opens_and_is_listed(name):
         assert told == []
     assert {"density", "velocity", "granular_temperature", "volume_fraction"} <= set(f.data_vars)
     table = (ROOT / "examples" / "data" / "README.md").read_text()
-    (row,) = (line for line in table.splitlines() if f"| `{xcg.datasets._SAMPLES[name].folder}` |" in line)
+    (row,) = (
+        line for line in table.splitlines() if f"| `{xcg.datasets._SAMPLES[name].folder}` |" in line
+    )
     assert f'"{name}"' in row
 
 
 def test_the_version_is_the_same_everywhere():
-    assert re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1] == xcg.__version__
+    assert (
+        re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]
+        == xcg.__version__
+    )

@@ -27,7 +27,9 @@ def use(ds: xr.Dataset) -> None:
     CoarseGrainAccessor(ds).slice_temperature(method="slices")  # type: ignore[arg-type]
     open_scene("particles.*", shape="disk", missing="leave")  # type: ignore[arg-type]
     Mean("density", weight="masses")  # type: ignore[arg-type]
-    coarse_grain(ds, kernel="my own", sampling="cell", gradient="paper", per="accessible", on_error="skip")
+    coarse_grain(
+        ds, kernel="my own", sampling="cell", gradient="paper", per="accessible", on_error="skip"
+    )
     CoarseGrainAccessor(ds).balance("density")  # type: ignore[call-arg]
     CoarseGrainAccessor(ds).force_chains(alpha="a")  # type: ignore[arg-type]
     path = CoarseGrainAccessor(ds).explain()  # type: ignore[assignment]

@@ -67,7 +67,9 @@ class CoarseGrainAccessor:
 
     def __dir__(self) -> list[str]:
         kind = kind_of(self._ds)
-        others = {n for n, m in vars(type(self)).items() if isinstance(m, Method) and kind not in m.kinds}
+        others = {
+            n for n, m in vars(type(self)).items() if isinstance(m, Method) and kind not in m.kinds
+        }
         return [name for name in super().__dir__() if name not in others]
 
     def _summary(self) -> Any:

@@ -39,7 +39,9 @@ def stop(*_: object) -> None:
     An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
     stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
     """
-    abandon = getattr(sys.modules.get("xcg.writers.files"), "abandon", None)  # while it is not loaded nothing is begun
+    abandon = getattr(
+        sys.modules.get("xcg.writers.files"), "abandon", None
+    )  # while it is not loaded nothing is begun
     if abandon is not None:
         abandon()
     said = "".join(f"\n{words()}" for words in last_words)
@@ -105,7 +107,9 @@ def _as_options(message: str, options: Mapping[str, str]) -> str:
     return _ARGUMENT.sub(called, message)
 
 
-def _box(context: click.Context, parameter: click.Parameter, value: str | None) -> dict[str, list[float]] | None:
+def _box(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> dict[str, list[float]] | None:
     if value is None:
         return None
     try:
@@ -117,17 +121,40 @@ def _box(context: click.Context, parameter: click.Parameter, value: str | None) 
 
 _OPTIONS = (
     click.argument("files", nargs=-1, required=True),
-    click.option("--contacts", "-c", multiple=True, help="Files with contacts: a path or quoted pattern; repeatable."),
-    click.option("--walls", multiple=True, help="Files with contacts of walls, where they are apart; repeatable."),
+    click.option(
+        "--contacts",
+        "-c",
+        multiple=True,
+        help="Files with contacts: a path or quoted pattern; repeatable.",
+    ),
+    click.option(
+        "--walls",
+        multiple=True,
+        help="Files with contacts of walls, where they are apart; repeatable.",
+    ),
     click.option("--engine", help="The code that wrote the files; guessed by default."),
     click.option("--periodic", help="Periodic axes, such as xy."),
     click.option("--box", callback=_box, help="Edges in the files' unit, such as x=0:0.1,z=0:0.2."),
-    click.option("--units", type=click.Choice(["SI", "reduced"]), help="Units of files that name none."),
-    click.option("--allow-unknown", is_flag=True, default=None, help="Take unknown partners as walls."),
-    click.option("--density", type=float, help="Density of the material, where files hold no mass."),
-    click.option("--timestep", type=float, help="Time between steps of the simulation, where files do not tell it."),
-    click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."),
-    click.option("--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps without contacts."),
+    click.option(
+        "--units", type=click.Choice(["SI", "reduced"]), help="Units of files that name none."
+    ),
+    click.option(
+        "--allow-unknown", is_flag=True, default=None, help="Take unknown partners as walls."
+    ),
+    click.option(
+        "--density", type=float, help="Density of the material, where files hold no mass."
+    ),
+    click.option(
+        "--timestep",
+        type=float,
+        help="Time between steps of the simulation, where files do not tell it.",
+    ),
+    click.option(
+        "--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."
+    ),
+    click.option(
+        "--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps without contacts."
+    ),
 )
 
 
@@ -140,10 +167,16 @@ def takes_files(command: Callable) -> Callable:
 
 def said(options: Mapping[str, Any]) -> dict[str, Any]:
     """Keep the options that were said, as arguments of `open_scene`."""
-    return {name: list(v) if isinstance(v, tuple) else v for name, v in options.items() if v not in (None, ())}
+    return {
+        name: list(v) if isinstance(v, tuple) else v
+        for name, v in options.items()
+        if v not in (None, ())
+    }
 
 
-def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | Literal["mean"] | None:
+def _threshold(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> float | Literal["mean"] | None:
     if value is None:
         return None
     if value == "mean":
@@ -156,18 +189,42 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
 
 @click.command()
 @takes_files
-@click.option("--alpha", default=45.0, show_default=True, help="Largest angle between stress and branch (degrees).")
-@click.option("--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean.")
-@click.option("--min-length", default=3, show_default=True, help="Least number of particles of a chain.")
-@click.option("--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True)
+@click.option(
+    "--alpha",
+    default=45.0,
+    show_default=True,
+    help="Largest angle between stress and branch (degrees).",
+)
+@click.option(
+    "--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean."
+)
+@click.option(
+    "--min-length", default=3, show_default=True, help="Least number of particles of a chain."
+)
+@click.option(
+    "--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True
+)
 @click.option("--raw", is_flag=True, help="Do not symmetrise the stress (as Force Chain Finder).")
-@click.option("--csv", type=click.Path(path_type=Path), help="CSV of Force Chain Finder; {step} for several steps.")
-@click.option("--vtp", type=click.Path(path_type=Path), help="VTK PolyData; {step} for several steps.")
-@click.option("--vtkhdf", type=click.Path(path_type=Path), help="All steps as one temporal VTKHDF file.")
+@click.option(
+    "--csv",
+    type=click.Path(path_type=Path),
+    help="CSV of Force Chain Finder; {step} for several steps.",
+)
+@click.option(
+    "--vtp", type=click.Path(path_type=Path), help="VTK PolyData; {step} for several steps."
+)
+@click.option(
+    "--vtkhdf", type=click.Path(path_type=Path), help="All steps as one temporal VTKHDF file."
+)
 @click.option("--netcdf", type=click.Path(path_type=Path), help="The whole result as NetCDF.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
-@click.option("--on-error", type=click.Choice(ON_ERROR), default=ON_ERROR[0], show_default=True,
-              help="Steps that cannot be read: stop, or leave them out.")  # fmt: skip
+@click.option(
+    "--on-error",
+    type=click.Choice(ON_ERROR),
+    default=ON_ERROR[0],
+    show_default=True,
+    help="Steps that cannot be read: stop, or leave them out.",
+)
 def chains(
     files: tuple[str, ...],
     *,
@@ -201,8 +258,15 @@ def chains(
 
     with plain_messages(quiet=False):
         scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
-        fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
-                          on_error=on_error)  # fmt: skip
+        fc = force_chains(
+            scene,
+            alpha,
+            threshold,
+            min_length,
+            algorithm=algorithm,
+            symmetric=not raw,
+            on_error=on_error,
+        )
         # names are looked at before anything is computed or written
         for path in filter(None, (netcdf, vtkhdf)):
             check_target(path, overwrite=overwrite)
@@ -225,18 +289,30 @@ def statistics_table(fc: xr.Dataset) -> str:
     for t in range(fc.sizes["time"]):
         step = fc.isel(time=t)
         skipped = "skipped" in step.coords and step["skipped"].item()
-        values = f"{'skipped':>9s}" if skipped else "".join(f"{step[name].item():9.4g}" for name in names)
+        values = (
+            f"{'skipped':>9s}"
+            if skipped
+            else "".join(f"{step[name].item():9.4g}" for name in names)
+        )
         lines.append(f"{step['step'].item():10d}{step['time'].item():12.5g}{values}")
     return "\n".join(lines)
 
 
 @click.command()
 @takes_files
-@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="scene.nc or scene.zarr.")
+@click.option(
+    "--output", "-o", required=True, type=click.Path(path_type=Path), help="scene.nc or scene.zarr."
+)
 @click.option("--chunks", type=int, help="Steps in a chunk on disk; one by default.")
 @click.option("--dtype", type=click.Choice(["float32", "float64"]), help="Type of numbers on disk.")
-@click.option("--digits", type=click.IntRange(1, 15), help="Significant digits to keep; all by default.")
-@click.option("--compression", type=click.IntRange(0, 9), help="Level of compression, 0 for none; 1 by default.")
+@click.option(
+    "--digits", type=click.IntRange(1, 15), help="Significant digits to keep; all by default."
+)
+@click.option(
+    "--compression",
+    type=click.IntRange(0, 9),
+    help="Level of compression, 0 for none; 1 by default.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
 def convert(
@@ -261,9 +337,13 @@ def convert(
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
         encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
-        ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
+        ds = conform(
+            open_scene(**scene | said(options))
+        )  # a step that was saved alone gets its time
         save(ds, output, overwrite=overwrite, progress=not quiet, **encoding)
-    click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")
+    click.echo(
+        f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})"
+    )
 
 
 @click.command()
@@ -276,8 +356,10 @@ def fields(pysammos: bool) -> None:
     if pysammos:
         table = [(name, "", row.field.formula) for name, row in rows("xy", "xyz").items()]
     else:
-        table = [(name, registry.FIELDS[name].units, registry.FIELDS[name].formula)
-                 for name in registry.listed()]  # fmt: skip
+        table = [
+            (name, registry.FIELDS[name].units, registry.FIELDS[name].formula)
+            for name in registry.listed()
+        ]
     wide = max(len(name) for name, _, _ in table)
     for name, unit, formula in table:
         click.echo(f"{name:{wide}}  {unit:12}  {formula}")
@@ -307,7 +389,10 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
             f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
         ) from None
     with Client(
-        processes=False, n_workers=1, threads_per_worker=jobs or os.cpu_count(), dashboard_address=":0"
+        processes=False,
+        n_workers=1,
+        threads_per_worker=jobs or os.cpu_count(),
+        dashboard_address=":0",
     ) as client:
         click.echo(f"dashboard: {client.dashboard_link}", err=True)
         yield
@@ -318,9 +403,22 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
 @click.option("--resume", is_flag=True, help="Resume this job's interrupted run; never start over.")
-@click.option("--on-error", type=click.Choice(ON_ERROR), help="Steps that cannot be read: stop, or leave them out.")
-@click.option("--dashboard", is_flag=True, help="Watch dask at work in a browser (needs distributed and bokeh).")
-@click.option("--jobs", "-j", type=click.IntRange(1), help="Chunks of time at once; all processors by default.")
+@click.option(
+    "--on-error",
+    type=click.Choice(ON_ERROR),
+    help="Steps that cannot be read: stop, or leave them out.",
+)
+@click.option(
+    "--dashboard",
+    is_flag=True,
+    help="Watch dask at work in a browser (needs distributed and bokeh).",
+)
+@click.option(
+    "--jobs",
+    "-j",
+    type=click.IntRange(1),
+    help="Chunks of time at once; all processors by default.",
+)
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
 def run(
     config: str,
@@ -342,7 +440,9 @@ def run(
     from xcg.steps.mapping import shown
 
     if resume and overwrite:
-        raise click.UsageError("--resume goes on with a run, and --overwrite starts anew: pass one of them")
+        raise click.UsageError(
+            "--resume goes on with a run, and --overwrite starts anew: pass one of them"
+        )
     with plain_messages(quiet):
         job = read_config(config)
         if on_error is not None:
@@ -371,7 +471,9 @@ def run(
                     for done, _ in steps:
                         bar.update(done - bar.n)
             except OSError as error:
-                if error.errno is not None or isinstance(error, (FileExistsError, FileNotFoundError)):
+                if error.errno is not None or isinstance(
+                    error, (FileExistsError, FileNotFoundError)
+                ):
                     raise
                 raise click.ClickException(f"{error}\n{kept()}") from error
             finally:
@@ -380,7 +482,10 @@ def run(
         click.echo(printable(f"{count} steps in {job.folder}"))
 
 
-@click.group(commands=[chains, convert, fields, info, run], context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    commands=[chains, convert, fields, info, run],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="xcg")
 def group() -> None:
     """Continuum fields from granular simulations."""
@@ -392,7 +497,9 @@ def main() -> None:
     try:
         group(prog_name="xcg")
     except SystemExit as end:
-        if isinstance(end.code, int) and end.code:  # threads would be waited for, a file of a full disk closed again
+        if (
+            isinstance(end.code, int) and end.code
+        ):  # threads would be waited for, a file of a full disk closed again
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(end.code)

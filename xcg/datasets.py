@@ -32,45 +32,80 @@ _FLOOR = {"floor": "f_floor[*]"}
 
 # what the wheel holds stands in pyproject.toml
 _SAMPLES = {
-    "bedload": _Sample("lammps_bedload", *_SERIES, {
-        "frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None},
-    }),
+    "bedload": _Sample(
+        "lammps_bedload",
+        *_SERIES,
+        {
+            "frozen": 2,
+            "gravity": (0.0, 0.0, -5.886),
+            "names": {"v_fx": "drag", "v_fz": None},
+        },
+    ),
     "biaxial": _Sample("lammps_biaxial", *_SERIES, _DISCS),
-    "chute": _Sample("lammps_chute", "particles.00050000.dump.gz", "contacts.00050000.dump.gz", {
-        "gravity": (0.4067, 0.0, -0.9135), "names": {"fz": "force_z"},  # the total force on each grain
-    }),
+    "chute": _Sample(
+        "lammps_chute",
+        "particles.00050000.dump.gz",
+        "contacts.00050000.dump.gz",
+        {
+            "gravity": (0.4067, 0.0, -0.9135),
+            "names": {"fz": "force_z"},  # the total force on each grain
+        },
+    ),
     **{
         f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz", options=_DISCS)
         for a in ("0.5", "1", "2", "4", "8")
     },
     "cooling": _Sample("lammps_cooling"),
-    "glued": _Sample("lammps_glued", contacts="contacts.dump.gz", options={
-        "walls": _FLOOR, "gravity": (0.258819, 0.0, -0.965926),
-    }),
-    "impact": _Sample("lammps_impact", *_SERIES, {
-        "walls": _FLOOR, "gravity": (0.0, 0.0, -9.81), "names": {"fz": "force_z"},
-    }),
+    "glued": _Sample(
+        "lammps_glued",
+        contacts="contacts.dump.gz",
+        options={
+            "walls": _FLOOR,
+            "gravity": (0.258819, 0.0, -0.965926),
+        },
+    ),
+    "impact": _Sample(
+        "lammps_impact",
+        *_SERIES,
+        {
+            "walls": _FLOOR,
+            "gravity": (0.0, 0.0, -9.81),
+            "names": {"fz": "force_z"},
+        },
+    ),
     "segregation": _Sample("lammps_segregation", _SERIES[0], options={"frozen": 2}),
     "suspension": _Sample("lammps_suspension", *_SERIES, {"shear_rate": {"xy": 1.0}}),
     **{
-        f"hopper_{width}": _Sample("lammps_hopper", f"particles_{width}.dump.gz", options={
-            "density": 6 / np.pi, "gravity": (0.0, 0.0, -1.0),
-        })
+        f"hopper_{width}": _Sample(
+            "lammps_hopper",
+            f"particles_{width}.dump.gz",
+            options={
+                "density": 6 / np.pi,
+                "gravity": (0.0, 0.0, -1.0),
+            },
+        )
         for width in (4, 5, 6)
     },
     "mixing_drum": _Sample("lammps_mixing", options={"gravity": (0.0, 0.0, -1.0)}),
     "plane_shear": _Sample("lammps_plane_shear", *_SERIES, {"frozen": 2}),
     **{
         f"shear_cell_{rate}": _Sample(
-            "lammps_shear_cell", f"particles_{rate}.dump.gz", f"contacts_{rate}.dump.gz",
+            "lammps_shear_cell",
+            f"particles_{rate}.dump.gz",
+            f"contacts_{rate}.dump.gz",
             {**_DISCS, "shear_rate": {"xy": float(rate)}},
         )
         for rate in ("0.02", "0.03", "0.05", "0.1", "0.2", "0.3")
     },
-    "silo": _Sample("lammps_silo", contacts="contacts.dump.gz", options={
-        "walls": {"side": "f_side[*]", **_FLOOR}, "gravity": (0.0, 0.0, -9.81),
-    }),
-}  # fmt: skip
+    "silo": _Sample(
+        "lammps_silo",
+        contacts="contacts.dump.gz",
+        options={
+            "walls": {"side": "f_side[*]", **_FLOOR},
+            "gravity": (0.0, 0.0, -9.81),
+        },
+    ),
+}
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
 
 
@@ -114,8 +149,12 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
         if (folder / sample.folder).is_dir():
             found = folder / sample.folder
             contacts = {"contacts": str(found / sample.contacts)} if sample.contacts else {}
-            return open_scene(str(found / sample.particles), **{**contacts, **sample.options, **options})
-    raise FileNotFoundError(f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again")
+            return open_scene(
+                str(found / sample.particles), **{**contacts, **sample.options, **options}
+            )
+    raise FileNotFoundError(
+        f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again"
+    )
 
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
@@ -123,20 +162,35 @@ _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0
 
 def _lattice(cells: int | NDArray, basis: NDArray, edge: float) -> NDArray:
     counts = np.broadcast_to(cells, 3)
-    corner = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    corner = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(
+        -1, 1, 3
+    )
     return ((corner + basis) * edge).reshape(-1, 3)
 
 
-def simple_cubic(cells: int = 5, diameter: float = 1.0, force: float = 1.0, **options: Any) -> xr.Dataset:
+def simple_cubic(
+    cells: int = 5, diameter: float = 1.0, force: float = 1.0, **options: Any
+) -> xr.Dataset:
     """Periodic simple cubic packing of touching spheres, `cells` along each edge, with a force in every bond.
 
     Its volume fraction is pi/6 and its stress ``force / diameter^2`` times the identity.
     """
-    return _bonded(_lattice(cells, np.zeros((1, 3)), diameter), cells * diameter, diameter, diameter, force, options)
+    return _bonded(
+        _lattice(cells, np.zeros((1, 3)), diameter),
+        cells * diameter,
+        diameter,
+        diameter,
+        force,
+        options,
+    )
 
 
 def face_centred_cubic(
-    cells: int = 4, diameter: float = 1.0, bond: float | None = None, force: float = 1.0, **options: Any
+    cells: int = 4,
+    diameter: float = 1.0,
+    bond: float | None = None,
+    force: float = 1.0,
+    **options: Any,
 ) -> xr.Dataset:
     """Periodic face-centred cubic packing with the same force in every bond.
 
@@ -160,14 +214,21 @@ def face_centred_cubic(
 
 
 def _bonded(
-    position: NDArray, edge: float, diameter: float, bond: float, force: float, options: dict[str, Any]
+    position: NDArray,
+    edge: float,
+    diameter: float,
+    bond: float,
+    force: float,
+    options: dict[str, Any],
 ) -> xr.Dataset:
     """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
     from scipy.spatial import cKDTree
 
     reach, period = bond * (1 + 1e-6), np.full(3, edge)
     if edge <= reach:
-        raise ValueError(f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells")
+        raise ValueError(
+            f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells"
+        )
     pairs = cKDTree(position % edge, boxsize=period).query_pairs(reach, output_type="ndarray")
     branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
     rows, branch = images_within(branch, np.full(len(pairs), reach), period)
@@ -305,9 +366,9 @@ def dense_packing(
     across = max(1, round((particles / 4) ** (1 / 3)))
     cells = np.array([across, across, max(1, -(-particles // (4 * across**2)))])
     edge = diameter * (particles * np.pi / 6 / volume_fraction / cells.prod()) ** (1 / 3)
-    position = rng.permutation(_lattice(cells, _FCC + 0.25, edge))[:particles] + jitter * diameter * rng.normal(
-        size=(particles, 3)
-    )
+    position = rng.permutation(_lattice(cells, _FCC + 0.25, edge))[
+        :particles
+    ] + jitter * diameter * rng.normal(size=(particles, 3))
     box = cells * edge
     position %= box
     period = np.where([a in periodic for a in COMPONENTS], box, np.inf)

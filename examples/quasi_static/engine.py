@@ -69,9 +69,18 @@ class Engine:
     def start(self, x: NDArray, d: NDArray, box: NDArray, friction: float) -> None:
         """Begin with grains at rest."""
         edges = " ".join(f"0 {length:.12g}" for length in box)
-        self.do(f"units si\natom_style sphere\nboundary p p p\nnewton off\nregion box block {edges}\ncreate_box 1 box")
-        self.lmp.create_atoms(len(x), list(range(1, len(x) + 1)), [1] * len(x), x.ravel().tolist(), shrinkexceed=False)
-        self.do("\n".join(f"set atom {n + 1} diameter {size:.9g} density {DENSITY}" for n, size in enumerate(d)))
+        self.do(
+            f"units si\natom_style sphere\nboundary p p p\nnewton off\nregion box block {edges}\ncreate_box 1 box"
+        )
+        self.lmp.create_atoms(
+            len(x), list(range(1, len(x) + 1)), [1] * len(x), x.ravel().tolist(), shrinkexceed=False
+        )
+        self.do(
+            "\n".join(
+                f"set atom {n + 1} diameter {size:.9g} density {DENSITY}"
+                for n, size in enumerate(d)
+            )
+        )
         self._settle(friction)
 
     def read(self, name: str, friction: float) -> None:
@@ -90,13 +99,19 @@ class Engine:
         self.do("neigh_modify every 1 delay 0 check yes one 10000 page 200000\ncomm_modify vel yes")
         if multi:
             middle = np.sqrt(smallest * largest)
-            self.do(f"neigh_modify collection/interval 2 {middle:.6g} {1.01 * largest:.6g}\ncomm_modify mode multi")
+            self.do(
+                f"neigh_modify collection/interval 2 {middle:.6g} {1.01 * largest:.6g}\ncomm_modify mode multi"
+            )
         # said anew also for a state that was read: a granular style from a restart file computes no forces (LAMMPS of
         # July 2025), while the tangential springs, which are kept apart from it, do come back
         self.do("pair_style granular")
         self.set_friction(friction)
-        self.do(f"timestep {self.sample.timestep:.6g}\nfix move all nve/sphere\ncompute stress all pressure NULL pair")
-        self.do("fix mean all ave/time 1 100 100 c_stress[1] c_stress[2] c_stress[3]\nthermo 1000000")
+        self.do(
+            f"timestep {self.sample.timestep:.6g}\nfix move all nve/sphere\ncompute stress all pressure NULL pair"
+        )
+        self.do(
+            "fix mean all ave/time 1 100 100 c_stress[1] c_stress[2] c_stress[3]\nthermo 1000000"
+        )
 
     def set_friction(self, friction: float) -> None:
         """Hertz-Mindlin contacts with this friction."""
@@ -113,11 +128,15 @@ class Engine:
 
     def average_over(self, steps: int) -> None:
         """Average the stress over chunks of so many steps."""
-        self.do(f"unfix mean\nfix mean all ave/time 1 {steps} {steps} c_stress[1] c_stress[2] c_stress[3]")
+        self.do(
+            f"unfix mean\nfix mean all ave/time 1 {steps} {steps} c_stress[1] c_stress[2] c_stress[3]"
+        )
 
     def chunk_stress(self) -> NDArray:
         """Principal stresses averaged over the last chunk (Pa)."""
-        return np.array([self.lmp.extract_fix("mean", LMP_STYLE_GLOBAL, LMP_TYPE_VECTOR, n) for n in range(3)])
+        return np.array(
+            [self.lmp.extract_fix("mean", LMP_STYLE_GLOBAL, LMP_TYPE_VECTOR, n) for n in range(3)]
+        )
 
     def compress(self, rate: float, tolerance: float = 2e-3) -> None:
         """Bring a cloud to the confining pressure, and wait until the pressure is the same along all axes.
@@ -140,7 +159,9 @@ class Engine:
             self.do("unfix servo")
         self.do("unfix calm")
 
-    def shear(self, rate: float, strain: float, frames: int, folder: Path, prior: float = 0.0) -> dict[str, Any]:
+    def shear(
+        self, rate: float, strain: float, frames: int, folder: Path, prior: float = 0.0
+    ) -> dict[str, Any]:
         """Compress along z at the true strain rate `rate`, with the mean stress held by the sides.
 
         Dumps go to `folder`, `frames` of them; `prior` is the rate at which the state was sheared before, so that the
@@ -155,14 +176,18 @@ class Engine:
         for axis, share in zip("xyz", (0.5, 0.5, -1.0), strict=True):
             low, high = (edge["xyz".index(axis)] for edge in self.lmp.extract_box()[:2])
             half = share * (rate - prior) * (high - low) / 2
-            self.do(f"velocity all ramp v{axis} {-half:.9g} {half:.9g} {axis} {low:.9g} {high:.9g} sum yes units box")
+            self.do(
+                f"velocity all ramp v{axis} {-half:.9g} {half:.9g} {axis} {low:.9g} {high:.9g} sum yes units box"
+            )
         self.average_over(chunk)
         self._dump(folder, every)
         began = perf_counter()
         self.do("run 0 post no")
         rows, means, lateral, total = [self._row()], [], rate / 2, 0.0
         for n in range(frames * parts):
-            self.do(f"fix servo all deform 1 x trate {lateral:.9g} y trate {lateral:.9g} z trate {-rate:.9g} remap v")
+            self.do(
+                f"fix servo all deform 1 x trate {lateral:.9g} y trate {lateral:.9g} z trate {-rate:.9g} remap v"
+            )
             self.do(f"run {chunk} post no")
             means.append(self.chunk_stress().mean())
             error = means[-1] - PRESSURE
@@ -178,7 +203,12 @@ class Engine:
 
     def _row(self) -> dict[str, float]:
         x, y, z = self.stress()
-        return {"step": self.lmp.extract_global("ntimestep"), "lammps_x": x, "lammps_y": y, "lammps_z": z}
+        return {
+            "step": self.lmp.extract_global("ntimestep"),
+            "lammps_x": x,
+            "lammps_y": y,
+            "lammps_z": z,
+        }
 
     def _dump(self, folder: Path, every: int) -> None:
         self.do(f"""

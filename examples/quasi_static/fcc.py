@@ -43,7 +43,9 @@ def run(friction: float, turning: bool, folder: Path) -> None:
 def measure(folder: Path, friction: float, turning: bool) -> pd.DataFrame:
     """Stress and contacts of each frame, by xcg, and the slope of the contacts in that box."""
     ds = open_run(folder)
-    m = ds.cg.microstructure(["stress", "mean_stress", "coordination_number", "axial_strain"]).compute()
+    m = ds.cg.microstructure(
+        ["stress", "mean_stress", "coordination_number", "axial_strain"]
+    ).compute()
     x, y, z = (m.stress.sel(component=a, direction=a).values for a in "xyz")
     lengths = (ds.box.isel(bound=1) - ds.box.isel(bound=0)).values
     return pd.DataFrame(
@@ -53,7 +55,12 @@ def measure(folder: Path, friction: float, turning: bool) -> pd.DataFrame:
             "axial_strain": m.axial_strain.values,
             "mean_stress": m.mean_stress.values,
         }
-        | {"stress_x": x, "stress_y": y, "stress_z": z, "coordination_number": m.coordination_number.values}
+        | {
+            "stress_x": x,
+            "stress_y": y,
+            "stress_z": z,
+            "coordination_number": m.coordination_number.values,
+        }
         | {"slope": (lengths[:, 0] + lengths[:, 1]) / 2 / lengths[:, 2]}
     )
 

@@ -35,6 +35,8 @@ def cloud(d: NDArray, fraction: float, aspect: float, seed: int) -> tuple[NDArra
 def face_centred_cubic(cells: int, d: float, squeeze: float) -> tuple[NDArray, NDArray]:
     """Array of uniform spheres with axes along <100>, overlapping by `squeeze` d (positions, lengths of the box)."""
     edge = np.sqrt(2) * d * (1 - squeeze)
-    corner = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    corner = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(
+        -1, 1, 3
+    )
     basis = np.array([[0, 0, 0], [0.5, 0.5, 0], [0.5, 0, 0.5], [0, 0.5, 0.5]])
     return ((corner + basis).reshape(-1, 3) + 0.25) * edge, np.full(3, cells * edge)

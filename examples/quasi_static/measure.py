@@ -32,7 +32,9 @@ WINDOW = 0.05  # axial strain of each run that is left out of force distribution
 
 def open_run(folder: Path) -> xr.Dataset:
     """Scene of a run: all its frames."""
-    return xcg.open_scene(str(folder / "particles.*.dump"), contacts=str(folder / "contacts.*.dump"), periodic="xyz")
+    return xcg.open_scene(
+        str(folder / "particles.*.dump"), contacts=str(folder / "contacts.*.dump"), periodic="xyz"
+    )
 
 
 def overlaps(ds: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -82,10 +84,17 @@ def main(work: Path, results: Path) -> None:
         particles = int(open_run(folder).isel(time=0).particle_id.size)
         runs.append(
             labels
-            | {"particles": particles, "steps": int(record["steps"]), "seconds": float(record["seconds"])}
+            | {
+                "particles": particles,
+                "steps": int(record["steps"]),
+                "seconds": float(record["seconds"]),
+            }
             | {"servo_mean": steady.mean(), "servo_scatter": steady.std()}
         )
-        print(f"{ratio} {run}: p' {runs[-1]['servo_mean']:.0f} Pa, overlap {table.overlap_max.max():.4f}", flush=True)
+        print(
+            f"{ratio} {run}: p' {runs[-1]['servo_mean']:.0f} Pa, overlap {table.overlap_max.max():.4f}",
+            flush=True,
+        )
     results.mkdir(parents=True, exist_ok=True)
     for name, rows in (("history", histories), ("forces", forces), ("runs", [pd.DataFrame(runs)])):
         whole = pd.concat(rows)

@@ -17,7 +17,11 @@ from grains import cloud, diameters
 
 D50 = 1e-3  # m
 COUNTS = {1.2: 1000, 2.0: 1500, 5.0: 2000}
-YOUNG = {1.2: 6e9, 2.0: 6e9, 5.0: 10e9}  # Pa: stiffer where large grains press on small ones; overlaps below 1 % of d
+YOUNG = {
+    1.2: 6e9,
+    2.0: 6e9,
+    5.0: 10e9,
+}  # Pa: stiffer where large grains press on small ones; overlaps below 1 % of d
 RATES = (1e-3, 3e-3, 1e-2, 3e-4, 1e-4)  # inertial numbers with d50, in the order of running
 SLOWEST = {1.2: 1e-4, 2.0: 3e-4, 5.0: 1e-4}  # what the budget allows
 PRIOR, PRIOR_STRAIN = 3e-3, 0.25  # the shear from the isotropic state, where all rates start
@@ -46,7 +50,9 @@ def pack(ratio: float, folder: Path) -> None:
     seconds = perf_counter() - began
     with Engine(state) as engine:
         engine.read("isotropic.restart", FRICTION)
-        record = engine.shear(PRIOR / inertial_time(D50), PRIOR_STRAIN, FRAMES, state.folder / "prior")
+        record = engine.shear(
+            PRIOR / inertial_time(D50), PRIOR_STRAIN, FRAMES, state.folder / "prior"
+        )
         engine.write("sheared.restart")
     _save(state.folder / "prior", record, packing_seconds=seconds)
 

@@ -13,7 +13,9 @@ QUANTITIES = ("stress_ratio", "volume_fraction", "z_mech", "f_nr")
 def load(results: Path) -> dict[str, pd.DataFrame]:
     """Tables by name; runs are named by their inertial number, or "prior"."""
     kinds = {"ratio": float, "run": str}
-    return {path.stem: pd.read_csv(path, dtype=kinds) for path in sorted(Path(results).glob("*.csv"))}
+    return {
+        path.stem: pd.read_csv(path, dtype=kinds) for path in sorted(Path(results).glob("*.csv"))
+    }
 
 
 def steady(history: pd.DataFrame) -> pd.DataFrame:
@@ -44,7 +46,9 @@ def normalised(values: pd.DataFrame, name: str, at: float = 1e-3) -> pd.DataFram
     for _, table in values.groupby("ratio"):
         reference = table[np.isclose(table.rate, at)].iloc[0]
         relative = table[f"{name}_error"] / table[name]
-        other = np.where(np.isclose(table.rate, at), 0.0, reference[f"{name}_error"] / reference[name])
+        other = np.where(
+            np.isclose(table.rate, at), 0.0, reference[f"{name}_error"] / reference[name]
+        )
         part = table[["ratio", "rate", "inertial_dmax", "inertial_d50", "inertial_dbar"]].copy()
         part["value"] = table[name] / reference[name]
         part["error"] = part["value"] * np.hypot(relative, other)
@@ -56,7 +60,9 @@ def change(values: pd.DataFrame, name: str, above: float, below: float) -> tuple
     """Relative change of a quantity from the rate `above` down to `below`, for one size ratio, and its error."""
     high, low = (values[np.isclose(values.rate, rate)].iloc[0] for rate in (above, below))
     quotient = low[name] / high[name]
-    error = quotient * np.hypot(low[f"{name}_error"] / low[name], high[f"{name}_error"] / high[name])
+    error = quotient * np.hypot(
+        low[f"{name}_error"] / low[name], high[f"{name}_error"] / high[name]
+    )
     return quotient - 1, error
 
 

@@ -21,7 +21,9 @@ def _with_arrays():
             if not isinstance(node, ast.ClassDef):
                 continue
             decorators = [ast.unparse(one) for one in node.decorator_list]
-            types = [ast.unparse(one.annotation) for one in node.body if isinstance(one, ast.AnnAssign)]
+            types = [
+                ast.unparse(one.annotation) for one in node.body if isinstance(one, ast.AnnAssign)
+            ]
             arrays = any("NDArray" in one and "Callable" not in one for one in types)
             if arrays and any(one.startswith("dataclass") for one in decorators):
                 yield f"{path.relative_to(PACKAGE)}: {node.name}", decorators
@@ -29,7 +31,11 @@ def _with_arrays():
 
 def test_dataclasses_that_hold_arrays_have_no_equality():
     """`==` of arrays is an array, so that comparing two of them would raise."""
-    assert [name for name, decorators in _with_arrays() if not any("eq=False" in one for one in decorators)] == []
+    assert [
+        name
+        for name, decorators in _with_arrays()
+        if not any("eq=False" in one for one in decorators)
+    ] == []
 
 
 @pytest.mark.parametrize("size", ["d43", "dmax"])
@@ -42,4 +48,6 @@ def test_options_equal_themselves_in_another_process(size):
     again = pickle.loads(pickle.dumps(options))
     assert again == options
     assert hash(again) == hash(options)
-    assert program_for(("density",), again) is program_for(("density",), options)  # traced once a process
+    assert program_for(("density",), again) is program_for(
+        ("density",), options
+    )  # traced once a process

@@ -19,7 +19,9 @@ def scene():
 
 KINDS = {
     "scene": scene,
-    "result": lambda: scene().cg.coarse_grain(["density", "velocity"], axes="xz", width=1.0, spacing=1.0),
+    "result": lambda: scene().cg.coarse_grain(
+        ["density", "velocity"], axes="xz", width=1.0, spacing=1.0
+    ),
     "chains": lambda: scene().cg.force_chains(),
 }
 METHODS = [
@@ -34,7 +36,11 @@ METHODS = [
 def internal(error: BaseException) -> BaseException | None:
     """Return the error that a reader of the traceback sees above this one without being told why."""
     while error is not None:
-        if error.__context__ is not None and not error.__suppress_context__ and error.__cause__ is None:
+        if (
+            error.__context__ is not None
+            and not error.__suppress_context__
+            and error.__cause__ is None
+        ):
             return error.__context__
         error = error.__cause__
     return None
@@ -55,7 +61,10 @@ def test_wrong_arguments_raise_an_error_without_a_context(kind, name, lazy):
     ds = ds.chunk(time=1) if lazy else ds
     method = getattr(ds.cg, name)
     for parameter in inspect.signature(method).parameters.values():
-        if parameter.name in FREE or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+        if parameter.name in FREE or parameter.kind in (
+            parameter.VAR_POSITIONAL,
+            parameter.VAR_KEYWORD,
+        ):
             continue
         for wrong in WRONG:
             with warnings.catch_warnings():
@@ -78,7 +87,9 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_wrong_arguments_of_plots_and_writers_raise_an_error_without_a_context(name, tmp_path, monkeypatch):
+def test_wrong_arguments_of_plots_and_writers_raise_an_error_without_a_context(
+    name, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     method = vars(CoarseGrainAccessor)[name]
     for kind in method.kinds:
@@ -97,8 +108,14 @@ def test_wrong_arguments_of_plots_and_writers_raise_an_error_without_a_context(n
 
 # what functions of the package that take no scene need besides one wrong argument
 NEEDED = {
-    "scene_from_arrays": {"position": [[0.0, 0, 0], [1, 0, 0]], "diameter": [1.0, 1.0], "density": 1.0},
-    "scene_from_table": {"particles": {"x": [0.0], "y": [0.0], "z": [0.0], "radius": [0.5], "time": [0.0]}},
+    "scene_from_arrays": {
+        "position": [[0.0, 0, 0], [1, 0, 0]],
+        "diameter": [1.0, 1.0],
+        "density": 1.0,
+    },
+    "scene_from_table": {
+        "particles": {"x": [0.0], "y": [0.0], "z": [0.0], "radius": [0.5], "time": [0.0]}
+    },
     "open_scene": {"particles": "nowhere.*.dump"},
     "find_pairs": {"position": [[0.0, 0, 0], [1, 0, 0]], "radius": [0.6, 0.6]},
     "mesh_points": {"path": "nowhere.vtu"},

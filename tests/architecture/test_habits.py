@@ -35,8 +35,12 @@ RESULTS_OF = {
     "displacement": lambda ds: ds.cg.displacement(width=0.6, axes="z"),
     "time_average": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_average(),
     "profile": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.profile("z"),
-    "spatial_correlation": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.spatial_correlation("density"),
-    "time_correlation": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_correlation("density"),
+    "spatial_correlation": lambda ds: ds.cg.coarse_grain(
+        "density", width=0.6
+    ).cg.spatial_correlation("density"),
+    "time_correlation": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_correlation(
+        "density"
+    ),
     "free_surface": lambda ds: ds.cg.coarse_grain("volume_fraction", width=0.6).cg.free_surface(),
     "balance": lambda ds: ds.cg.balance(width=0.6, axes="z", spacing=0.2),
     "cell_volumes": lambda ds: ds.cg.cell_volumes(spacing=0.5),
@@ -73,7 +77,11 @@ def walled():
 def test_every_number_of_a_result_has_a_unit(walled, name):
     """Coordinates, too, as plots take their labels from them."""
     found = RESULTS_OF[name](walled)
-    bare = {str(n) for n, v in found.variables.items() if v.dtype.kind in "fi" and "units" not in v.attrs}
+    bare = {
+        str(n)
+        for n, v in found.variables.items()
+        if v.dtype.kind in "fi" and "units" not in v.attrs
+    }
     assert not bare - {"principal"}  # 1, 2, 3: labels
     if "time" in found.dims:
         assert found["time"].attrs == walled["time"].attrs
@@ -96,7 +104,9 @@ def test_pint_reads_all_units():
         assert found.magnitude == 1
         expected = units.Quantity(1.0, "")
         for symbol, power in base.items():
-            expected = expected * units.Quantity(1.0, symbol) ** int(np.dot(power, powers_of(row.units)))
+            expected = expected * units.Quantity(1.0, symbol) ** int(
+                np.dot(power, powers_of(row.units))
+            )
         assert found.units == expected.units, row
 
 
@@ -114,7 +124,11 @@ def test_pint_xarray_quantifies_scenes_and_results(scene, make):
     pytest.importorskip("pint_xarray")
     ds = make(scene)
     quantified = ds.pint.quantify()
-    assert all(quantified[name].pint.units is not None for name in ds.data_vars if "units" in ds[name].attrs)
+    assert all(
+        quantified[name].pint.units is not None
+        for name in ds.data_vars
+        if "units" in ds[name].attrs
+    )
     back = quantified.pint.dequantify(format="~C")
     for name in ds.data_vars:
         np.testing.assert_array_equal(back[name], ds[name])

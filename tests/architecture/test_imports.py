@@ -72,7 +72,17 @@ for name in ("xarray", "dask", "pandas", "vtk"):
 
 
 def test_import_of_the_package_loads_no_heavy_library():
-    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click", "dask", "numba", "scipy")
+    heavy = (
+        "vtk",
+        "vtkmodules",
+        "matplotlib",
+        "sklearn",
+        "h5py",
+        "click",
+        "dask",
+        "numba",
+        "scipy",
+    )
     done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
@@ -82,7 +92,11 @@ def test_import_of_the_package_loads_no_heavy_library():
     [(PACKAGE, FLOORS), *((PACKAGE / room, floors) for room, floors in INSIDE.items())],
 )
 def test_all_rooms_and_modules_are_listed(folder, floors):
-    found = {f.stem for f in folder.iterdir() if f.suffix == ".py" or (f.is_dir() and any(f.glob("*.py")))}
+    found = {
+        f.stem
+        for f in folder.iterdir()
+        if f.suffix == ".py" or (f.is_dir() and any(f.glob("*.py")))
+    }
     assert found == {room for floor in floors for room in floor}
 
 
@@ -99,7 +113,8 @@ def _imports():
                 for alias in node.names:
                     deeper = (*module, alias.name)
                     is_module = (
-                        PACKAGE.joinpath(*deeper).is_dir() or PACKAGE.joinpath(*deeper).with_suffix(".py").exists()
+                        PACKAGE.joinpath(*deeper).is_dir()
+                        or PACKAGE.joinpath(*deeper).with_suffix(".py").exists()
                     )
                     yield own, deeper if is_module else module or ("__init__",)
             elif isinstance(node, ast.Import) and any(alias.name == "xcg" for alias in node.names):
@@ -118,7 +133,9 @@ def test_imports_only_go_down_and_wings_stay_apart():
         if own[0] == target[0] in INSIDE and len(own) > 1 and len(target) > 1:
             own, target, floors = own[1:], target[1:], INSIDE[own[0]]
         if own[0] != target[0]:
-            assert _floor(target[0], floors) < _floor(own[0], floors), f"{'.'.join(own)} imports {'.'.join(target)}"
+            assert _floor(target[0], floors) < _floor(own[0], floors), (
+                f"{'.'.join(own)} imports {'.'.join(target)}"
+            )
 
 
 def test_no_module_imports_itself_in_a_circle():
@@ -169,7 +186,9 @@ def test_kernel_means_the_smoothing_function_alone():
 
 
 def test_completion_shows_public_names_only():
-    done = run("import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))")
+    done = run(
+        "import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))"
+    )
     assert done.stdout.startswith("True"), done.stdout + done.stderr
 
 
@@ -177,8 +196,12 @@ def test_names_are_imported_from_where_the_stub_says():
     stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
     told = [ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign)]
     done = run("import xcg; print(xcg.__all__)")
-    assert [ast.literal_eval(done.stdout)] == [sorted(names) for names in told], done.stdout + done.stderr
-    done = run("import xcg; print({name for name in xcg.__all__ if getattr(xcg, name, None) is None})")
+    assert [ast.literal_eval(done.stdout)] == [sorted(names) for names in told], (
+        done.stdout + done.stderr
+    )
+    done = run(
+        "import xcg; print({name for name in xcg.__all__ if getattr(xcg, name, None) is None})"
+    )
     assert done.stdout.strip() == "set()", done.stdout + done.stderr
 
 
@@ -194,10 +217,12 @@ def test_every_dataset_has_the_accessor_once_the_package_is_imported():
 
 def test_a_method_loads_only_the_rooms_it_uses():
     rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.analysis")
-    code = (
-        "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; print('xcg.fields.coarse_grain' in sys.modules, "
+    code = "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; "
+    code += "print('xcg.fields.coarse_grain' in sys.modules, "
+    done = run(
+        code
+        + f"[m for m in sys.modules if m.startswith(tuple('xcg.' + room for room in {rooms}))])"
     )
-    done = run(code + f"[m for m in sys.modules if m.startswith(tuple('xcg.' + room for room in {rooms}))])")
     assert done.stdout.strip() == "True []", done.stdout + done.stderr
 
 

@@ -24,6 +24,8 @@ def test_files_have_the_names_of_modules():
     for path in (ROOT / "tests").rglob("test_*.py"):
         place = path.relative_to(ROOT / "tests")
         room, module = ROOT / "xcg" / place.parent, place.stem.removeprefix("test_")
-        if place.parts[0] not in ACROSS and not any((room / f"{p}{module}.py").exists() for p in ("", "_")):
+        if place.parts[0] not in ACROSS and not any(
+            (room / f"{p}{module}.py").exists() for p in ("", "_")
+        ):
             others.add(place.as_posix())
     assert others == set(OTHERS)

@@ -49,7 +49,9 @@ class Case:
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
         with ExitStack() as few:
             for name, module in list(sys.modules.items()):
-                if name.startswith("xcg.") and "THREADS" in vars(module):  # whatever another commit calls it
+                if name.startswith("xcg.") and "THREADS" in vars(
+                    module
+                ):  # whatever another commit calls it
                     few.enter_context(mock.patch.object(module, "THREADS", self.threads))
             return self.work(ds)
 
@@ -67,7 +69,9 @@ def packing(particles: int, steps: int = 1) -> xr.Dataset:
     return xr.concat(times, "time", combine_attrs="override").chunk(time=1)
 
 
-def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, refined: float = 1) -> xr.Dataset:
+def fields(
+    ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, refined: float = 1
+) -> xr.Dataset:
     """Fields in memory; a lazy scene is computed by as many threads as it has steps."""
     spacing = 0.75 * ds.attrs["d43"] / refined
     f = ds.cg.coarse_grain(names, width=WIDTH, spacing=spacing, rtol=rtol)
@@ -84,10 +88,18 @@ def at_points(ds: xr.Dataset, shuffled: bool = False) -> xr.Dataset:
 def nodes_as_points(particles: int, shuffled: bool) -> dict[str, xr.DataArray]:
     """Nodes of a mesh around the packing, ten for each grain, in its order or in any."""
     ds = packing(particles)
-    mesh = ds.chunk().cg.coarse_grain("density", width=WIDTH, spacing=0.75 * ds.attrs["d43"] / TEN_NODES)
-    order = np.random.default_rng(0).permutation(math.prod(mesh.density.shape)) if shuffled else slice(None)
+    mesh = ds.chunk().cg.coarse_grain(
+        "density", width=WIDTH, spacing=0.75 * ds.attrs["d43"] / TEN_NODES
+    )
+    order = (
+        np.random.default_rng(0).permutation(math.prod(mesh.density.shape))
+        if shuffled
+        else slice(None)
+    )
     columns = np.meshgrid(*(mesh[a].to_numpy() for a in "xyz"), indexing="ij")
-    return {a: xr.DataArray(x.ravel()[order], dims="point") for a, x in zip("xyz", columns, strict=True)}
+    return {
+        a: xr.DataArray(x.ravel()[order], dims="point") for a, x in zip("xyz", columns, strict=True)
+    }
 
 
 def end_to_end(ds: xr.Dataset) -> None:
@@ -142,11 +154,24 @@ CASES = [
     Case("a pair of dumps of LAMMPS to a scene in memory", parse),
     Case("a pair of dumps of LAMMPS to a scene in memory", parse, threads=2),
     Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
-    Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
-    Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
-    Case("all fields, rtol = 1e-3, ten nodes a grain", partial(fields, rtol=1e-3, refined=TEN_NODES)),
+    Case(
+        "volume fraction and contact stress, spacing w/2",
+        partial(fields, names=SUMS, refined=2),
+        share=0.1,
+    ),
+    Case(
+        "volume fraction and contact stress, spacing w/4",
+        partial(fields, names=SUMS, refined=4),
+        share=0.1,
+    ),
+    Case(
+        "all fields, rtol = 1e-3, ten nodes a grain", partial(fields, rtol=1e-3, refined=TEN_NODES)
+    ),
     Case("all fields, rtol = 1e-3, ten nodes a grain as points", at_points),
-    Case("all fields, rtol = 1e-3, ten nodes a grain as points in random order", partial(at_points, shuffled=True)),
+    Case(
+        "all fields, rtol = 1e-3, ten nodes a grain as points in random order",
+        partial(at_points, shuffled=True),
+    ),
 ]
 # those worth a million grains; all fields on one thread take 2 to 6 s, by where the system has its pages from
 LARGE = [CASES[1], CASES[6], CASES[10], CASES[11]]
@@ -168,7 +193,16 @@ import dask.array, numba, xarray
 numba.core.registry.cpu_target.target_context.refresh()  # as the first loop that is loaded does
 print(time.time())
 """
-GIVEN = ("position", "diameter", "velocity", "contact_i", "contact_j", "contact_force", "contact_point", "box")
+GIVEN = (
+    "position",
+    "diameter",
+    "velocity",
+    "contact_i",
+    "contact_j",
+    "contact_force",
+    "contact_point",
+    "box",
+)
 # the high-water mark of this process alone: that of getrusage starts from the parent's
 RESIDENT = """
 for line in open("/proc/self/status"):
@@ -238,7 +272,14 @@ def libraries() -> float:
 def small_steps(particles: int, steps: int, threads: int) -> float:
     """Seconds a step of a series of gzipped dumps to a Zarr folder of all fields, after a first step."""
     with tempfile.TemporaryDirectory() as folder:
-        return float(fresh(SMALL_STEPS, folder, *map(str, (particles, steps, threads)), XCG_INDEX_CACHE="0")) / steps
+        return (
+            float(
+                fresh(
+                    SMALL_STEPS, folder, *map(str, (particles, steps, threads)), XCG_INDEX_CACHE="0"
+                )
+            )
+            / steps
+        )
 
 
 def peak_memory(case: Case, particles: int) -> float:

@@ -37,14 +37,19 @@ CONTACT_ARRAYS = {
 
 def packings(particles: int, count: int) -> list[xr.Dataset]:
     """Packings of equal size with different numbers of contacts."""
-    return [xcg.datasets.dense_packing(particles, seed=k, contacts=3.0 - 0.02 * k) for k in range(count)]
+    return [
+        xcg.datasets.dense_packing(particles, seed=k, contacts=3.0 - 0.02 * k) for k in range(count)
+    ]
 
 
 def write_vtp_series(folder: Path, particles: int, steps: int, base: int = 4) -> dict[str, object]:
     """MFiX's binary regions: arguments for `xcg.open_scene`."""
     folder.mkdir(parents=True, exist_ok=True)
     scenes = packings(particles, min(base, steps))
-    for kind, points, arrays in (("P", "position", PARTICLE_ARRAYS), ("FC", "contact_point", CONTACT_ARRAYS)):
+    for kind, points, arrays in (
+        ("P", "position", PARTICLE_ARRAYS),
+        ("FC", "contact_point", CONTACT_ARRAYS),
+    ):
         for k, ds in enumerate(scenes):
             write_vtp(folder / f"{kind}_base_{k}.vtp", ds, points, arrays)
         for t in range(steps):
@@ -58,7 +63,9 @@ def write_distinct_vtp_series(folder: Path, particles: int, steps: int) -> dict[
     (first,) = packings(particles, 1)
     for t in range(steps):
         growth = 1.0 + 0.01 * t
-        ds = first.assign(velocity=first.velocity * growth, contact_force=first.contact_force * growth)
+        ds = first.assign(
+            velocity=first.velocity * growth, contact_force=first.contact_force * growth
+        )
         write_vtp(folder / f"P_{t:05d}.vtp", ds, "position", PARTICLE_ARRAYS)
         write_vtp(folder / f"FC_{t:05d}.vtp", ds, "contact_point", CONTACT_ARRAYS)
     return _collected(folder, first, steps)
@@ -67,7 +74,9 @@ def write_distinct_vtp_series(folder: Path, particles: int, steps: int) -> dict[
 def _collected(folder: Path, ds: xr.Dataset, steps: int) -> dict[str, object]:
     """Write the collections of both kinds of files."""
     for kind in ("P", "FC"):
-        entries = "".join(f'<DataSet timestep="{0.1 * t:.6f}" file="{kind}_{t:05d}.vtp"/>\n' for t in range(steps))
+        entries = "".join(
+            f'<DataSet timestep="{0.1 * t:.6f}" file="{kind}_{t:05d}.vtp"/>\n' for t in range(steps)
+        )
         text = f'<VTKFile type="Collection" version="0.1"><Collection>\n{entries}</Collection></VTKFile>\n'
         (folder / f"{kind}.pvd").write_text(text)
     edges = ds.box.values[0]
@@ -79,11 +88,19 @@ def _collected(folder: Path, ds: xr.Dataset, steps: int) -> dict[str, object]:
     }
 
 
-def write_vtp(path: Path, ds: xr.Dataset, points: str, arrays: dict[str, str], encoding: str = "raw") -> Path:
+def write_vtp(
+    path: Path, ds: xr.Dataset, points: str, arrays: dict[str, str], encoding: str = "raw"
+) -> Path:
     """One file as MFiX writes it ("raw"), or as VTK does: "base64", "zlib" (raw), "zlib base64"."""
-    columns = {"coordinates": ds[points], **{name: ds[variable] for name, variable in arrays.items()}}
+    columns = {
+        "coordinates": ds[points],
+        **{name: ds[variable] for name, variable in arrays.items()},
+    }
     order = ">" if encoding == "raw" else "<"
-    blocks = [_block(a.to_numpy()[0].astype(f"{order}f4").tobytes(), order, encoding) for a in columns.values()]
+    blocks = [
+        _block(a.to_numpy()[0].astype(f"{order}f4").tobytes(), order, encoding)
+        for a in columns.values()
+    ]
     offsets = np.cumsum([0, *map(len, blocks)])
     tags = [
         f'<DataArray type="Float32" Name="{name}" NumberOfComponents="{a[0].size // len(a[0])}" format="appended" '
@@ -128,19 +145,30 @@ def dump_rows(ds: xr.Dataset) -> tuple[list[str], list[str]]:
     one = ds.isel(time=0)
     get = {str(name): one[name].to_numpy() for name in ds.data_vars}
     particles = lines(
-        get["particle_id"], get["species"], get["position"], get["velocity"], get["diameter"] / 2, get["mass"]
+        get["particle_id"],
+        get["species"],
+        get["position"],
+        get["velocity"],
+        get["diameter"] / 2,
+        get["mass"],
     )
     normal = 0.9 * get["contact_force"]
-    return particles, lines(get["contact_i"], get["contact_j"], normal, get["contact_force"] - normal)
+    return particles, lines(
+        get["contact_i"], get["contact_j"], normal, get["contact_force"] - normal
+    )
 
 
 def dump_texts(ds: xr.Dataset, step: int) -> tuple[str, str]:
     """The same step as `dump custom` and `dump local` write it."""
     particles, contacts = dump_rows(ds)
     edges = ds.box.values[0]
-    box = "ITEM: BOX BOUNDS pp pp pp\n" + "".join(f"{low:.10g} {high:.10g}\n" for low, high in edges)
+    box = "ITEM: BOX BOUNDS pp pp pp\n" + "".join(
+        f"{low:.10g} {high:.10g}\n" for low, high in edges
+    )
     time = f"ITEM: TIME\n{0.1 * step:g}\n"
-    return dump_text(particles, step=step, before=time, box=box), pairs_text(contacts, step=step, before=time, box=box)
+    return dump_text(particles, step=step, before=time, box=box), pairs_text(
+        contacts, step=step, before=time, box=box
+    )
 
 
 def write_dumps(folder: str | Path, ds: xr.Dataset, step: int) -> None:
@@ -171,4 +199,6 @@ def fstat_text(ds: xr.Dataset) -> str:
     numbers = [point, 0 * size, 0 * size, size, 0 * size, normal, normal]
     form = "0.01 %d %d " + " ".join(["%.17g"] * 13) + "\n"
     rows = np.column_stack([one["contact_i"], one["contact_j"], *numbers]).tolist()
-    return "# 0.01 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n" + "".join([form % tuple(row) for row in rows])
+    return "# 0.01 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n" + "".join(
+        [form % tuple(row) for row in rows]
+    )

@@ -7,7 +7,9 @@ import pytest
 from tests.benchmarks import cases
 
 PARTICLES = int(os.environ.get("XCG_BENCHMARK_PARTICLES", "100000"))
-LARGE = pytest.mark.skipif("XCG_BENCHMARK_LARGE" not in os.environ, reason="set XCG_BENCHMARK_LARGE=1")
+LARGE = pytest.mark.skipif(
+    "XCG_BENCHMARK_LARGE" not in os.environ, reason="set XCG_BENCHMARK_LARGE=1"
+)
 
 
 def label(case):
@@ -18,7 +20,9 @@ def run(benchmark, case, particles):
     ds = case.scene(particles)
     benchmark.pedantic(case.run, (ds,), rounds=3, warmup_rounds=1)
     share = ds.sizes["particle"] * ds.sizes["time"]
-    benchmark.extra_info["us_per_particle_and_step"] = round(1e6 * benchmark.stats.stats.min / share, 3)
+    benchmark.extra_info["us_per_particle_and_step"] = round(
+        1e6 * benchmark.stats.stats.min / share, 3
+    )
 
 
 @pytest.mark.parametrize("case", cases.CASES, ids=label)
@@ -39,7 +43,9 @@ def test_first_result_in_a_fresh_process(benchmark):
 
 @pytest.mark.parametrize("case", cases.CASES[:7], ids=label)
 def test_peak_memory(benchmark, case):
-    case.run(case.scene(200))  # compiled code is on disk, so that the compiler's memory does not count
+    case.run(
+        case.scene(200)
+    )  # compiled code is on disk, so that the compiler's memory does not count
     peak = benchmark.pedantic(cases.peak_memory, (case, PARTICLES), rounds=1)
     benchmark.extra_info["peak_MB"] = round(peak)
 

@@ -95,10 +95,16 @@ def test_branches_follow_from_overlaps():
     given["contact_force"] = [[-1.0, 0, 0], [-1.0, 0, 0]]
     volume = np.pi / 6
     ds = xcg.scene_from_arrays(position, overlap=overlap, **given)
-    np.testing.assert_allclose(ds.cg.particle_stress().major_stress.values[0] * volume, [0.45, 0.9, 0.45], rtol=1e-12)
-    long = xcg.scene_from_arrays(position, overlap=overlap, contact_point=[[0.2, 0, 0], [1.1, 0, 0]], **given)
     np.testing.assert_allclose(
-        long.cg.particle_stress().major_stress.values[0] * volume, [0.2, 0.7004 + 0.1996, 0.7], rtol=1e-12
+        ds.cg.particle_stress().major_stress.values[0] * volume, [0.45, 0.9, 0.45], rtol=1e-12
+    )
+    long = xcg.scene_from_arrays(
+        position, overlap=overlap, contact_point=[[0.2, 0, 0], [1.1, 0, 0]], **given
+    )
+    np.testing.assert_allclose(
+        long.cg.particle_stress().major_stress.values[0] * volume,
+        [0.2, 0.7004 + 0.1996, 0.7],
+        rtol=1e-12,
     )
 
 
@@ -108,7 +114,9 @@ def test_padding_is_nan():
         contact_i=[0], contact_j=[1], contact_force=[[-1.0, 0, 0]],
     )  # fmt: skip
     padded = ds.pad(particle=(0, 1), constant_values={"particle_id": -1, "position": np.nan})
-    result = padded.assign(particle_id=padded.particle_id.fillna(-1).astype(int)).cg.particle_stress()
+    result = padded.assign(
+        particle_id=padded.particle_id.fillna(-1).astype(int)
+    ).cg.particle_stress()
     assert np.isnan(result.stress.values[0, 2]).all()
     assert np.isfinite(result.stress.values[0, :2]).all()
 
@@ -125,13 +133,17 @@ def test_eigenvalues():
     principal(matrix, values, vectors)
     scale = np.abs(d).max(axis=1, keepdims=True)
     np.testing.assert_allclose(values / scale, np.sort(d)[:, ::-1] / scale, atol=1e-14)
-    np.testing.assert_allclose(np.einsum("nki,nli->nkl", vectors, vectors), np.tile(np.eye(3), (300, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(
+        np.einsum("nki,nli->nkl", vectors, vectors), np.tile(np.eye(3), (300, 1, 1)), atol=1e-14
+    )
 
 
 def _pairs_of(matrix):
     values, vectors = np.empty(matrix.shape[:2]), np.empty(matrix.shape)
     principal_of_any(matrix, values, vectors)
-    np.testing.assert_allclose(np.linalg.norm(vectors, axis=2), np.where(np.isnan(values), np.nan, 1.0), atol=1e-14)
+    np.testing.assert_allclose(
+        np.linalg.norm(vectors, axis=2), np.where(np.isnan(values), np.nan, 1.0), atol=1e-14
+    )
     size = np.maximum(np.abs(matrix).max(axis=(1, 2)), 1e-300)[:, None, None]
     turned = np.einsum("nij,nkj->nki", matrix, vectors)
     np.testing.assert_allclose(turned / size, values[:, :, None] * vectors / size, atol=1e-14)
@@ -157,7 +169,10 @@ def test_equal_eigenvalues_are_real():
     rng = np.random.default_rng(1)
     force, branch = rng.normal(size=(2, 500, 3))
     values, vectors = _pairs_of(force[:, :, None] * branch[:, None])
-    dot, size = (force * branch).sum(axis=1), np.linalg.norm(force, axis=1) * np.linalg.norm(branch, axis=1)
+    dot, size = (
+        (force * branch).sum(axis=1),
+        np.linalg.norm(force, axis=1) * np.linalg.norm(branch, axis=1),
+    )
     expected = -np.sort(-np.stack([dot, 0 * dot, 0 * dot], axis=1), axis=1)
     np.testing.assert_allclose(values / size[:, None], expected / size[:, None], atol=1e-12)
     clear = np.abs(dot) > 0.01 * size
@@ -165,8 +180,14 @@ def test_equal_eigenvalues_are_real():
     np.testing.assert_allclose(
         np.abs((along * force).sum(axis=1) / np.linalg.norm(force, axis=1))[clear], 1, atol=1e-12
     )
-    values, vectors = _pairs_of(np.stack([np.diag(d) for d in ([3.0, 1, 2], [1, 1, 1], [2, 1, 2], [0, 0, 0])]))
+    values, vectors = _pairs_of(
+        np.stack([np.diag(d) for d in ([3.0, 1, 2], [1, 1, 1], [2, 1, 2], [0, 0, 0])])
+    )
     np.testing.assert_allclose(values, [[3, 2, 1], [1, 1, 1], [2, 2, 1], [0, 0, 0]], rtol=1e-15)
     np.testing.assert_array_equal(np.abs(vectors).sum(axis=1), 1)  # the axes, each of them once
     few = np.eye(3, k=1)  # one eigenvector for all three eigenvalues
-    _pairs_of(np.stack([few, few.T, few * [[1], [0], [0]], few.T * [[0], [1], [0]], few.T * [[0], [0], [1]]]))
+    _pairs_of(
+        np.stack(
+            [few, few.T, few * [[1], [0], [0]], few.T * [[0], [1], [0]], few.T * [[0], [0], [1]]]
+        )
+    )

@@ -90,7 +90,9 @@ def test_wrong_plots_raise():
         fc.cg.plot_rose(bins=7)
     with pytest.raises(ValueError, match="plane='xx': expected two axes"):
         fc.cg.plot_rose(plane="xx")
-    with pytest.raises(ValueError, match="time=1: expected the position of a step, a whole number from -1 to 0"):
+    with pytest.raises(
+        ValueError, match="time=1: expected the position of a step, a whole number from -1 to 0"
+    ):
         fc.cg.plot_rose(time=1)
     with pytest.raises(ValueError, match="plot_chains draws one-layer scenes"):
         xcg.datasets.random_scene(20).cg.force_chains().cg.plot_chains()

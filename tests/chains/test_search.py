@@ -65,7 +65,9 @@ def test_angles_in_radians_warn():
 
 def test_straight_chain():
     direction = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
-    fc = network(np.outer(np.arange(5), direction), [(k, k + 1) for k in range(4)], np.ones(4)).cg.force_chains(alpha=2)
+    fc = network(
+        np.outer(np.arange(5), direction), [(k, k + 1) for k in range(4)], np.ones(4)
+    ).cg.force_chains(alpha=2)
     np.testing.assert_allclose(fc.chain_orientation.values[0, 0], direction, atol=1e-12)
     assert np.isnan(fc.chain_normal.values[0, 0]).all()
     # directions point onward, from the first particle to the last
@@ -107,7 +109,10 @@ def test_one_sided_does_not_turn_back():
     ds = network(position, [(k, k + 1) for k in range(6)], np.ones(6), dimension=2, thickness=1.0)
     assert chains_of(ds.cg.force_chains(alpha=45)) == {frozenset(range(7))}
     # from the end of one arm down to the tip, where the other arm lies behind
-    assert chains_of(ds.cg.force_chains(alpha=45, one_sided=True)) == {frozenset([0, 1, 2, 3]), frozenset([4, 5, 6])}
+    assert chains_of(ds.cg.force_chains(alpha=45, one_sided=True)) == {
+        frozenset([0, 1, 2, 3]),
+        frozenset([4, 5, 6]),
+    }
 
 
 def test_threshold_and_least_length():
@@ -124,7 +129,11 @@ def test_threshold_and_least_length():
 
 def test_contacts_in_tension_make_no_chains():
     assert (
-        nine_particles().pipe(lambda ds: ds.assign(contact_force=-ds.contact_force)).cg.force_chains().chain_count == 0
+        nine_particles()
+        .pipe(lambda ds: ds.assign(contact_force=-ds.contact_force))
+        .cg.force_chains()
+        .chain_count
+        == 0
     )
 
 
@@ -132,21 +141,29 @@ def test_rounding_of_pure_tension_makes_no_chains():
     """In a line that is pulled the largest principal stress is zero, of either sign by rounding."""
     for axis in np.random.default_rng(0).normal(size=(20, 3)):
         line = np.arange(5)[:, None] * 0.98 * axis / np.linalg.norm(axis)
-        fc = network(line, [(k, k + 1) for k in range(4)], [-1.0, -3.0, -2.0, -0.7]).cg.force_chains(alpha=90)
+        fc = network(
+            line, [(k, k + 1) for k in range(4)], [-1.0, -3.0, -2.0, -0.7]
+        ).cg.force_chains(alpha=90)
         assert fc.chain_count == 0
         assert abs(fc.major_stress.values).max() < 1e-12 * abs(fc.principal_stress.values).max()
 
 
 def test_frozen_grains_are_walls():
     ds = nine_particles()
-    fc = ds.assign(frozen=("particle", np.arange(9) // 8)).assign(frozen=lambda s: s.frozen.expand_dims("time")).cg
+    fc = (
+        ds.assign(frozen=("particle", np.arange(9) // 8))
+        .assign(frozen=lambda s: s.frozen.expand_dims("time"))
+        .cg
+    )
     assert chains_of(fc.force_chains(alpha=90)) == {frozenset(range(8))}
 
 
 def test_several_contacts_of_a_pair_are_one_link():
     pairs, aside = [(0, 1), (1, 0), (1, 2), (2, 3), (2, 3)], np.array([0, 0.1, 0, 0, 0.1])
     i, j = np.array(pairs).T
-    point = np.stack([0.5 * (i + j), aside, np.zeros(5)], axis=1)  # those of one pair are not in one place
+    point = np.stack(
+        [0.5 * (i + j), aside, np.zeros(5)], axis=1
+    )  # those of one pair are not in one place
     ds = network(np.arange(4)[:, None], pairs, np.ones(5), contact_point=point)
     fc = ds.cg.force_chains()
     assert fc.links.values[0].tolist() == [1, 2, 2, 1]
@@ -155,13 +172,22 @@ def test_several_contacts_of_a_pair_are_one_link():
 
 def test_numbers_and_lengths_of_chains():
     ds = network(
-        np.arange(12)[:, None], [(0, 1), (1, 2), (3, 4), (4, 5), (6, 7), (7, 8), (8, 9), (9, 10), (10, 11)], np.ones(9)
+        np.arange(12)[:, None],
+        [(0, 1), (1, 2), (3, 4), (4, 5), (6, 7), (7, 8), (8, 9), (9, 10), (10, 11)],
+        np.ones(9),
     )
     fc = ds.cg.force_chains()
     found = {
-        name: fc[name].item() for name in ("chain_count", "length_mean", "length_median", "length_min", "length_max")
+        name: fc[name].item()
+        for name in ("chain_count", "length_mean", "length_median", "length_min", "length_max")
     }
-    assert found == {"chain_count": 3, "length_mean": 4, "length_median": 3, "length_min": 3, "length_max": 6}
+    assert found == {
+        "chain_count": 3,
+        "length_mean": 4,
+        "length_median": 3,
+        "length_min": 3,
+        "length_max": 6,
+    }
     share = fc.length_share.isel(time=0)
     assert share.sel(length=3).item() == pytest.approx(2 / 3)
     assert share.sel(length=6).item() == pytest.approx(1 / 3)
@@ -172,7 +198,9 @@ def test_tables_of_chains_and_links():
     fc = fork().cg.force_chains()
     assert repr(fc.cg).startswith("force chains of 1 steps, 9 particles, 8 contacts")
     chains, links = fc.cg.chain_table(), fc.cg.link_table()
-    assert chains[["chain", "particles", "links", "branchings"]].to_numpy().tolist() == [[0, 9, 8, 1]]
+    assert chains[["chain", "particles", "links", "branchings"]].to_numpy().tolist() == [
+        [0, 9, 8, 1]
+    ]
     assert set(map(tuple, links[["particle_i", "particle_j"]].to_numpy().tolist())) == {
         (0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (2, 6), (6, 7), (7, 8),
     }  # fmt: skip
@@ -200,16 +228,23 @@ def test_chains_equal_those_of_force_chain_finder(compression, t, step, alpha, n
     assert fc.chain_id.values[row].tolist() == [int(r["chainId"]) for r in rows]
     links = ["starting" if k < 0 else str(k) for k in fc.parent_id.values[row]]
     assert links == [r["linkNodes"] for r in rows]
-    np.testing.assert_allclose(-fc.major_stress.values[row], [float(r["minorStress"]) for r in rows], rtol=5e-6)
+    np.testing.assert_allclose(
+        -fc.major_stress.values[row], [float(r["minorStress"]) for r in rows], rtol=5e-6
+    )
     theirs = np.array([[float(r[f"minorDir{a}"]) for a in "XYZ"] for r in rows])
-    np.testing.assert_allclose(np.abs((fc.major_direction.values[row] * theirs).sum(axis=1)), 1, atol=1e-5)
+    np.testing.assert_allclose(
+        np.abs((fc.major_direction.values[row] * theirs).sum(axis=1)), 1, atol=1e-5
+    )
 
 
 def test_symmetric_stress_makes_other_chains(compression):
     """The differences that the documentation lists: friction turns the principal directions."""
     agree = []
     for t, alpha in ((0, 45), (0, 22.5), (1, 45), (1, 22.5)):
-        raw, symmetric = (chains_of(compression.cg.force_chains(alpha=alpha, symmetric=s), t) for s in (False, True))
+        raw, symmetric = (
+            chains_of(compression.cg.force_chains(alpha=alpha, symmetric=s), t)
+            for s in (False, True)
+        )
         agree.append((len(raw), len(symmetric), len(raw & symmetric)))
     assert agree == [(31, 31, 31), (17, 17, 17), (49, 54, 37), (29, 28, 22)]
 
@@ -229,7 +264,10 @@ def relabelled(ds, rng):
     new = np.sort(rng.choice(10 * n, n, replace=False))[rng.permutation(n)]
     order, shuffled = np.argsort(new), rng.permutation(m)
     ids = {name: ds[name].values for name in ("contact_i", "contact_j")}
-    ids = {name: (ds[name].dims, np.where(values >= 0, new[values], values)) for name, values in ids.items()}
+    ids = {
+        name: (ds[name].dims, np.where(values >= 0, new[values], values))
+        for name, values in ids.items()
+    }
     ds = ds.assign(ids).isel(particle=order, contact=shuffled)
     return ds.assign(particle_id=(ds.particle_id.dims, new[order][None])), new
 
@@ -262,7 +300,9 @@ def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirr
     matrix = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     matrix *= np.sign(np.linalg.det(matrix)) * (-1 if mirror else 1)
     expected = ds.cg.force_chains(**given_options)
-    turned = rotated(ds, matrix).assign_attrs(dimension=3, plane="xyz").cg.force_chains(**given_options)
+    turned = (
+        rotated(ds, matrix).assign_attrs(dimension=3, plane="xyz").cg.force_chains(**given_options)
+    )
     assert chains_of(turned) == chains_of(expected)
     np.testing.assert_array_equal(turned.link_chain, expected.link_chain)
     np.testing.assert_allclose(turned.chain_stress, expected.chain_stress, rtol=1e-9)
@@ -283,8 +323,12 @@ def test_ninety_degrees_are_connected_components(ds, threshold, seed):
     i, j = ds.contact_i.values[0], ds.contact_j.values[0]
     edge = (j >= 0) & qualifies[i] & qualifies[np.maximum(j, 0)]
     n = ds.sizes["particle"]
-    _, label = connected_components(coo_array((np.ones(edge.sum()), (i[edge], j[edge])), shape=(n, n)), directed=False)
-    components = {frozenset(np.flatnonzero(label == k).tolist()) for k in np.unique(label[qualifies])}
+    _, label = connected_components(
+        coo_array((np.ones(edge.sum()), (i[edge], j[edge])), shape=(n, n)), directed=False
+    )
+    components = {
+        frozenset(np.flatnonzero(label == k).tolist()) for k in np.unique(label[qualifies])
+    }
     assert chains_of(fc) == {c for c in components if len(c) >= 2}
     assert ((fc.link_chain.values[0] >= 0) == edge).all()
 
@@ -307,7 +351,9 @@ def test_labels_links_and_counts_are_consistent(ds, alpha, one_sided, algorithm)
     assert (links[chain < 0] == 0).all()
     count = int(fc.chain_count)
     assert sorted(set(chain[chain >= 0])) == list(range(count))
-    assert (fc.chain_particles.values[:count] == np.bincount(chain[chain >= 0], minlength=count)).all()
+    assert (
+        fc.chain_particles.values[:count] == np.bincount(chain[chain >= 0], minlength=count)
+    ).all()
     assert (fc.chain_links.values[:count] == np.bincount(link[on], minlength=count)).all()
     assert (fc.chain_particles.values[count:] == -1).all()
     # a chain hangs together: every particle but one was reached from another one of the same chain
@@ -332,7 +378,9 @@ def series():
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     ds = series()
-    region = xcg.BoxRegion((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere((1, 1, 1), 2, follow=None)
+    region = xcg.BoxRegion((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere(
+        (1, 1, 1), 2, follow=None
+    )
     options = {"alpha": 60, "threshold": "mean", "region": region}
     eager = ds.cg.force_chains(**options).drop_attrs()
     for chunk in (1, 3):
@@ -365,7 +413,9 @@ def test_memory_grows_in_proportion():
         ds = xcg.datasets.random_scene(cells**3 // 4, seed=1, edge=float(cells), walls=False)
         tracemalloc.start()
         ds.cg.force_chains()
-        peaks.append(tracemalloc.get_traced_memory()[1] / (ds.sizes["particle"] + ds.sizes["contact"]))
+        peaks.append(
+            tracemalloc.get_traced_memory()[1] / (ds.sizes["particle"] + ds.sizes["contact"])
+        )
         tracemalloc.stop()
     assert peaks[1] == pytest.approx(peaks[0], rel=0.2)
 
@@ -464,7 +514,10 @@ def test_births_deaths_and_lifetimes_of_tracked_chains():
     assert tracks.lifetime.values.tolist() == [1.0, 0.5, 0.5]
     assert tracks.steps.values.tolist() == [3, 2, 2]
     assert tracks.lifetime.attrs["units"] == "s"
-    assert all(tracks[name].attrs["units"] == "1" for name in ("track_id", "births", "deaths", "survivors", "steps"))
+    assert all(
+        tracks[name].attrs["units"] == "1"
+        for name in ("track_id", "births", "deaths", "survivors", "steps")
+    )
     assert tracks.equals(fc.chunk(time=1).cg.track_chains(overlap=0.5))
 
 

@@ -28,7 +28,10 @@ def test_chains_with_any_or_all_particles_in_a_region():
     assert chains_of(fc.cg.select_chains(corner, of="all")) == set()
     left = xcg.BoxRegion((-0.5, -0.5, -1), (0.5, 2.5, 1))
     assert chains_of(fc.cg.select_chains(left, of="all")) == {frozenset([0, 1, 2])}
-    assert chains_of(fc.cg.select_chains(~left, of="all")) == {frozenset([3, 4, 5]), frozenset([6, 7, 8])}
+    assert chains_of(fc.cg.select_chains(~left, of="all")) == {
+        frozenset([3, 4, 5]),
+        frozenset([6, 7, 8]),
+    }
     assert chains_of(fc.cg.select_chains(left | xcg.Sphere((2, 0, 0), 0.1))) == {
         frozenset([0, 1, 2]),
         frozenset([6, 7, 8]),
@@ -44,7 +47,9 @@ def test_stress_and_composition():
     assert chains_of(fc.cg.select_chains(min_stress=strong).cg.select_chains(right)) == set()
     # in one call, one particle must fulfil both
     assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1), min_stress=strong)) == set()
-    assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 1, 0), 0.1), min_stress=strong)) == {frozenset([3, 4, 5])}
+    assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 1, 0), 0.1), min_stress=strong)) == {
+        frozenset([3, 4, 5])
+    }
 
 
 def test_the_least_stress_is_included():
@@ -57,7 +62,17 @@ def test_the_least_stress_is_included():
 def test_counts_and_tables_of_selected_chains_are_consistent():
     fc = three_chains()
     some = fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1))
-    assert some.chain_id.values[0].tolist() == [-1, -1, -1, 1, 1, 1, -1, -1, -1]  # chains keep their numbers
+    assert some.chain_id.values[0].tolist() == [
+        -1,
+        -1,
+        -1,
+        1,
+        1,
+        1,
+        -1,
+        -1,
+        -1,
+    ]  # chains keep their numbers
     assert (some.links.values[0] > 0).tolist() == (some.chain_id.values[0] >= 0).tolist()
     assert sorted(set(some.link_chain.values[0])) == [-1, 1]
     assert some.chain_particles.values[0].tolist() == [-1, 3, -1]
@@ -83,7 +98,9 @@ def test_moving_region_follows_time():
     steps = nine_particles(across=0.0).isel(time=[0, 0, 0]).assign_coords(time=[0.0, 1.0, 2.0])
     fc = steps.cg.force_chains()
     moving = fc.cg.select_chains(xcg.BoxRegion((-0.5, -1, -1), (0.5, 3, 1), velocity=(1, 0, 0)))
-    assert [chains_of(moving, t) for t in range(3)] == [{frozenset(range(3 * t, 3 * t + 3))} for t in range(3)]
+    assert [chains_of(moving, t) for t in range(3)] == [
+        {frozenset(range(3 * t, 3 * t + 3))} for t in range(3)
+    ]
 
 
 def test_wrong_regions_and_limits_raise():
@@ -97,13 +114,28 @@ def test_wrong_regions_and_limits_raise():
 @pytest.mark.parametrize(
     ("call", "told"),
     [
-        (lambda fc: fc.cg.select_chains(min_stress="high"), "min_stress='high': expected a finite stress"),
-        (lambda fc: fc.cg.select_chains(min_stress=np.nan), "min_stress=nan: expected a finite stress"),
+        (
+            lambda fc: fc.cg.select_chains(min_stress="high"),
+            "min_stress='high': expected a finite stress",
+        ),
+        (
+            lambda fc: fc.cg.select_chains(min_stress=np.nan),
+            "min_stress=nan: expected a finite stress",
+        ),
         (lambda fc: fc.cg.select_chains((0, 1)), r"region=\(0, 1\): expected xcg.BoxRegion"),
         (lambda fc: fc.cg.track_chains(overlap="half"), "overlap='half': expected a share"),
-        (lambda fc: fc.isel(chain=slice(0, 1)).cg.select_chains(min_stress=0), "needs all particles and chains"),
-        (lambda fc: fc.isel(particle=slice(0, 4)).cg.select_chains(min_stress=0), "needs all particles and chains"),
-        (lambda fc: fc.isel(chain=slice(0, 1)).cg.track_chains(), "track_chains needs all particles and chains"),
+        (
+            lambda fc: fc.isel(chain=slice(0, 1)).cg.select_chains(min_stress=0),
+            "needs all particles and chains",
+        ),
+        (
+            lambda fc: fc.isel(particle=slice(0, 4)).cg.select_chains(min_stress=0),
+            "needs all particles and chains",
+        ),
+        (
+            lambda fc: fc.isel(chain=slice(0, 1)).cg.track_chains(),
+            "track_chains needs all particles and chains",
+        ),
         (lambda fc: fc.isel(time=[]).cg.chain_table(), "chain_table needs one step or more"),
         (lambda fc: fc.isel(time=[]).cg.link_table(), "link_table needs one step or more"),
     ],
@@ -144,7 +176,9 @@ def test_regions_reach_across_periodic_edges():
     period = np.array([4.0, np.inf, np.inf])
     assert inside(Sphere((0, 0.5, 0.5), 0.5), period=period) == [2, 7]
     assert inside(BoxRegion((-0.2, 0, 0), (0.2, 1, 1)), period=period) == [7]
-    assert inside(BoxRegion((0, 0, 0), (1, 1, 1), velocity=(4, 0, 0)), time=3.0, period=period) == [2]
+    assert inside(BoxRegion((0, 0, 0), (1, 1, 1), velocity=(4, 0, 0)), time=3.0, period=period) == [
+        2
+    ]
 
 
 def test_regions_are_intersected_united_and_inverted():
@@ -162,8 +196,14 @@ def test_regions_are_intersected_united_and_inverted():
         (lambda: Sphere((0, 0, 0), 0), "radius=0: expected a positive length"),
         (lambda: Sphere((0, 0, np.nan), 1), "centre=.*expected three finite numbers"),
         (lambda: Sphere((0, 0, 0), 1, velocity=(1, 0, 0), follow=3), "expected one of the two"),
-        (lambda: Sphere((0, 0, 0), 1, follow=1.5), r"follow=1\.5: expected the id of a particle, a whole number"),
-        (lambda: BoxRegion((0, 0, 0), (1, 1, 1), follow="a"), "follow='a': expected the id of a particle"),
+        (
+            lambda: Sphere((0, 0, 0), 1, follow=1.5),
+            r"follow=1\.5: expected the id of a particle, a whole number",
+        ),
+        (
+            lambda: BoxRegion((0, 0, 0), (1, 1, 1), follow="a"),
+            "follow='a': expected the id of a particle",
+        ),
     ],
 )
 def test_wrong_regions_raise(make, message):

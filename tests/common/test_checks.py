@@ -11,7 +11,15 @@ import xcg
 from tests import ROOT
 from xcg.common.checks import floats, is_finite, is_positive, is_whole
 from xcg.fields.coarse_grain import PRESETS
-from xcg.fields.formulas.field import WEIGHTS, Deviatoric, Gradient, InertialSize, Options, Temperature, Weight
+from xcg.fields.formulas.field import (
+    WEIGHTS,
+    Deviatoric,
+    Gradient,
+    InertialSize,
+    Options,
+    Temperature,
+    Weight,
+)
 from xcg.fields.formulas.registry import WAYS
 from xcg.fields.request import Per, Preset, Sampling
 from xcg.fields.sums.kernels import KernelName
@@ -32,13 +40,19 @@ def scene():
         ({"bounds": {"x": ("0", "1")}}, r"bounds\['x'\]=\('0', '1'\): expected \(first, last\)"),
         ({"bounds": {"x": 1.0}}, r"bounds\['x'\]=1.0: expected \(first, last\)"),
         ({"spacing": "0.1"}, "spacing='0.1': expected a distance"),
-        ({"spacing": {"x": "a", "y": 1.0, "z": 1.0}}, "spacing along 'x' is 'a': expected a positive distance"),
+        (
+            {"spacing": {"x": "a", "y": 1.0, "z": 1.0}},
+            "spacing along 'x' is 'a': expected a positive distance",
+        ),
         ({"rtol": "0.001"}, "rtol='0.001': expected 0 "),
         ({"axes": 3}, "axes=3: expected any of 'xyz'"),
         ({"fields": 3}, "unknown field 3"),
         ({"fields": []}, r"fields=\[\]: expected at least one"),
         ({"groups": [1]}, r"groups=\[1\] are the values of .* say which with by="),
-        ({"axes": "z", "extent": {"x": "1", "y": 1.0}}, r"extent\['x'\]='1': expected a positive length"),
+        (
+            {"axes": "z", "extent": {"x": "1", "y": 1.0}},
+            r"extent\['x'\]='1': expected a positive length",
+        ),
         ({"width": True}, "width=True: expected a positive length"),
         ({"friction": "0.5"}, "friction='0.5': expected a coefficient of friction"),
     ],
@@ -52,7 +66,10 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
     ("call", "match"),
     [
         (lambda ds: ds.cg.force_chains(alpha="45"), "alpha='45': expected an angle"),
-        (lambda ds: ds.cg.force_chains(threshold=[1.0]), r"threshold=\[1.0\]: expected a finite stress"),
+        (
+            lambda ds: ds.cg.force_chains(threshold=[1.0]),
+            r"threshold=\[1.0\]: expected a finite stress",
+        ),
         (lambda ds: ds.cg.force_chains(min_length="3"), "min_length='3': expected a whole number"),
         (lambda ds: ds.cg.find_phases(max_phases="2"), "max_phases='2': expected a whole number"),
         (lambda ds: ds.cg.assign_phases(edges=["a"]), r"edges=\['a'\]: expected diameters"),
@@ -60,17 +77,32 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
             lambda ds: ds.cg.coarse_grain("density").cg.time_average(window="2"),
             "window='2': expected a number of steps",
         ),
-        (lambda ds: ds.cg.slice_temperature("z", bounds=("a", 1)), r"^bounds=\('a', 1\): expected \(first, last\)"),
-        (lambda ds: ds.cg.slice_temperature("z", spacing="a"), "spacing='a', planes=.*: expected a positive distance"),
-        (lambda ds: ds.cg.slice_temperature("z", width="a"), "^width='a': expected a positive width"),
+        (
+            lambda ds: ds.cg.slice_temperature("z", bounds=("a", 1)),
+            r"^bounds=\('a', 1\): expected \(first, last\)",
+        ),
+        (
+            lambda ds: ds.cg.slice_temperature("z", spacing="a"),
+            "spacing='a', planes=.*: expected a positive distance",
+        ),
+        (
+            lambda ds: ds.cg.slice_temperature("z", width="a"),
+            "^width='a': expected a positive width",
+        ),
         (lambda ds: xcg.Sphere((0, 0, 0), "1"), "radius='1': expected a positive length"),
         (lambda ds: xcg.Rotated(z=("0", 0, 1)), r"z=\('0', 0, 1\): expected three finite numbers"),
         (lambda ds: xcg.Gaussian("0.5"), "width='0.5': expected a positive length"),
         (lambda ds: xcg.Lucy(cutoff=True), "cutoff=True: expected a positive length"),
         (lambda ds: xcg.Rotated(z="up"), "z='up': expected three finite numbers"),
-        (lambda ds: xcg.Cylindrical(axis=("a", 0, 0)), r"axis=\('a', 0, 0\): expected three finite numbers"),
+        (
+            lambda ds: xcg.Cylindrical(axis=("a", 0, 0)),
+            r"axis=\('a', 0, 0\): expected three finite numbers",
+        ),
         (lambda ds: xcg.Cylindrical(error="small"), "error='small'.*: expected a positive error"),
-        (lambda ds: xcg.Plane(point=("a", 0, 0), normal=(0, 0, 1)), r"point=\('a', 0, 0\): expected three finite"),
+        (
+            lambda ds: xcg.Plane(point=("a", 0, 0), normal=(0, 0, 1)),
+            r"point=\('a', 0, 0\): expected three finite",
+        ),
     ],
 )
 def test_wrong_arguments_of_other_calls_are_named(scene, call, match):
@@ -84,7 +116,10 @@ def test_wrong_arguments_of_other_calls_are_named(scene, call, match):
         ({"density": "2500"}, "density='2500': expected a positive number"),
         ({"thickness": "a"}, "thickness='a': expected a positive number"),
         ({"gravity": "down"}, r"gravity='down': expected three finite numbers \(x, y, z\)"),
-        ({"gravity": ["a", 0, 0]}, r"gravity=\['a', 0, 0\]: expected three finite numbers \(x, y, z\)"),
+        (
+            {"gravity": ["a", 0, 0]},
+            r"gravity=\['a', 0, 0\]: expected three finite numbers \(x, y, z\)",
+        ),
         ({"box": [["a", 1]] * 3}, "box has shape .*: expected six numbers"),
         ({"box": {"x": ("a", "b")}}, "box has shape .*: expected six numbers"),
         ({"units": {"length": "mm"}}, r"units=\{'length': 'mm'\}: expected positive factors"),
@@ -118,7 +153,20 @@ def test_numbers_are_distinguished_from_text_and_booleans():
         assert is_whole(number, 1, 2)
         assert not is_whole(number, 3)
         assert is_positive(number)
-    for other in ("2", b"2", None, [2.0], np.array(["2"]), {"x": 2}, 2j, object(), "abc", np.nan, np.inf, 10**400):
+    for other in (
+        "2",
+        b"2",
+        None,
+        [2.0],
+        np.array(["2"]),
+        {"x": 2},
+        2j,
+        object(),
+        "abc",
+        np.nan,
+        np.inf,
+        10**400,
+    ):
         assert not is_finite(other)
     for other in (True, np.False_, np.array(True)):
         assert not is_finite(other)
@@ -132,7 +180,9 @@ def test_numbers_are_distinguished_from_text_and_booleans():
 
 
 def test_friction_is_ignored_by_fields_that_do_not_use_it(scene):
-    xr.testing.assert_equal(scene.cg.coarse_grain("density", friction=0.5), scene.cg.coarse_grain("density"))
+    xr.testing.assert_equal(
+        scene.cg.coarse_grain("density", friction=0.5), scene.cg.coarse_grain("density")
+    )
 
 
 def test_choices_in_annotations_are_the_valid_ones():
@@ -140,13 +190,22 @@ def test_choices_in_annotations_are_the_valid_ones():
     ways = {option: set[str]() for option in ("gradient", "size", "temperature")}
     for option, rows in WAYS.values():
         ways.get(option, set()).update(rows)
-    for option, known in (("gradient", Gradient), ("size", InertialSize), ("temperature", Temperature)):
+    for option, known in (
+        ("gradient", Gradient),
+        ("size", InertialSize),
+        ("temperature", Temperature),
+    ):
         assert getattr(Options(), option) == get_args(known)[0]
         assert ways[option] == set(get_args(known)[1:])
     assert set(PRESETS) == set(get_args(Preset))
     assert set(WEIGHTS) == set(get_args(Weight))
     for name in get_args(KernelName):
-        assert xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", kernel=name).density.notnull().all()
+        assert (
+            xcg.datasets.simple_cubic(3)
+            .cg.coarse_grain("density", axes="z", kernel=name)
+            .density.notnull()
+            .all()
+        )
 
 
 @pytest.mark.parametrize(("name", "choices"), [
@@ -154,5 +213,7 @@ def test_choices_in_annotations_are_the_valid_ones():
     ("sampling", Sampling), ("preset", Preset), ("per", Per), ("on_error", OnError),
 ])  # fmt: skip
 def test_a_wrong_choice_lists_the_valid_ones(name, choices):
-    with pytest.raises(ValueError, match="(?s)" + ".*".join((f"{name}='other'", *get_args(choices)))):
+    with pytest.raises(
+        ValueError, match="(?s)" + ".*".join((f"{name}='other'", *get_args(choices)))
+    ):
         xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", **{name: "other"})

@@ -28,7 +28,9 @@ def doubtful(arrays):
 
 
 def mapped(ds):
-    return map_over_time(ds, ["position", "step"], doubtful, {"a": ((), "float64")}, "doubtful")["a"]
+    return map_over_time(ds, ["position", "step"], doubtful, {"a": ((), "float64")}, "doubtful")[
+        "a"
+    ]
 
 
 def without_box():
@@ -43,7 +45,13 @@ def ds():
 
 
 def test_warnings_point_at_the_line_of_the_call(ds):
-    options = {"spacing": 9.0, "width": 1.0, "bounds": {"z": (-9, 9)}, "axes": "z", "extent": {"x": 1, "y": 1}}
+    options = {
+        "spacing": 9.0,
+        "width": 1.0,
+        "bounds": {"z": (-9, 9)},
+        "axes": "z",
+        "extent": {"x": 1, "y": 1},
+    }
     with pytest.warns(xcg.SceneWarning, match="larger than the support") as said:
         ds.cg.coarse_grain("density", **options)  # by the accessor
     assert len(said) == 1
@@ -64,7 +72,10 @@ def test_a_call_in_memory_warns_once(ds):
 @pytest.mark.parametrize("scheduler", ["threads", "sync"])
 def test_a_lazy_call_warns_once(ds, scheduler):
     a = mapped(ds.chunk(time=1))
-    with pytest.warns(xcg.SceneWarning, match="is doubtful") as said, dask.config.set(scheduler=scheduler):
+    with (
+        pytest.warns(xcg.SceneWarning, match="is doubtful") as said,
+        dask.config.set(scheduler=scheduler),
+    ):
         a.compute()
     assert len(said) == 1
 
@@ -102,7 +113,9 @@ def test_warnings_from_a_user_thread_point_at_its_line():
 
 
 def test_warnings_of_workers_reach_the_client():
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0"
+    )
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
     with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
         f.compute()

@@ -7,7 +7,9 @@ import xcg
 from xcg.compiled.cell_means import cell_means
 
 
-@pytest.mark.parametrize("kernel", [xcg.Lucy(0.5), xcg.Gaussian(0.5, cutoff=1.5)], ids=["lucy", "gaussian"])
+@pytest.mark.parametrize(
+    "kernel", [xcg.Lucy(0.5), xcg.Gaussian(0.5, cutoff=1.5)], ids=["lucy", "gaussian"]
+)
 def test_means_of_smooth_kernels_come_from_a_table(kernel):
     """Means that differ from their integrals are not tabulated, so that results do not show a wrong table."""
     code = kernel.over_cells(3)

@@ -30,12 +30,16 @@ def units(found, exact):
 
 def below_zero(rng):
     """Numbers from -708 to -1e-9, half of them evenly spaced and half by decades."""
-    return -np.concatenate([rng.uniform(0.0, 708.0, COUNT // 2), 10.0 ** rng.uniform(-9, 2.85, COUNT // 2)])
+    return -np.concatenate(
+        [rng.uniform(0.0, 708.0, COUNT // 2), 10.0 ** rng.uniform(-9, 2.85, COUNT // 2)]
+    )
 
 
 def above_zero(rng):
     """Numbers from 1e-9 to 27, as above."""
-    return np.concatenate([rng.uniform(0.0, 27.0, COUNT // 2), 10.0 ** rng.uniform(-9, 1.43, COUNT // 2)])
+    return np.concatenate(
+        [rng.uniform(0.0, 27.0, COUNT // 2), 10.0 ** rng.uniform(-9, 1.43, COUNT // 2)]
+    )
 
 
 def of_each(function):
@@ -55,7 +59,9 @@ FUNCTIONS = [
 def test_logarithms_are_accurate():
     """To 2e-16 and rounding, times their factors; the same bits uncompiled."""
     rng, room = np.random.default_rng(1), 4096
-    ratio = np.concatenate([10.0 ** rng.uniform(0, 290, room // 2), 1.0 + 10.0 ** rng.uniform(-16, 1, room // 2)])
+    ratio = np.concatenate(
+        [10.0 ** rng.uniform(0, 290, room // 2), 1.0 + 10.0 ** rng.uniform(-16, 1, room // 2)]
+    )
     factor, found = rng.normal(size=room), []
     for add in (compiled(elementary.add_logarithms), uncompiled(elementary.add_logarithms)):
         memory, out = ratio.copy(), np.zeros(room)
@@ -63,7 +69,9 @@ def test_logarithms_are_accurate():
         found.append(out)
     np.testing.assert_array_equal(*found)
     exact = np.log(ratio)
-    assert (np.abs(found[0] - factor * exact) <= np.abs(factor) * (2e-16 + 3 * np.spacing(exact))).all()
+    assert (
+        np.abs(found[0] - factor * exact) <= np.abs(factor) * (2e-16 + 3 * np.spacing(exact))
+    ).all()
 
 
 @pytest.mark.parametrize(("function", "other", "arguments", "most"), FUNCTIONS)
@@ -75,7 +83,9 @@ def test_errors_are_within_the_stated_bounds(function, other, arguments, most):
     assert error.max() <= most, x[error.argmax()]
 
 
-@pytest.mark.parametrize("function", [elementary.exp, elementary.expm1, elementary.erf, elementary.erfcx])
+@pytest.mark.parametrize(
+    "function", [elementary.exp, elementary.expm1, elementary.erf, elementary.erfcx]
+)
 def test_python_gives_the_bits_of_compiled_code(function):
     rng = np.random.default_rng(1)
     x = np.concatenate([[0.0, 0.5, 1.0, 3.0, 26.9], above_zero(rng)[::5000]])
@@ -120,6 +130,10 @@ def test_angles():
 
     found = np.empty(x.size)
     run(y, x, found)
-    np.testing.assert_allclose(found, np.where(x == 0, np.arctan2(y, 0.0), np.arctan2(y, x)), rtol=0, atol=5e-16)
+    np.testing.assert_allclose(
+        found, np.where(x == 0, np.arctan2(y, 0.0), np.arctan2(y, x)), rtol=0, atol=5e-16
+    )
     plain = uncompiled(elementary.angle)
-    assert [plain(b, a) for a, b in zip(x[:1000].tolist(), y[:1000].tolist(), strict=True)] == found[:1000].tolist()
+    assert [
+        plain(b, a) for a, b in zip(x[:1000].tolist(), y[:1000].tolist(), strict=True)
+    ] == found[:1000].tolist()

@@ -59,9 +59,16 @@ def call(package, **env):
         "XDG_CACHE_HOME": str(package / "home" / "cache"),
         **env,
     }
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XCG_"))}
+    kept = {
+        name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XCG_"))
+    }
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=kept | given, cwd=package, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=kept | given,
+        cwd=package,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     value, hits = done.stdout.split()
@@ -111,7 +118,9 @@ def test_damaged_code_is_made_anew(used, kind, damage):
 
 def test_code_runs_where_no_cache_folder_can_be_written(package):
     for place in (package / "home", package / "xcg" / "compiled" / "__pycache__"):
-        place.write_text("a file where the folder should be: not even the superuser can write to it")
+        place.write_text(
+            "a file where the folder should be: not even the superuser can write to it"
+        )
     assert call(package) == (4, 0)
 
 
@@ -130,7 +139,9 @@ def test_the_cache_can_be_turned_off(used):
 def test_leaf_functions_cannot_be_called_from_python():
     along = 1.0, 2.0, 3.0
     assert compiled(dot)(along, along) == 14.0
-    with pytest.raises(TypeError, match=r"dot is compiled for loops; from Python, call dot\.py_func"):
+    with pytest.raises(
+        TypeError, match=r"dot is compiled for loops; from Python, call dot\.py_func"
+    ):
         dot(along, along)
     assert dot.py_func(along, along) == 14.0
 
@@ -143,7 +154,9 @@ def test_collection_of_garbage_waits_for_the_compiler_alone(on):
     @numba.extending.intrinsic
     def looked(context):
         during.append(gc.isenabled())
-        return numba.int64(), lambda context, builder, signature, args: context.get_constant(numba.int64, 2)
+        return numba.int64(), lambda context, builder, signature, args: context.get_constant(
+            numba.int64, 2
+        )
 
     @leaf
     def fails(x):

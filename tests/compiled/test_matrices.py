@@ -13,7 +13,14 @@ def moments_of(x, u, mass):
     momentum, offset = (np.einsum("ng,ngi->in", mass, a) for a in (u, x))
     shear, spread = (np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x))
     count = np.full((1, len(x)), float(x.shape[1]))
-    parts = [count, mass.sum(axis=1)[None], momentum, offset, shear.reshape(9, -1), spread[np.triu_indices(3)]]
+    parts = [
+        count,
+        mass.sum(axis=1)[None],
+        momentum,
+        offset,
+        shear.reshape(9, -1),
+        spread[np.triu_indices(3)],
+    ]
     return np.concatenate(parts)
 
 
@@ -22,7 +29,13 @@ def parts_of(found):
     gradient, explained, determined, mean, inverse = np.split(
         found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
     )
-    return gradient.reshape(3, 3, -1), explained[matrices.SYMMETRIC], determined, mean, inverse[matrices.SYMMETRIC]
+    return (
+        gradient.reshape(3, 3, -1),
+        explained[matrices.SYMMETRIC],
+        determined,
+        mean,
+        inverse[matrices.SYMMETRIC],
+    )
 
 
 def grains(seed, flat=()):
@@ -45,12 +58,16 @@ def by_eigenvectors(sums, active, about_node):
         sums[matrices.SPREAD :][matrices.SYMMETRIC],
     )
     there = mass > 0.0
-    drift, mean = (np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset))
+    drift, mean = (
+        np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset)
+    )
     if about_node:
         mean[:] = 0.0
     values, vectors = np.linalg.eigh(np.moveaxis(spread - mean[:, None] * offset, -1, 0))
     rounding = 1e-13 * np.trace(spread)
-    least = np.where(values.sum(axis=1) > rounding, np.maximum(1e-9 * values[:, 2], rounding), np.inf)
+    least = np.where(
+        values.sum(axis=1) > rounding, np.maximum(1e-9 * values[:, 2], rounding), np.inf
+    )
     spanned = values > least[:, None]
     scaled = vectors * np.divide(1.0, values, out=np.zeros_like(values), where=spanned)[:, None]
     projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
@@ -80,12 +97,18 @@ def test_fits_are_those_by_eigenvectors(count, flat, about_node):
 def compare(sums, active, about_node):
     quick = parts_of(matrices.fit_gradient(sums, active=active, about_node=about_node))
     slow = parts_of(by_eigenvectors(sums, active, about_node))
-    seen = np.abs(slow[0]).max(axis=(0, 1)) < 1e3  # nodes whose grains are not almost on a line or in a plane
+    seen = (
+        np.abs(slow[0]).max(axis=(0, 1)) < 1e3
+    )  # nodes whose grains are not almost on a line or in a plane
     assert seen.mean() > 0.9
     for one, other in zip(quick, slow, strict=True):
         axes = tuple(range(other.ndim - 1))
-        size = np.maximum(1.0, np.abs(np.nan_to_num(other)).max(axis=axes))  # eigenvectors round by that of the node
-        np.testing.assert_allclose((one / size)[..., seen], (other / size)[..., seen], rtol=0, atol=1e-8)
+        size = np.maximum(
+            1.0, np.abs(np.nan_to_num(other)).max(axis=axes)
+        )  # eigenvectors round by that of the node
+        np.testing.assert_allclose(
+            (one / size)[..., seen], (other / size)[..., seen], rtol=0, atol=1e-8
+        )
 
 
 @pytest.mark.parametrize("thickness", [1e-2, 1e-3, 1e-4, 1e-6])
@@ -96,7 +119,9 @@ def test_grains_that_are_nearly_flat_are_fitted_in_full(line, thickness):
     turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     x, mass = grains(10)
     x = x * [1.0, thickness if line else 0.9, thickness] @ turned.T
-    found = matrices.fit_gradient(moments_of(x, x @ SLOPE.T, mass), active=(True,) * 3, about_node=False)
+    found = matrices.fit_gradient(
+        moments_of(x, x @ SLOPE.T, mass), active=(True,) * 3, about_node=False
+    )
     gradient, _, determined, *_ = parts_of(found)
     if thickness > 1e-5:
         np.testing.assert_allclose(
@@ -114,20 +139,30 @@ def test_a_linear_field_is_fitted_without_residual():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
     sums = moments_of(x, u, mass)
-    gradient, explained, determined, *_ = parts_of(matrices.fit_gradient(sums, active=(True,) * 3, about_node=False))
-    np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
+    gradient, explained, determined, *_ = parts_of(
+        matrices.fit_gradient(sums, active=(True,) * 3, about_node=False)
+    )
+    np.testing.assert_allclose(
+        gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12
+    )
     about = u - (np.einsum("ng,ngi->ni", mass, u) / mass.sum(axis=1)[:, None])[:, None]
-    np.testing.assert_allclose(explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11)
+    np.testing.assert_allclose(
+        explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11
+    )
     assert (determined == 1.0).all()
 
 
 def test_grains_in_a_plane_give_no_gradient_across_it():
     x, mass = grains(6, flat=(2,))
     sums = moments_of(x, x @ SLOPE.T, mass)
-    gradient, explained, determined, *_ = parts_of(matrices.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, *_ = parts_of(
+        matrices.fit_gradient(sums, active=(True,) * 3, about_node=False)
+    )
     assert (determined[:2] == 1.0).all()
     assert np.isnan(determined[2]).all()
-    np.testing.assert_allclose(gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12)
+    np.testing.assert_allclose(
+        gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12
+    )
     assert (gradient[:, 2] == 0).all()
     assert np.isfinite(explained).all()
 

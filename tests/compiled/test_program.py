@@ -33,7 +33,9 @@ def call(operation, rows, to, a, b):
 def test_operations_on_rows_equal_those_of_numpy(operation, places):
     """Also where the result takes the place of an operand."""
     rng = np.random.default_rng(0)
-    rows = rng.choice([0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 1e-300, 1e300], (4, program.TILE))
+    rows = rng.choice(
+        [0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 1e-300, 1e300], (4, program.TILE)
+    )
     rows[:, ::2] = rng.normal(size=(4, program.TILE // 2))
     to, a, b = places
     expected = rows.copy()

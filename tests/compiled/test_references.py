@@ -5,7 +5,16 @@ import pytest
 
 import xcg
 from xcg.compiled.lines import closed_for
-from xcg.compiled.points import CUBE, CUBIC, GRAIN, SQUARED, Grains, Scratch, deposit, reference_deposit
+from xcg.compiled.points import (
+    CUBE,
+    CUBIC,
+    GRAIN,
+    SQUARED,
+    Grains,
+    Scratch,
+    deposit,
+    reference_deposit,
+)
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.compiled.segments import (
     SEGMENT,
@@ -17,7 +26,9 @@ from xcg.compiled.segments import (
 from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.nodes import MeshBlock
 
-xcg.register_kernel("reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2)
+xcg.register_kernel(
+    "reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2
+)
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside", "reference spline"]
 AXES = ["xyz", "xz", "y"]
 
@@ -27,7 +38,9 @@ def mesh(axes):
     active = np.array([a in axes for a in "xyz"])
     shape = tuple(np.where(active, (4, 3, 5), 1).tolist())
     block = MeshBlock((0, 0, 0), shape, shape, np.full(3, 0.4), np.zeros(3))
-    places = 0.4 * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    places = 0.4 * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     return block, block.nodes(np.zeros(3), 1.0, active, np.full(3, np.inf)), places, active
 
 
@@ -47,7 +60,9 @@ def test_deposit_of_points_equals_its_reference(name, axes):
     position, velocity = rng.uniform(-0.5, 2.0, (9, 3)) * active, rng.normal(size=(9, 3)) + 1e3
     mass, constants, order = rng.uniform(1, 2, 9), rng.normal(size=(9, 4)), np.arange(9)
     batches, phase = batches_of(position, order), np.zeros(9, "int64")
-    grains = Grains(order, batches, position, velocity, mass, constants, phase, (0.0, 0.0, 0.0), 1.0)
+    grains = Grains(
+        order, batches, position, velocity, mass, constants, phase, (0.0, 0.0, 0.0), 1.0
+    )
     scratch = Scratch(block.lists(nodes, [2.0] * 3), np.empty((BATCH, GRAIN + 4)))
     for level in (SQUARED, CUBIC):
         sums, reference = np.zeros((1, len(places), level + 4)), np.full((len(places), 3), np.nan)
@@ -57,7 +72,10 @@ def test_deposit_of_points_equals_its_reference(name, axes):
             if level == CUBIC:  # in the place of the columns of LINEAR
                 flow = flow[:CUBIC].copy()
                 seen = ((position - node) ** 2).sum(axis=1) < 1.0
-                u, w = (velocity - first)[seen], mass[seen] * value(np.linalg.norm((position - node)[seen], axis=1))
+                u, w = (
+                    (velocity - first)[seen],
+                    mass[seen] * value(np.linalg.norm((position - node)[seen], axis=1)),
+                )
                 flow[CUBE : CUBE + 3], flow[CUBE + 3] = (w * (u * u).sum(axis=1)) @ u, 0.0
             np.testing.assert_allclose(found, [*flow, *summed], rtol=1e-9, atol=1e-11)
 
@@ -68,12 +86,23 @@ def test_deposit_of_segments_equals_its_reference(name, axes):
     rng = np.random.default_rng(2)
     block, nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
-    start, branch, force = rng.uniform(0.0, 1.5, (5, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    start, branch, force = (
+        rng.uniform(0.0, 1.5, (5, 3)),
+        rng.normal(size=(5, 3)),
+        rng.normal(size=(5, 3)),
+    )
     records = np.column_stack([start, branch, force, np.zeros(5)])
     assert records.shape[1] == SEGMENT
     segments = Segments(records, np.zeros(0), bounds_of_segments(records))
-    lists, sums = block.lists(nodes, (2.0 + np.abs(branch).max(axis=0)).tolist()), np.zeros((1, len(places), 9))
-    deposit_segments(segments, nodes, weights, lists, closed_for(lists.values.shape[1]), False, sums)
-    expected = [reference_deposit_segments(start, branch, force, node, active, value) for node in places]
+    lists, sums = (
+        block.lists(nodes, (2.0 + np.abs(branch).max(axis=0)).tolist()),
+        np.zeros((1, len(places), 9)),
+    )
+    deposit_segments(
+        segments, nodes, weights, lists, closed_for(lists.values.shape[1]), False, sums
+    )
+    expected = [
+        reference_deposit_segments(start, branch, force, node, active, value) for node in places
+    ]
     expected = np.reshape(expected, (-1, 9))
     np.testing.assert_allclose(sums[0], expected, atol=1e-9 * np.abs(expected).max())

@@ -61,7 +61,9 @@ def compiled(instruction, count):
 def assert_same_bits(one, other):
     """NaN is NaN, whatever its sign and payload."""
     np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(np.signbit(one)[~np.isnan(one)], np.signbit(other)[~np.isnan(other)])
+    np.testing.assert_array_equal(
+        np.signbit(one)[~np.isnan(one)], np.signbit(other)[~np.isnan(other)]
+    )
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -82,7 +84,11 @@ def test_instructions_on_arrays_equal_their_python_functions(instruction, dtype,
 @pytest.mark.parametrize("store", [simd.store_number, simd.store_nontemporal])
 def test_numbers_are_loaded_and_stored_by_address(store):
     rng = np.random.default_rng(8)
-    load, write, fence = compiled(simd.load_number, 2), compiled(store, 3), compiled(simd.store_fence, 0)
+    load, write, fence = (
+        compiled(simd.load_number, 2),
+        compiled(store, 3),
+        compiled(simd.store_fence, 0),
+    )
     memory = numbers(rng, 40, "float64")
     at = np.uint64(memory.ctypes.data)
     for index in rng.permutation(40).astype("uint64"):
@@ -112,13 +118,18 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
         instruction, others = cells.list_near_place, tuple(place)
         if not of_place:
             instruction, others = cells.list_near_segment, (*place, *e, 0.5)
-        call, rows = compiled(instruction, 8 + len(others)), (X, Y, Z, Q2) if of_place else (Q2, ALONG)
+        call, rows = (
+            compiled(instruction, 8 + len(others)),
+            (X, Y, Z, Q2) if of_place else (Q2, ALONG),
+        )
         lanes = cells.VECTOR // np.dtype(real or "float64").itemsize
         for left in (-1, 0, 1, 5, 8, 11, 16, 40):
             found = []
             for run in (call, instruction.py_func):
                 lists = np.zeros((LISTS, 40), real or "float64"), np.zeros((NUMBERS, 40), "int32")
-                count = int(run(*lists, np.uint64(3), px, py, pz, np.uint64(20), np.int64(left), *others))
+                count = int(
+                    run(*lists, np.uint64(3), px, py, pz, np.uint64(20), np.int64(left), *others)
+                )
                 for row in rows:
                     lists[0][row, 3 + count :] = 0.0
                 lists[1][NODE, 3 + count :] = 0

@@ -31,7 +31,11 @@ def double(rng):
 
 def halfway(rng):
     """All digits of what lies in the middle between two neighbouring numbers, or of a shorter one beside it."""
-    low = abs(double(rng)) if rng.random() < 0.1 else math.ldexp(1 + rng.random(), rng.randint(-60, 60))
+    low = (
+        abs(double(rng))
+        if rng.random() < 0.1
+        else math.ldexp(1 + rng.random(), rng.randint(-60, 60))
+    )
     middle = (Fraction(low) + Fraction(math.nextafter(low, math.inf))) / 2
     power = middle.denominator.bit_length() - 1  # the denominator is a power of two
     whole = str(middle.numerator * 5**power)
@@ -81,7 +85,8 @@ def wrong(found, columns=10):
     expected = np.array([float(word) for word in found]).reshape(rows, columns).T
     ends = [" \n", "\r\n", "\n", "\t \n"]
     lines = [
-        " \t"[row % 2].join(found[row * columns : (row + 1) * columns]) + ends[row // 7 % 4] for row in range(rows)
+        " \t"[row % 2].join(found[row * columns : (row + 1) * columns]) + ends[row // 7 % 4]
+        for row in range(rows)
     ]
     names = [f"{k}" for k in range(columns)]
     table = parse_table("".join(lines).rstrip().encode(), names, names, rows, "numbers")

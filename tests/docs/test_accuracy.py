@@ -85,14 +85,21 @@ def test_only_least_squares_gives_zero_temperature_in_shear(errors):
 def test_temperature_of_independent_fluctuations_per_density_needs_a_wide_kernel():
     """A fit takes four degrees of freedom away: two thirds of T at 0.75 d, little at 1.5 d."""
     ways, truth = accuracy.temperature_ways(accuracy.sheared(4000, 1.0), 1.5)
-    found = {name: float(accuracy.inside(run()).mean() / accuracy.inside(truth).mean()) for name, run in ways.items()}
+    found = {
+        name: float(accuracy.inside(run()).mean() / accuracy.inside(truth).mean())
+        for name, run in ways.items()
+    }
     assert 0.88 < found["the same per density"] < 1.0
     assert found["linear, least squares"] == pytest.approx(1.0, abs=0.03)
     assert found["V at the node"] > 1.1
     ways, truth = accuracy.temperature_ways(accuracy.sheared(4000, 1.0), 0.75)
-    narrow = float(accuracy.inside(ways["the same per density"]()).mean() / accuracy.inside(truth).mean())
+    narrow = float(
+        accuracy.inside(ways["the same per density"]()).mean() / accuracy.inside(truth).mean()
+    )
     assert 0.2 < narrow < 0.5
-    assert float(accuracy.inside(ways["linear, least squares"]()).mean()) == pytest.approx(1.0, abs=0.05)
+    assert float(accuracy.inside(ways["linear, least squares"]()).mean()) == pytest.approx(
+        1.0, abs=0.05
+    )
 
 
 def test_gradients_in_uniform_shear(errors):
@@ -100,7 +107,9 @@ def test_gradients_in_uniform_shear(errors):
     assert error["fit through the grains", "least squares"] < 1e-13
     assert 0.02 < error["derivative of V(r)", "kernel gradient"] < 1.0
     # finer differences come nearer to the derivative of the field, not to the rate of the flow
-    assert error["differences on a mesh", "mesh w/2"] > error["differences on a mesh", "mesh w"] > 0.01
+    assert (
+        error["differences on a mesh", "mesh w/2"] > error["differences on a mesh", "mesh w"] > 0.01
+    )
 
 
 def test_marginals_are_exact_and_meshes_are_not(errors):
@@ -130,7 +139,9 @@ def test_interpolation_between_nodes_errs_as_documented(name):
         for order in (1, 3):
             between = np.empty_like(fine)
             for k in np.ndindex(fine.shape[3:]):
-                map_coordinates(coarse[..., *k], places, between[..., *k], order=order, mode="grid-wrap")
+                map_coordinates(
+                    coarse[..., *k], places, between[..., *k], order=order, mode="grid-wrap"
+                )
             error[refined, order] = accuracy.relative(between, fine)
     assert 0.2 < error[1, 1] < 0.4
     assert 0.05 < error[1, 3] < 0.2
@@ -150,7 +161,10 @@ def test_velocity_at_grains_equals_the_field():
 
 def test_the_front_has_the_points_that_no_other_beats():
     way = accuracy.Way("", lambda: None, 0.0, "")
-    points = [accuracy.Point(way, t, e) for t, e in ((1, 1e-2), (2, 1e-2), (3, 1e-4), (4, 1e-3), (5, 1e-9))]
+    points = [
+        accuracy.Point(way, t, e)
+        for t, e in ((1, 1e-2), (2, 1e-2), (3, 1e-4), (4, 1e-3), (5, 1e-9))
+    ]
     assert [p.time for p in accuracy.front(points)] == [1, 3, 5]
     assert [p.beaten(points) for p in points] == [False, True, False, True, False]
 
@@ -165,7 +179,9 @@ def test_no_contact_of_a_packing_crosses_an_edge_that_is_not_periodic(periodic):
     assert ds.sizes["contact"] == 3000
 
 
-@pytest.mark.parametrize(("particles", "contacts"), [(1, 0.0), (2, 0.5), (1000, 3.0), (1234, 3.0), (4000, 2.0)])
+@pytest.mark.parametrize(
+    ("particles", "contacts"), [(1, 0.0), (2, 0.5), (1000, 3.0), (1234, 3.0), (4000, 2.0)]
+)
 def test_the_dense_packing_is_dense(particles, contacts):
     ds = xcg.datasets.dense_packing(particles, diameter=2.0, contacts=contacts)
     volume = np.prod(ds.attrs["box_upper"] - ds.attrs["box_lower"])
@@ -174,7 +190,9 @@ def test_the_dense_packing_is_dense(particles, contacts):
     assert ds.sizes["contact"] == round(contacts * particles)
     assert ds.identical(xcg.datasets.dense_packing(particles, diameter=2.0, contacts=contacts))
     if particles > 100:
-        i, j = (np.searchsorted(ds.particle_id[0], ds[name][0]) for name in ("contact_i", "contact_j"))
+        i, j = (
+            np.searchsorted(ds.particle_id[0], ds[name][0]) for name in ("contact_i", "contact_j")
+        )
         x, box = ds.position.values[0], ds.attrs["box_upper"]
         branch = x[i] - x[j] - box * np.rint((x[i] - x[j]) / box)
         assert np.linalg.norm(branch, axis=1).max() < 1.3 * 2.0

@@ -67,7 +67,12 @@ def test_each_script_has_the_form_of_the_others(script):
     assert re.match(r'r?"""\n(.+)\n=+\n', text)
     for path in re.findall(r":download:`[^<`]+<([^>]+)>`", text):
         assert (ROOT / "docs" / "gallery" / script.parent.name / path).resolve().is_file(), path
-    for wanted in (":download:", "xcg.datasets.open(", "**Check.**", "**For your own data, change**"):
+    for wanted in (
+        ":download:",
+        "xcg.datasets.open(",
+        "**Check.**",
+        "**For your own data, change**",
+    ):
         assert wanted in text, wanted
     for page in re.findall(r":doc:`[^<`]+<(/[^>]+)>`", text):
         assert (ROOT / "docs" / f"{page[1:]}.md").is_file(), page

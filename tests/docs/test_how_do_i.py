@@ -37,7 +37,13 @@ def setting():
     names: dict = {}
     exec(BLOCK.search(SETTING)[1], names)
     frames, particles = [0, 0, 1, 1], [0, 1, 0, 1]
-    tracks = {"frame": frames, "particle": particles, "x": [1.0, 3.0, 1.1, 3.2], "y": 1.0, "mass": 800.0}
+    tracks = {
+        "frame": frames,
+        "particle": particles,
+        "x": [1.0, 3.0, 1.1, 3.2],
+        "y": 1.0,
+        "mass": 800.0,
+    }
     return names | {"tracks": pd.DataFrame(tracks)}
 
 
@@ -49,7 +55,10 @@ def files(tmp_path, monkeypatch):
         **{p.name: p for p in chute.glob("*.gz")},
         "P_0004.vtp": data / "mfix_chute" / "P_FB1_0004.vtp",
         "FC_0004.vtp": data / "mfix_chute" / "FC_0004.vtp",
-        **{f"run.{kind}": data / "mercury_synthetic" / f"syn200.{kind}" for kind in ("data", "fstat", "restart")},
+        **{
+            f"run.{kind}": data / "mercury_synthetic" / f"syn200.{kind}"
+            for kind in ("data", "fstat", "restart")
+        },
     }
     for name, path in places.items():
         shutil.copy(path, tmp_path / name)
@@ -57,7 +66,9 @@ def files(tmp_path, monkeypatch):
     post.mkdir()
     grains = ["1 1 0.5 0.5 0.5 0 0 0 0.05", "2 1 0.5 0.5 0.59 0 0 0 0.05"]
     (post / "dump10.txt").write_text(
-        LIGGGHTS.format(what="ATOMS", n=2, names="id type x y z vx vy vz radius", rows="\n".join(grains))
+        LIGGGHTS.format(
+            what="ATOMS", n=2, names="id type x y z vx vy vz radius", rows="\n".join(grains)
+        )
     )
     pair = "0.5 0.5 0.5 0.5 0.5 0.59 1 2 0 0 0 -5"
     names = " ".join(f"c_c[{k}]" for k in range(1, 13))
@@ -66,7 +77,9 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("answer", ANSWERS, ids=lambda text: text.partition("\n")[0].removeprefix("... "))
+@pytest.mark.parametrize(
+    "answer", ANSWERS, ids=lambda text: text.partition("\n")[0].removeprefix("... ")
+)
 @pytest.mark.filterwarnings("ignore")  # of steps of other boxes, of files without units
 def test_each_answer_runs(answer, setting, files, monkeypatch):
     (code,) = BLOCK.findall(answer)
@@ -86,5 +99,9 @@ def test_each_answer_runs(answer, setting, files, monkeypatch):
 
 
 def test_first_lines_of_the_readme_run():
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text().partition("## Try it")[0], re.DOTALL)
+    (code,) = re.findall(
+        r"```python\n(.*?)```",
+        (ROOT / "README.md").read_text().partition("## Try it")[0],
+        re.DOTALL,
+    )
     exec(code, {})

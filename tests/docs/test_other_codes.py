@@ -39,7 +39,10 @@ class Sphere:
 
 def test_recipe_for_yade_opens(folder):
     """The script, in a stand-in of YADE with two grains, a wall and a periodic cell."""
-    states = [SimpleNamespace(pos=(k, 0.0, 0.0), vel=(0.1, 0, 0), angVel=(0, 0, k), mass=2.0) for k in range(2)]
+    states = [
+        SimpleNamespace(pos=(k, 0.0, 0.0), vel=(0.1, 0, 0), angVel=(0, 0, k), mass=2.0)
+        for k in range(2)
+    ]
     bodies = [SimpleNamespace(id=k, shape=Sphere(), state=s) for k, s in enumerate(states)]
     bodies.append(SimpleNamespace(id=2, shape=object(), state=None))
 
@@ -75,10 +78,19 @@ def test_recipe_for_tables_opens(folder):
     scene = datasets.random_scene(20, seed=1)
     x, v = scene.position.values[0].T, scene.velocity.values[0].T
     grains = dict(zip("xyz", x, strict=True)) | dict(zip(("vx", "vy", "vz"), v, strict=True))
-    grains |= {"id": scene.particle_id.values[0], "radius": scene.diameter.values[0] / 2, "charge": x[0]}
+    grains |= {
+        "id": scene.particle_id.values[0],
+        "radius": scene.diameter.values[0] / 2,
+        "charge": x[0],
+    }
     force = dict(zip(("fx", "fy", "fz"), scene.contact_force.values[0].T, strict=True))
     point = {f"contact_point_{a}": scene.contact_point.values[0, :, k] for k, a in enumerate("xyz")}
-    contacts = {"id1": scene.contact_i.values[0], "id2": scene.contact_j.values[0], **force, **point}
+    contacts = {
+        "id1": scene.contact_i.values[0],
+        "id2": scene.contact_j.values[0],
+        **force,
+        **point,
+    }
     for name, table in (("grains", grains), ("contacts", contacts)):
         both = pd.concat([pd.DataFrame(table).assign(time=time) for time in (0.0, 0.5)])
         both.to_csv(f"{name}.csv", index=False)

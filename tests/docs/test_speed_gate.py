@@ -6,7 +6,9 @@ import pytest
 from docs.against import CONFIDENCE, Change, fewest
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.0, ""), (1.01, ""), (1.1, "slower"), (0.9, "faster")])
+@pytest.mark.parametrize(
+    ("factor", "verdict"), [(1.0, ""), (1.01, ""), (1.1, "slower"), (0.9, "faster")]
+)
 def test_changes_beyond_noise_are_reported(factor, verdict):
     noise = np.exp(np.random.default_rng(3).normal(0.0, 0.03, 25))
     assert Change(factor * noise).verdict == verdict

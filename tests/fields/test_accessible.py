@@ -23,7 +23,11 @@ WALLS = {
     "triangles": [box_surface()],
     "triangles and a pipe": [box_surface(), PIPE],
 }
-KERNELS = [xcg.Lucy(0.75, dimension=3), xcg.Gaussian(0.5, dimension=3), xcg.Heaviside(1.5, dimension=3)]
+KERNELS = [
+    xcg.Lucy(0.75, dimension=3),
+    xcg.Gaussian(0.5, dimension=3),
+    xcg.Heaviside(1.5, dimension=3),
+]
 
 
 def by_points(places, walls, kernel):
@@ -33,7 +37,9 @@ def by_points(places, walls, kernel):
     sine = np.sqrt(1 - cosine**2)
     away = radius[:, None] * np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
     weight = kernel.value(radius) / kernel.value(radius).sum()
-    return np.array([weight @ np.all([wall.distance(r + away) > 0 for wall in walls], axis=0) for r in places])
+    return np.array(
+        [weight @ np.all([wall.distance(r + away) > 0 for wall in walls], axis=0) for r in places]
+    )
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: k.name)
@@ -55,8 +61,12 @@ def test_the_accessible_fraction_beside_a_plane_is_a_polynomial():
     # int_q^1 2 pi s (1 - 6 s^2 + 8 s^3 - 3 s^4) ds, integrated from 0 to q
     half = 105 / 8 * (q / 10 - q**3 / 6 + 3 * q**5 / 10 - 8 * q**6 / 30 + q**7 / 14)
     points = np.stack([x, x, x], axis=1)
-    np.testing.assert_allclose(fraction_at(points, [FLOOR], KERNELS[0]), 0.5 + np.sign(x) * half, atol=1e-14)
-    np.testing.assert_array_equal(fraction_at(np.array([[0, 0, 9.0], [0, 0, -9.0]]), [FLOOR, SIDE], KERNELS[0]), [1, 0])
+    np.testing.assert_allclose(
+        fraction_at(points, [FLOOR], KERNELS[0]), 0.5 + np.sign(x) * half, atol=1e-14
+    )
+    np.testing.assert_array_equal(
+        fraction_at(np.array([[0, 0, 9.0], [0, 0, -9.0]]), [FLOOR, SIDE], KERNELS[0]), [1, 0]
+    )
     right = fraction_at(np.zeros((1, 3)), [FLOOR, xcg.Plane((0, 0, 0), (1, 0, 0))], KERNELS[0])
     np.testing.assert_allclose(right, 0.25, atol=2e-3)
 
@@ -74,7 +84,15 @@ def packed() -> xr.Dataset:
 
 
 BETWEEN = [FLOOR, xcg.Plane((0, 0, 10), (0, 0, -1))]
-NAMES = ["density", "velocity", "kinetic_stress", "pressure", "shear_stress", "friction_coefficient", "sample_count"]
+NAMES = [
+    "density",
+    "velocity",
+    "kinetic_stress",
+    "pressure",
+    "shear_stress",
+    "friction_coefficient",
+    "sample_count",
+]
 
 
 def test_density_per_accessible_volume_is_constant_up_to_the_wall(packed):
@@ -105,7 +123,9 @@ def test_sums_are_divided_ratios_stay_and_the_rest_follows():
         np.testing.assert_allclose(f[name], expected, rtol=1e-12)
         assert f[name].attrs == plain[name].attrs
     np.testing.assert_array_equal(f.velocity, plain.velocity.where(known))
-    np.testing.assert_allclose(f.friction_coefficient, plain.friction_coefficient.where(known), rtol=1e-12)
+    np.testing.assert_allclose(
+        f.friction_coefficient, plain.friction_coefficient.where(known), rtol=1e-12
+    )
     np.testing.assert_array_equal(f.sample_count, plain.sample_count)
     lazy = packed.chunk(time=1).cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
     assert lazy.density.chunks is not None
@@ -122,11 +142,16 @@ def test_the_accessible_fraction_with_averaged_axes(axes, at):
     """Averages over the cross-section of a silo see its area, and the floor as a plane does."""
     rng = np.random.default_rng(4)
     grains = xcg.scene_from_arrays(
-        rng.uniform(2, 3, (20, 3)), diameter=np.ones(20), density=1.0, box=[[-4, 4], [-4, 4], [-1, 8]]
+        rng.uniform(2, 3, (20, 3)),
+        diameter=np.ones(20),
+        density=1.0,
+        box=[[-4, 4], [-4, 4], [-1, 8]],
     )
     given = {"width": 0.75, "spacing": 0.5, "bounds": {"z": (-1, 3)} if "z" in axes else {}}
     resolved = {"axes": axes.replace("r", ""), "at": at}
-    f = grains.cg.coarse_grain("density", walls=[SIDE, FLOOR], **given, **resolved).accessible_fraction[0]
+    f = grains.cg.coarse_grain(
+        "density", walls=[SIDE, FLOOR], **given, **resolved
+    ).accessible_fraction[0]
     if axes == "z":
         points = np.stack([0 * f.z, 0 * f.z, f.z], axis=1)
         expected = np.pi * 2.5**2 / 64 * fraction_at(points, [FLOOR], KERNELS[0])
@@ -145,15 +170,24 @@ def test_layers_accept_walls_across_them():
         np.array([[1.0, 1, 0], [2, 1, 0], [1, 2, 0]]), diameter=np.ones(3), density=1.0, dimension=2, plane="xy",
         thickness=1.0,
     )  # fmt: skip
-    given = {"fields": "density", "width": 1.0, "bounds": {"x": (0, 3), "y": (0, 3)}, "spacing": 0.5}
+    given = {
+        "fields": "density",
+        "width": 1.0,
+        "bounds": {"x": (0, 3), "y": (0, 3)},
+        "spacing": 0.5,
+    }
     disc = xcg.Cylinder((0, 0, 0), (0, 0, 1), 3.0)
-    chi = ds.cg.coarse_grain(walls=[xcg.Plane((0, 0, 0), (0, 1, 0)), disc], **given).accessible_fraction[0]
+    chi = ds.cg.coarse_grain(
+        walls=[xcg.Plane((0, 0, 0), (0, 1, 0)), disc], **given
+    ).accessible_fraction[0]
     kernel = xcg.Lucy(1.0, dimension=2)
     s = np.linspace(-2, 2, 801)
     x, y = np.meshgrid(s, s)
     weight = kernel.value(np.hypot(x, y))
     for i, j in [(0, 0), (3, 1), (4, 4), (6, 0)]:
-        inside = (np.hypot(x + float(chi.x[i]), y + float(chi.y[j])) < 3) & (y + float(chi.y[j]) > 0)
+        inside = (np.hypot(x + float(chi.x[i]), y + float(chi.y[j])) < 3) & (
+            y + float(chi.y[j]) > 0
+        )
         np.testing.assert_allclose(chi[i, j], (weight * inside).sum() / weight.sum(), atol=5e-3)
     with pytest.raises(ValueError, match="one layer across 'z'"):
         ds.cg.coarse_grain(walls=[FLOOR], **given)
@@ -168,7 +202,10 @@ def test_layers_accept_walls_across_them():
         ({"per": "accessible"}, r"needs walls="),
         ({"walls": [FLOOR], "per": "volume"}, "per='volume'"),
         ({"walls": [FLOOR], "preset": "pysammos"}, "presets know no"),
-        ({"walls": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"}, "kernels of the scene's dimension"),
+        (
+            {"walls": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"},
+            "kernels of the scene's dimension",
+        ),
     ],
 )
 def test_wrong_walls_raise(packed, options, message):
@@ -203,4 +240,6 @@ def test_surfaces_beyond_the_box_count_as_far_as_the_box(periodic, reach):
     plane = fraction(xcg.Plane((0, 0, 0), (0, 0, 1)))
     floor = fraction(xcg.Surface(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]])))
     np.testing.assert_allclose(floor, plane, atol=5e-3 if reach else 0.05)
-    np.testing.assert_allclose(fraction(xcg.Cylinder((side / 2, side / 2, 0), (0, 0, 1), 20.0)), 1.0, atol=1e-3)
+    np.testing.assert_allclose(
+        fraction(xcg.Cylinder((side / 2, side / 2, 0), (0, 0, 1), 20.0)), 1.0, atol=1e-3
+    )

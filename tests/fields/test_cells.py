@@ -24,7 +24,9 @@ def volume_of_cell(ds, options):
     """Volume that a value stands for: of the cell, and of the box along averaged axes."""
     grid = ds.cg.explain("density", **options).deposit.grid
     box = ds.box.values[0]
-    return np.prod([grid.spacing.get(a, np.diff(box["xyz".index(a)])[0]) for a in ds.attrs["plane"]])
+    return np.prod(
+        [grid.spacing.get(a, np.diff(box["xyz".index(a)])[0]) for a in ds.attrs["plane"]]
+    )
 
 
 def total(ds, name, **options):
@@ -39,7 +41,9 @@ def total_contact_stress(ds):
     step, found = ds.isel(time=0), np.zeros((3, 3))
     rows = {int(n): k for k, n in enumerate(step.particle_id.values)}
     period = np.diff(step.box.values, axis=1)[:, 0]
-    for i, j, f, c in zip(*(step[f"contact_{n}"].values for n in ("i", "j", "force", "point")), strict=True):
+    for i, j, f, c in zip(
+        *(step[f"contact_{n}"].values for n in ("i", "j", "force", "point")), strict=True
+    ):
         for k, sign in ((i, 1.0), (j, -1.0)):
             if k in rows:
                 a = step.position.values[rows[k]] - c
@@ -61,14 +65,19 @@ def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
     options = {"kernel": kernel, "width": 0.4, **mesh}
     np.testing.assert_allclose(total(scene, "density", **options), step.mass.sum(), rtol=tolerance)
     found = total(scene, "momentum_density", **options)
-    np.testing.assert_allclose(found, momentum, rtol=0, atol=10 * tolerance * np.abs(momentum).max())
+    np.testing.assert_allclose(
+        found, momentum, rtol=0, atol=10 * tolerance * np.abs(momentum).max()
+    )
 
 
 @pytest.mark.parametrize("spacing", [0.6, 3.0])
 @pytest.mark.parametrize(
     ("profile", "error"),
     [
-        (lambda q: np.where(q < 0.5, 1 - 6 * q**2 * (1 - q), 2 * (1 - q) ** 3), 1e-6),  # cubic spline
+        (
+            lambda q: np.where(q < 0.5, 1 - 6 * q**2 * (1 - q), 2 * (1 - q) ** 3),
+            1e-6,
+        ),  # cubic spline
         (lambda q: np.where(q < 0.4, 1.0, (1 - q) / 0.6), 1e-5),  # a kink
         (lambda q: np.where(q < 0.6, 1.0, 0.25), 1e-6),  # a jump
         (lambda q: np.where(q < 0.3, 1.0, 0.0), 1e-6),  # nothing beyond
@@ -93,7 +102,12 @@ def test_negative_parts_of_a_kernel_are_averaged(scene):
 
 @pytest.mark.parametrize(
     "mesh",
-    [{"spacing": 1.5}, {"spacing": 100.0}, {"axes": "xz", "spacing": 2.5}, {"axes": "z", "spacing": 0.5}],
+    [
+        {"spacing": 1.5},
+        {"spacing": 100.0},
+        {"axes": "xz", "spacing": 2.5},
+        {"axes": "z", "spacing": 0.5},
+    ],
     ids=str,
 )
 def test_cells_hold_all_contact_stress(scene, mesh):
@@ -110,7 +124,12 @@ def test_cells_hold_all_contact_stress(scene, mesh):
 )  # fmt: skip
 def test_totals_are_kept_at_any_spacing_and_edges(scene, spacing, periodic, kernel, axes):
     ds = scene.assign_attrs(periodic=periodic)
-    options = {"axes": axes, "spacing": dict(zip(axes, spacing, strict=True)), "kernel": kernel, "width": 0.4}
+    options = {
+        "axes": axes,
+        "spacing": dict(zip(axes, spacing, strict=True)),
+        "kernel": kernel,
+        "width": 0.4,
+    }
     assert total(ds, "density", **options) == pytest.approx(float(ds.mass.sum()), rel=MASS)
 
 
@@ -150,13 +169,24 @@ def test_cells_with_a_width_for_each_group(scene):
 
 @pytest.mark.parametrize("width", [0.4, 1.5])
 def test_one_cell_is_the_mean_of_the_box(scene, width):
-    names = ["density", "momentum_density", "kinetic_stress", "contact_stress", "velocity", "granular_temperature"]
-    cell = scene.cg.coarse_grain(names, sampling="cell", spacing=100.0, width=width).isel(x=0, y=0, z=0)
+    names = [
+        "density",
+        "momentum_density",
+        "kinetic_stress",
+        "contact_stress",
+        "velocity",
+        "granular_temperature",
+    ]
+    cell = scene.cg.coarse_grain(names, sampling="cell", spacing=100.0, width=width).isel(
+        x=0, y=0, z=0
+    )
     box = scene.cg.coarse_grain(names, axes="", at={}, width=width)
     for name in names:
         if name != "granular_temperature":  # its fit has a gradient, which that of the box has not
             scale = float(abs(box[name]).max())
-            np.testing.assert_allclose(cell[name], box[name], rtol=0, atol=10 * MASS * scale, err_msg=name)
+            np.testing.assert_allclose(
+                cell[name], box[name], rtol=0, atol=10 * MASS * scale, err_msg=name
+            )
     np.testing.assert_allclose(cell.x, scene.box.values[0, 0].mean())
 
 
@@ -179,13 +209,18 @@ def points_in(edges, parts, order=6):
 
 
 @pytest.mark.parametrize(
-    ("kernel", "rtol"), [("lucy", 1e-5), ("shifted gaussian", 1e-4), ("gaussian", 2e-3), ("heaviside", 3e-2)]
+    ("kernel", "rtol"),
+    [("lucy", 1e-5), ("shifted gaussian", 1e-4), ("gaussian", 2e-3), ("heaviside", 3e-2)],
 )
-@pytest.mark.parametrize("mesh", [{}, {"axes": "xz"}, {"axes": "xz", "at": "y"}, {"axes": "z"}], ids=str)
+@pytest.mark.parametrize(
+    "mesh", [{}, {"axes": "xz"}, {"axes": "xz", "at": "y"}, {"axes": "z"}], ids=str
+)
 def test_cells_are_the_means_of_values_at_their_points(scene, kernel, rtol, mesh):
     """Fields at points within one cell, each exact, and their mean."""
     axes = mesh.get("axes", "xyz")
-    near = dict(zip("xyz", scene.position.values[0, 0] + [0.2, -0.1, 0.3], strict=True))  # of a grain, not at a rim
+    near = dict(
+        zip("xyz", scene.position.values[0, 0] + [0.2, -0.1, 0.3], strict=True)
+    )  # of a grain, not at a rim
     middle, size = near, {"x": 0.9, "y": 0.4, "z": 1.6}
     mesh = mesh | ({"at": {"y": near["y"]}} if "at" in mesh else {})
     options = {"kernel": kernel, "width": 0.5}
@@ -195,11 +230,15 @@ def test_cells_are_the_means_of_values_at_their_points(scene, kernel, rtol, mesh
     ).isel(time=0, **dict.fromkeys(axes, 0))  # fmt: skip
     edges = [(middle[a] - 0.5 * size[a], middle[a] + 0.5 * size[a]) for a in axes]
     places, weights = points_in(edges, 4)
-    at = {a: xr.DataArray(places[:, k], dims="point") for k, a in enumerate(axes)} | mesh.get("at", {})
+    at = {a: xr.DataArray(places[:, k], dims="point") for k, a in enumerate(axes)} | mesh.get(
+        "at", {}
+    )
     fine = scene.cg.coarse_grain(SUMS, at=at, **options).isel(time=0)
     for name in ("density", "momentum_density", "contact_stress"):
         expected = np.tensordot(weights, fine[name].transpose("point", ...).values, 1)
-        np.testing.assert_allclose(f[name], expected, rtol=0, atol=rtol * np.abs(expected).max(), err_msg=name)
+        np.testing.assert_allclose(
+            f[name], expected, rtol=0, atol=rtol * np.abs(expected).max(), err_msg=name
+        )
 
 
 def test_squares_counts_and_fits_equal_those_of_the_mean_kernel():
@@ -212,7 +251,13 @@ def test_squares_counts_and_fits_equal_those_of_the_mean_kernel():
     )  # fmt: skip
     width, node = 0.5, np.array([1.4, 0.2, 2.3])
     size = np.array([1.7, 2.9, 1.2])  # nearly a period, so that images on both sides weigh as much
-    names = ["fluctuation_density", "granular_temperature", "effective_count", "velocity_gradient", "sample_count"]
+    names = [
+        "fluctuation_density",
+        "granular_temperature",
+        "effective_count",
+        "velocity_gradient",
+        "sample_count",
+    ]
     f = ds.cg.coarse_grain(
         names, width=width, sampling="cell", spacing=dict(zip("xyz", size, strict=True)),
         bounds={a: (x, x) for a, x in zip("xyz", node, strict=True)},
@@ -239,7 +284,9 @@ def test_squares_counts_and_fits_equal_those_of_the_mean_kernel():
     hat = 1 / rho + (x - x_bar) @ np.linalg.inv(spread) @ (x - x_bar).T
     same = owner[:, None] == owner
     left = rho - (same * hat * np.outer(w, w)).sum()
-    np.testing.assert_allclose(f.velocity_gradient, gradient, rtol=0, atol=1e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(
+        f.velocity_gradient, gradient, rtol=0, atol=1e-4 * np.abs(gradient).max()
+    )
     np.testing.assert_allclose(f.fluctuation_density, left, rtol=1e-4)
     np.testing.assert_allclose(f.granular_temperature, (w @ rest**2).sum() / (3 * left), rtol=1e-4)
     np.testing.assert_allclose(f.effective_count, rho**2 / (same * np.outer(w, w)).sum(), rtol=1e-4)
@@ -253,9 +300,13 @@ def test_the_temperature_of_a_gas_in_large_cells_is_unbiased():
     ds = xcg.datasets.random_scene(4000, seed=2)
     velocity = np.random.default_rng(0).normal(size=ds.velocity.shape)
     ds = ds.assign(velocity=ds.velocity.copy(data=velocity))
-    f = ds.cg.coarse_grain(["granular_temperature", "fluctuation_density"], sampling="cell", spacing=3.0, width=0.3)
+    f = ds.cg.coarse_grain(
+        ["granular_temperature", "fluctuation_density"], sampling="cell", spacing=3.0, width=0.3
+    )
     weight = f.fluctuation_density.fillna(0.0)
-    assert float((f.granular_temperature.fillna(0.0) * weight).sum() / weight.sum()) == pytest.approx(1.0, abs=0.03)
+    assert float(
+        (f.granular_temperature.fillna(0.0) * weight).sum() / weight.sum()
+    ) == pytest.approx(1.0, abs=0.03)
 
 
 # --- what a request says -----------------------------------------------------------------------------------
@@ -286,7 +337,9 @@ def test_cells_lie_side_by_side(scene):
     assert f.attrs["sampling"] == "cell"
     step, (low, high) = float(f.z[1] - f.z[0]), scene.box.values[0, 2]
     np.testing.assert_allclose([f.z[0] - step / 2, f.z[-1] + step / 2], [low, high])
-    assert "averages over their cells" in str(scene.cg.explain("density", sampling="cell", axes="z"))
+    assert "averages over their cells" in str(
+        scene.cg.explain("density", sampling="cell", axes="z")
+    )
 
 
 def test_blocks_threads_and_chunks_have_the_same_bits(scene):

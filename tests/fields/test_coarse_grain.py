@@ -48,9 +48,12 @@ def nodes_of(f):
 def sizes_of_terms(ds, truth, peak, width):
     """Size of what each field adds up, by name: rounding is relative to it, also where the sum cancels."""
     speed, force, diameter, mass, volume = (
-        np.abs(ds[name].values).max(initial=0) for name in ("velocity", "contact_force", "diameter", "mass", "volume")
+        np.abs(ds[name].values).max(initial=0)
+        for name in ("velocity", "contact_force", "diameter", "mass", "volume")
     )
-    density, number_density = (np.max(truth[name], initial=0) for name in ("density", "number_density"))
+    density, number_density = (
+        np.max(truth[name], initial=0) for name in ("density", "number_density")
+    )
     # one minus the distance cancels at the rim, so coordinates give fewer digits of weights below a thousandth
     rim = 1e-3 * peak
     # velocities relative to the mean: where all are the same, their rounding is left
@@ -76,7 +79,9 @@ def sizes_of_terms(ds, truth, peak, width):
         "fluctuation_density": density,
         "contact_stress": contact,
         # both parts of the stress
-        **dict.fromkeys(["stress", "pressure", "deviatoric_stress", "shear_stress"], kinetic + contact),
+        **dict.fromkeys(
+            ["stress", "pressure", "deviatoric_stress", "shear_stress"], kinetic + contact
+        ),
     }
 
 
@@ -88,7 +93,9 @@ def comparable(name, truth, sizes, count, fitted):
         keep &= (density == 0) | (density > 1e-6 * density.max(initial=0))
     if name in OVER_PRESSURE:  # so does a pressure that cancels
         keep &= pressure > 1e-4 * max(pressure.max(initial=0), sizes["pressure"])
-    if name == "fluctuation_density":  # a fit through few grains amplifies rounding by its condition
+    if (
+        name == "fluctuation_density"
+    ):  # a fit through few grains amplifies rounding by its condition
         keep &= count >= fitted
     return keep
 
@@ -109,7 +116,9 @@ def assert_equals_brute_force(
         if keep.any():
             want = np.array([expected[i] for i in np.flatnonzero(keep)], float)
             size = max(np.nanmax(np.abs(want), initial=0.0), sizes.get(name, 0.0))
-            np.testing.assert_allclose(values(name)[some][keep], want, rtol=0, atol=tolerance * size, err_msg=name)
+            np.testing.assert_allclose(
+                values(name)[some][keep], want, rtol=0, atol=tolerance * size, err_msg=name
+            )
     return f
 
 
@@ -126,7 +135,9 @@ def test_fields_in_3d_equal_brute_force(kernel, axes, at):
     averaged = 3 - len(axes) - len(at)
     # 64 Gauss points leave 1e-11 of a quotient of marginals, which amplifies the error of its parts
     tolerance = 1e-12 if averaged == 0 else 3e-11
-    assert_equals_brute_force(ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance)
+    assert_equals_brute_force(
+        ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance
+    )
 
 
 @pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
@@ -135,7 +146,14 @@ def test_fields_in_2d_equal_brute_force(kernel, axes):
     ds = xcg.datasets.random_scene(60, periodic="x", dimension=2, seed=4, thickness=0.5)
     scale = 2.0 if axes == "xy" else 2.0 / 5.0
     f = assert_equals_brute_force(
-        ds, kernel, 0.8, axes=axes, spacing=0.9, scale=scale, dimension=2, tolerance=1e-12 if axes == "xy" else 3e-11
+        ds,
+        kernel,
+        0.8,
+        axes=axes,
+        spacing=0.9,
+        scale=scale,
+        dimension=2,
+        tolerance=1e-12 if axes == "xy" else 3e-11,
     )
     assert f.attrs["kernel_dimension"] == 2
 
@@ -145,7 +163,9 @@ def test_support_larger_than_the_box_counts_all_images():
     assert_equals_brute_force(ds, "lucy", 1.2, spacing=0.5, nodes=4)
 
 
-@pytest.mark.filterwarnings("ignore:.*contacts looked at lie more than")  # of random places, some are
+@pytest.mark.filterwarnings(
+    "ignore:.*contacts looked at lie more than"
+)  # of random places, some are
 @pytest.mark.filterwarnings("ignore:.*width")  # and some grains are far wider than the kernel
 @example(particles=1, seed=1, periodic="yz", width=1.5, polydispersity=1.0, offset=1e4)
 @example(particles=1, seed=13, periodic="xyz", width=1.5, polydispersity=1.0, offset=0.0)
@@ -158,9 +178,15 @@ def test_support_larger_than_the_box_counts_all_images():
     polydispersity=st.floats(1.0, 20.0),
     offset=st.sampled_from([0.0, 1e4]),
 )
-def test_fields_of_any_scene_equal_brute_force(particles, seed, periodic, width, polydispersity, offset):
-    ds = xcg.datasets.random_scene(particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0)
-    ds = ds.assign(position=ds.position + offset, contact_point=ds.contact_point + offset, box=ds.box + offset)
+def test_fields_of_any_scene_equal_brute_force(
+    particles, seed, periodic, width, polydispersity, offset
+):
+    ds = xcg.datasets.random_scene(
+        particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0
+    )
+    ds = ds.assign(
+        position=ds.position + offset, contact_point=ds.contact_point + offset, box=ds.box + offset
+    )
     bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
     # coordinates of size 1e4 hold 12 digits of an offset
     tolerance = 1e-11 if offset == 0 else 3e-9
@@ -173,7 +199,13 @@ def test_kernel_gradient_is_the_derivative_of_velocity():
     ds = xcg.datasets.random_scene(200, seed=6)
     h = 1e-4
     for axes, fixed in (("x", {"y": 2.5, "z": 2.5}), ("x", {"z": 2.5}), ("x", {})):
-        options = {"axes": axes, "at": fixed, "bounds": {"x": (2.0 - 2 * h, 2.0 + 2 * h)}, "spacing": h, "width": 0.8}
+        options = {
+            "axes": axes,
+            "at": fixed,
+            "bounds": {"x": (2.0 - 2 * h, 2.0 + 2 * h)},
+            "spacing": h,
+            "width": 0.8,
+        }
         f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], gradient="kernel", **options)
         v = f.velocity.isel(time=0).values
         slope = (8 * (v[3] - v[1]) - (v[4] - v[0])) / (12 * h)
@@ -198,11 +230,20 @@ def test_kernel_gradient_of_the_shifted_gaussian_equals_that_of_the_velocity():
     """Between nodes so close that no grain comes into reach from one to the next."""
     ds, h = xcg.datasets.random_scene(60, seed=3), 1e-6
     at = {"y": 2.0, "z": 2.1}
-    options = {"kernel": xcg.Gaussian(0.9, shifted=True), "axes": "x", "at": at, "gradient": "kernel"}
-    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], bounds={"x": (2.0, 2.0 + 2 * h)}, spacing=h, **options)
+    options = {
+        "kernel": xcg.Gaussian(0.9, shifted=True),
+        "axes": "x",
+        "at": at,
+        "gradient": "kernel",
+    }
+    f = ds.cg.coarse_grain(
+        ["velocity", "velocity_gradient"], bounds={"x": (2.0, 2.0 + 2 * h)}, spacing=h, **options
+    )
     v = f.velocity.isel(time=0).values
     slope = (v[2] - v[0]) / (2 * h)
-    np.testing.assert_allclose(f.velocity_gradient.isel(time=0, x=1).values[:, 0], slope, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        f.velocity_gradient.isel(time=0, x=1).values[:, 0], slope, rtol=1e-8, atol=1e-8
+    )
 
 
 # --- phases ----------------------------------------------------------------------------------------------
@@ -219,21 +260,32 @@ def test_phases_add_up_and_each_is_its_own_sum():
         bulk = f[name].sel(phase="bulk", drop=True)
         assert f[name].dims[:5] == ("time", "x", "y", "z", "phase")
         scale = np.abs(whole[name]).max().item() + 1e-300
-        if name not in ("friction_coefficient", "inertial_number", "viscous_number", "effective_viscosity"):
+        if name not in (
+            "friction_coefficient",
+            "inertial_number",
+            "viscous_number",
+            "effective_viscosity",
+        ):
             xr.testing.assert_allclose(bulk, whole[name], rtol=1e-9, atol=1e-9 * scale)
         if row.additive:
             parts = f[name].sel(phase=["1", "2"]).sum("phase", skipna=False)
-            np.testing.assert_allclose(parts.values, bulk.values, rtol=0, atol=1e-12 * scale, err_msg=name)
+            np.testing.assert_allclose(
+                parts.values, bulk.values, rtol=0, atol=1e-12 * scale, err_msg=name
+            )
     only = (ds.species == 1).values[0]
     alone = ds.isel(particle=only).cg.coarse_grain(["density", "velocity", "d43"], width=0.8)
     for name in alone:
-        xr.testing.assert_allclose(f[name].sel(phase="1", drop=True), alone[name], rtol=1e-12, atol=1e-12)
+        xr.testing.assert_allclose(
+            f[name].sel(phase="1", drop=True), alone[name], rtol=1e-12, atol=1e-12
+        )
 
 
 def test_partial_fluctuations_are_about_the_bulk():
     ds = xcg.datasets.random_scene(2000, seed=8)
     moving = ds.velocity + xr.where(ds.species == 1, 10.0, 0.0)
-    f = ds.assign(velocity=moving.transpose(*ds.velocity.dims)).cg.coarse_grain(by="species", width=1.0)
+    f = ds.assign(velocity=moving.transpose(*ds.velocity.dims)).cg.coarse_grain(
+        by="species", width=1.0
+    )
     v = f.velocity.sel(phase="1") - f.velocity.sel(phase="bulk")
     assert float(v.mean()) == pytest.approx(5.0, rel=0.05)
     # species move at +-5 about the mean in each direction: 25 + 1 in each component
@@ -249,15 +301,31 @@ def test_each_phase_takes_a_width_of_its_own(axes):
     for phase, width in (("1", 0.4), ("2", 0.9)):
         same = ds.cg.coarse_grain(by="species", width=width, by_pair=True, **place)
         # fluctuations are about the velocity of the bulk, which the other phase has a part in
-        sums = ("sample_count", "density", "momentum_density", "contact_force_density", "contact_stress")
-        for name in (*sums, "volume_fraction", "number_density", "contact_stress_by_pair", "wall_traction"):
+        sums = (
+            "sample_count",
+            "density",
+            "momentum_density",
+            "contact_force_density",
+            "contact_stress",
+        )
+        for name in (
+            *sums,
+            "volume_fraction",
+            "number_density",
+            "contact_stress_by_pair",
+            "wall_traction",
+        ):
             want, got = same[name].sel(phase=phase), own[name].sel(phase=phase)
-            np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * float(abs(want).max()), err_msg=name)
+            np.testing.assert_allclose(
+                got, want, rtol=0, atol=1e-12 * float(abs(want).max()), err_msg=name
+            )
     for name, row in xcg.FIELDS.items():
         if row.additive and row.listed and not row.paired and name in own:
             parts = own[name].sel(phase=["1", "2"]).sum("phase", skipna=False)
             bulk = own[name].sel(phase="bulk")
-            np.testing.assert_allclose(parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()), err_msg=name)
+            np.testing.assert_allclose(
+                parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()), err_msg=name
+            )
 
 
 def test_the_traction_of_a_wall_belongs_to_the_phase_that_touches_it():
@@ -265,7 +333,9 @@ def test_the_traction_of_a_wall_belongs_to_the_phase_that_touches_it():
     own = ds.cg.coarse_grain("wall_traction", by="species", axes="z", width=0.6)
     first = ds.particle_id.values[0][ds.species.values[0] == 1]
     for phase, kept in (("1", np.isin(ds.contact_i, first)), ("2", ~np.isin(ds.contact_i, first))):
-        alone = ds.assign(contact_force=ds.contact_force.where(xr.DataArray(kept, dims=("time", "contact")), 0.0))
+        alone = ds.assign(
+            contact_force=ds.contact_force.where(xr.DataArray(kept, dims=("time", "contact")), 0.0)
+        )
         expected = alone.cg.coarse_grain("wall_traction", axes="z", width=0.6).wall_traction
         assert float(abs(expected).max()) > 0
         np.testing.assert_allclose(
@@ -281,7 +351,9 @@ def test_linear_flow_is_exact_with_two_widths():
         ["velocity_gradient", "granular_temperature"], by="species", width={1: 0.4, 2: 0.9}, spacing=0.5,
         bounds=dict.fromkeys("xyz", (1.0, 2.0)),
     ).sel(phase="bulk")  # fmt: skip
-    np.testing.assert_allclose(f.velocity_gradient.values, np.broadcast_to(g, f.velocity_gradient.shape), atol=1e-11)
+    np.testing.assert_allclose(
+        f.velocity_gradient.values, np.broadcast_to(g, f.velocity_gradient.shape), atol=1e-11
+    )
     assert float(f.granular_temperature.max()) < 1e-12
 
 
@@ -305,11 +377,15 @@ def test_equal_diameters_take_one_column():
     d = np.full_like(ds.diameter, 0.7)
     ds = ds.assign(diameter=(ds.diameter.dims, d), volume=(ds.volume.dims, np.pi / 6 * d**3))
     one = ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
-    np.testing.assert_allclose(one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14)
+    np.testing.assert_allclose(
+        one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14
+    )
     np.testing.assert_allclose(one.d43.where(one.number_density > 0, 0.7), 0.7, rtol=1e-14)
     with mock.patch("xcg.fields.sums.deposit.loops.deposit", wraps=deposit) as loop:
         ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
-    assert loop.call_args.args[0].constants.shape[1] == 4  # one column, and three that fill up the four
+    assert (
+        loop.call_args.args[0].constants.shape[1] == 4
+    )  # one column, and three that fill up the four
 
 
 def test_an_unknown_group_raises():
@@ -328,7 +404,9 @@ def test_frozen_grains_act_as_walls():
     ds = xcg.datasets.random_scene(100, seed=9, periodic="xy", walls=False)
     ds["frozen"] = (ds.species == 2).astype("int64")
     f = ds.cg.coarse_grain(width=0.8)
-    free = ds.isel(particle=(ds.species == 1).values[0]).drop_vars("frozen").cg.coarse_grain(width=0.8)
+    free = (
+        ds.isel(particle=(ds.species == 1).values[0]).drop_vars("frozen").cg.coarse_grain(width=0.8)
+    )
     xr.testing.assert_identical(f.drop_attrs(deep=False), free.drop_attrs(deep=False))
     assert float(np.abs(f.wall_traction).max()) > 0
 
@@ -396,7 +474,9 @@ def test_explain_accepts_bodies_and_presets():
     assert "volume_fraction" in str(ds.cg.explain("volume_fraction", by_body="body_id", width=1.0))
     with pytest.raises(xcg.SceneError, match="body"):
         ds.cg.explain("volume_fraction", by_body="no_body")
-    assert str(ds.cg.explain("density", width=1.0, on_error="skip")) == str(ds.cg.explain("density", width=1.0))
+    assert str(ds.cg.explain("density", width=1.0, on_error="skip")) == str(
+        ds.cg.explain("density", width=1.0)
+    )
     theirs = str(ds.cg.explain(preset="pysammos", width=1.0, on_error="skip"))
     assert "shear_rate_tensor" in theirs
     with pytest.raises(ValueError, match="'pysammos'"):
@@ -442,14 +522,21 @@ def test_grains_of_one_velocity_have_no_temperature():
 def test_threads_and_blocks_change_no_bit(long, rtol):
     """What is left out in a box of nodes must not change what is added there."""
     ds = xcg.datasets.random_scene(150, seed=12)
-    options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
+    options = {
+        "by": "species",
+        "width": 0.6,
+        "rtol": rtol,
+        "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"},
+    }
     results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
         with (
             planning(BLOCK_NODES=box),
             mock.patch.multiple("xcg.fields.coarse_grain", THREADS=threads, WORTH_SHARING=0),
         ):
-            results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
+            results.append(
+                [ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)]
+            )
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):
             for name in one:
@@ -465,17 +552,24 @@ def test_fluctuation_stress_is_the_same_with_and_without_phases(axes, gradient):
     alone = ds.cg.coarse_grain(["fluctuation_stress", "kinetic_stress"], **options)
     split = ds.cg.coarse_grain(["fluctuation_stress"], by="species", **options).sel(phase="bulk")
     size = float(alone.kinetic_stress.max())
-    np.testing.assert_allclose(alone.fluctuation_stress, split.fluctuation_stress, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(
+        alone.fluctuation_stress, split.fluctuation_stress, rtol=0, atol=1e-9 * size
+    )
     assert float(alone.fluctuation_stress.max()) > 1e-3 * size
 
 
-@pytest.mark.parametrize(("steps", "worth", "shared"), [(1, 0, True), (2, 0, False), (1, WORTH_SHARING, False)])
+@pytest.mark.parametrize(
+    ("steps", "worth", "shared"), [(1, 0, True), (2, 0, False), (1, WORTH_SHARING, False)]
+)
 def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, worth, shared):
     one = xcg.datasets.random_scene(60, seed=2)
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
     pool = mock.patch("xcg.compiled._jit.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
-    with mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=worth), pool as pools:
+    with (
+        mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=worth),
+        pool as pools,
+    ):
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared
     for name, values in one.cg.coarse_grain(width=0.8).items():
@@ -485,11 +579,17 @@ def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, wo
 def test_sub_selection_of_particles_keeps_their_side():
     """Contacts whose partner is gone count as contacts with a wall."""
     ds = xcg.datasets.random_scene(80, seed=10)
-    half = ds.isel(particle=slice(0, 40)).cg.coarse_grain(["contact_stress", "wall_traction"], width=0.8)
-    rest = ds.isel(particle=slice(40, None)).cg.coarse_grain(["contact_stress", "wall_traction"], width=0.8)
+    half = ds.isel(particle=slice(0, 40)).cg.coarse_grain(
+        ["contact_stress", "wall_traction"], width=0.8
+    )
+    rest = ds.isel(particle=slice(40, None)).cg.coarse_grain(
+        ["contact_stress", "wall_traction"], width=0.8
+    )
     whole = ds.cg.coarse_grain(["contact_stress"], width=0.8)
     both = half.contact_stress + rest.contact_stress
-    np.testing.assert_allclose(both, whole.contact_stress, atol=1e-12 * float(whole.contact_stress.max()))
+    np.testing.assert_allclose(
+        both, whole.contact_stress, atol=1e-12 * float(whole.contact_stress.max())
+    )
     np.testing.assert_allclose(half.wall_traction, -rest.wall_traction, atol=1e-12)
 
 
@@ -497,7 +597,9 @@ def test_sub_selection_of_particles_keeps_their_side():
 
 
 def test_labels_and_provenance(tmp_path):
-    f = xcg.datasets.random_scene(20).cg.coarse_grain(width=1.5, axes="xz", at={"y": 1.0}, by="species")
+    f = xcg.datasets.random_scene(20).cg.coarse_grain(
+        width=1.5, axes="xz", at={"y": 1.0}, by="species"
+    )
     assert f.stress.dims == ("time", "x", "z", "phase", "component", "direction")
     assert f.stress.attrs["units"] == "Pa"
     assert f.velocity_gradient.attrs["units"] == "s^-1"
@@ -511,8 +613,12 @@ def test_labels_and_provenance(tmp_path):
 
 
 def test_empty_nodes_are_nan_with_a_count_beside():
-    ds = xcg.scene_from_arrays([[0.0, 0, 0], [9.0, 0, 0]], velocity=np.ones((2, 3)), diameter=[1.0, 1.0], density=1.0)
-    f = ds.cg.coarse_grain(axes="x", at={"y": 0, "z": 0}, bounds={"x": (0, 9)}, spacing=4.5, width=1.2)
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [9.0, 0, 0]], velocity=np.ones((2, 3)), diameter=[1.0, 1.0], density=1.0
+    )
+    f = ds.cg.coarse_grain(
+        axes="x", at={"y": 0, "z": 0}, bounds={"x": (0, 9)}, spacing=4.5, width=1.2
+    )
     assert f.sample_count.values.tolist() == [[1, 0, 1]]
     assert f.density.values[0, 1] == 0
     for name in ("velocity", "granular_temperature", "d43", "particle_density"):
@@ -537,8 +643,17 @@ def test_contacts_without_free_particles_add_nothing(none):
     ds = xcg.datasets.random_scene(20)
     frozen = ds["particle_id"].copy(data=np.ones((1, 20), "int64"))
     ds = ds.isel(particle=slice(0, 0)) if none == "selected" else ds.assign(frozen=frozen)
-    names = ["contact_number_density", "interphase_force", "stress", "couple_stress", "heat_flux", "dissipation_rate"]
-    f = ds.cg.coarse_grain(names, by="species", groups=(1, 2), axes="z", width=1.0, bounds={"z": (0, 5)})
+    names = [
+        "contact_number_density",
+        "interphase_force",
+        "stress",
+        "couple_stress",
+        "heat_flux",
+        "dissipation_rate",
+    ]
+    f = ds.cg.coarse_grain(
+        names, by="species", groups=(1, 2), axes="z", width=1.0, bounds={"z": (0, 5)}
+    )
     for name in names:
         assert not f[name].any(), name
 
@@ -610,7 +725,9 @@ def test_a_dataset_that_is_no_scene_raises():
 
 def test_preferred_width_and_spacing():
     f = xcg.datasets.random_scene(50).cg.coarse_grain("density", width="0.5 dmax")
-    assert f.attrs["width"] == pytest.approx(0.5 * float(xcg.datasets.random_scene(50).diameter.max()))
+    assert f.attrs["width"] == pytest.approx(
+        0.5 * float(xcg.datasets.random_scene(50).diameter.max())
+    )
     # periodic axes divide the period evenly
     step = float(f.x[1] - f.x[0])
     assert step * f.sizes["x"] == pytest.approx(5.0)
@@ -618,26 +735,36 @@ def test_preferred_width_and_spacing():
 
 def test_messages_name_only_fields_with_missing_variables():
     ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3), diameter=np.ones(3), density=1.0)
-    with pytest.raises(xcg.SceneError, match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'"):
+    with pytest.raises(
+        xcg.SceneError,
+        match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'",
+    ):
         ds.cg.coarse_grain(["density", "stress", "velocity", "pressure"])
 
 
 def test_messages_say_how_to_provide_missing_variables():
     ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3))
-    with pytest.raises(xcg.SceneError, match=r"contacts= to xcg\.open_scene \(contact_i=.*ds\.cg\.find_contacts"):
+    with pytest.raises(
+        xcg.SceneError, match=r"contacts= to xcg\.open_scene \(contact_i=.*ds\.cg\.find_contacts"
+    ):
         ds.cg.microstructure(["coordination_number"])
     with pytest.raises(xcg.SceneError, match=r"needs \['mass'\]: give density= to"):
         ds.cg.coarse_grain("density")
-    with pytest.raises(xcg.SceneError, match=r"needs \['velocity'\]: give velocity= to xcg\.scene_from_arrays"):
+    with pytest.raises(
+        xcg.SceneError, match=r"needs \['velocity'\]: give velocity= to xcg\.scene_from_arrays"
+    ):
         ds.assign(mass=ds.diameter).cg.coarse_grain("velocity")
     touching = ds.assign(mass=ds.diameter, velocity=ds.position).cg.find_contacts(skin=1.0)
     with pytest.raises(
-        xcg.SceneError, match=r"needs \['contact_force'\]: ds\.cg\.find_contacts\(k_n=\.\.\.\) estimates"
+        xcg.SceneError,
+        match=r"needs \['contact_force'\]: ds\.cg\.find_contacts\(k_n=\.\.\.\) estimates",
     ):
         touching.cg.coarse_grain("stress")
     with pytest.raises(xcg.SceneError, match=r"call it on a scene, .*not on a result"):
         ds.cg.coarse_grain("number_density").cg.coarse_grain("number_density")
-    with pytest.raises(ValueError, match=r"by='species': .* this scene has none; ds\.cg\.assign_phases"):
+    with pytest.raises(
+        ValueError, match=r"by='species': .* this scene has none; ds\.cg\.assign_phases"
+    ):
         ds.cg.coarse_grain("number_density", by="species")
 
 
@@ -646,7 +773,10 @@ def test_messages_say_how_to_provide_missing_variables():
     [
         ({"spacing": [1, 1, 1]}, r"spacing=\[1, 1, 1\]: expected a distance \(m\), or one by axis"),
         ({"spacing": "1"}, "spacing='1': expected a distance"),
-        ({"width": np.array([1.0])}, r"width=array.* expected a length \(m\), a multiple of a size"),
+        (
+            {"width": np.array([1.0])},
+            r"width=array.* expected a length \(m\), a multiple of a size",
+        ),
         ({"bounds": [(0, 1)] * 3}, "bounds=.* expected first and last node by axis"),
         ({"extent": 1.0, "axes": "z"}, "extent=1.0: expected a length"),
         ({"at": 1.0}, "at=1.0: expected a coordinate"),
@@ -673,10 +803,18 @@ def test_a_kernel_narrower_than_the_largest_grain_warns(dimension):
     position, diameter = small.position.values[0], small.diameter.values[0].copy()
     diameter[:] = 0.1
     diameter[5] = 1.0
-    ds = xcg.scene_from_arrays(position, velocity=0 * position, diameter=diameter, density=1.0, dimension=dimension)
-    at = dict(zip("xyz", position[5], strict=True)) if dimension == 3 else dict(zip("xy", position[5], strict=False))
+    ds = xcg.scene_from_arrays(
+        position, velocity=0 * position, diameter=diameter, density=1.0, dimension=dimension
+    )
+    at = (
+        dict(zip("xyz", position[5], strict=True))
+        if dimension == 3
+        else dict(zip("xy", position[5], strict=False))
+    )
     kernel = xcg.Lucy(0.2, dimension=dimension)
-    with pytest.warns(SceneWarning, match="kernel is narrower than the largest grains, one of which alone") as told:
+    with pytest.warns(
+        SceneWarning, match="kernel is narrower than the largest grains, one of which alone"
+    ) as told:
         f = ds.cg.coarse_grain("volume_fraction", axes="", at=at, kernel=kernel)
     volume = np.pi / 6 * (1.0 if dimension == 3 else 1.0 / 1.0)
     assert float(f.volume_fraction.max()) >= volume * float(kernel.value(0.0)) > 1.0
@@ -686,7 +824,9 @@ def test_a_kernel_narrower_than_the_largest_grain_warns(dimension):
 
 def test_overlapping_grains_warn():
     position = np.random.default_rng(0).uniform(0, 2, (200, 3))
-    ds = xcg.scene_from_arrays(position, velocity=0 * position, diameter=np.full(200, 0.8), density=1.0)
+    ds = xcg.scene_from_arrays(
+        position, velocity=0 * position, diameter=np.full(200, 0.8), density=1.0
+    )
     with pytest.warns(SceneWarning, match="grains overlap, or their sizes"):
         ds.cg.coarse_grain("volume_fraction", width=0.8, axes="", at={"x": 1.0, "y": 1.0, "z": 1.0})
 

@@ -15,16 +15,22 @@ R = np.random.default_rng(0).uniform(0, 10, (1000, 3))
 def scene(far, *, lazy=False, steps=1):
     position = R.copy()
     position[17] = [far, far / 2, far]
-    ds = xcg.scene_from_arrays([position] * steps, velocity=0 * R, diameter=np.ones(1000), density=1.0)
+    ds = xcg.scene_from_arrays(
+        [position] * steps, velocity=0 * R, diameter=np.ones(1000), density=1.0
+    )
     return ds.chunk(time=1) if lazy else ds
 
 
 @pytest.mark.parametrize("far", [1e6, 1e12])
 def test_messages_name_the_escaped_particle_and_a_remedy(far):
-    with pytest.raises(ValueError, match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.where"):
+    with pytest.raises(
+        ValueError,
+        match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.where",
+    ):
         scene(far).cg.coarse_grain("density")
     with pytest.raises(
-        ValueError, match=r"x from .* to 1e\+.*some may have escaped; give bounds=, or a larger spacing="
+        ValueError,
+        match=r"x from .* to 1e\+.*some may have escaped; give bounds=, or a larger spacing=",
     ):
         scene(far, lazy=True).cg.coarse_grain("density")
 
@@ -35,13 +41,16 @@ def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, 
     ds, nodes = scene(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
     monkeypatch.setattr("xcg.fields.coarse_grain.evaluate_plan", lambda *_: pytest.fail("computed"))
-    with pytest.raises(ValueError, match=r"205 x 105 x 205 nodes, and its fields take .* GB at once"):
+    with pytest.raises(
+        ValueError, match=r"205 x 105 x 205 nodes, and its fields take .* GB at once"
+    ):
         ds.cg.coarse_grain("density")
 
 
 def test_many_nodes_per_grain_warn_and_name_the_particle():
     with pytest.warns(
-        SceneWarning, match=r"4\.41e\+03 for each particle: particle 17 at .*without it .* 5\.\d+e\+03 nodes"
+        SceneWarning,
+        match=r"4\.41e\+03 for each particle: particle 17 at .*without it .* 5\.\d+e\+03 nodes",
     ):
         scene(150.0).cg.coarse_grain("density")
 
@@ -50,7 +59,9 @@ def test_given_meshes_do_not_warn(monkeypatch):
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        f = scene(150.0).cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (0, 10)), spacing=2.0)
+        f = scene(150.0).cg.coarse_grain(
+            "density", bounds=dict.fromkeys("xyz", (0, 10)), spacing=2.0
+        )
     assert f.density.size == 216
 
 

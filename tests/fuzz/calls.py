@@ -49,7 +49,9 @@ def _base(rng: random.Random) -> Values:
     count = rng.choice([1, 2, 3, 20, 300])
     position = numbers.uniform(0, 1, (count, 3))
     if rng.random() < 0.3:
-        position = np.round(4 * position) / 4 + 1e-3 * np.arange(count)[:, None] * (rng.random() < 0.5)
+        position = np.round(4 * position) / 4 + 1e-3 * np.arange(count)[:, None] * (
+            rng.random() < 0.5
+        )
     pairs = numbers.integers(0, count, (rng.choice([0, 1, 5, 400]), 2))
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     pairs[: len(pairs) // 4, 1] = -1
@@ -115,7 +117,9 @@ def _types(rng: random.Random, given: Values) -> None:
 def _shape(rng: random.Random, given: Values) -> None:
     name = rng.choice([name for name, values in given.items() if isinstance(values, np.ndarray)])
     values = np.atleast_1d(given[name])
-    given[name] = rng.choice([values[:-1], values[..., None], values.T, values[:0], np.float64(0.0), list(values)])
+    given[name] = rng.choice(
+        [values[:-1], values[..., None], values.T, values[:0], np.float64(0.0), list(values)]
+    )
 
 
 DAMAGES = [_one_entry, _one_entry, _scaled, _box, _small_box, _one_place, _far, _ids]
@@ -145,7 +149,9 @@ def scene(rng: random.Random) -> xr.Dataset:
 
 def _coarse_grain(rng: random.Random, ds: xr.Dataset) -> None:
     axes = rng.choice(["z", "z", "xz", "xyz", "", "x"])
-    low, high = sorted((rng.choice([0.0, 0.25, extreme(rng)]), rng.choice([1.0, 0.75, extreme(rng)])))
+    low, high = sorted(
+        (rng.choice([0.0, 0.25, extreme(rng)]), rng.choice([1.0, 0.75, extreme(rng)]))
+    )
     length = high - low if 0 < high - low < np.inf else 1.0
     options: Values = {
         "axes": axes, "spacing": rng.choice([0.25, length / 4, length / 4, extreme(rng)]),
@@ -162,7 +168,9 @@ def _coarse_grain(rng: random.Random, ds: xr.Dataset) -> None:
     if rng.random() < 0.1:
         options["width"] = {0: extreme(rng), 1: 0.2}
         options["by"] = "species"
-    fields = rng.choice([None, "density", ["contact_stress"], ["stress", "granular_temperature", "fabric"]])
+    fields = rng.choice(
+        [None, "density", ["contact_stress"], ["stress", "granular_temperature", "fabric"]]
+    )
     # as many nodes as a mesh may have would take minutes and all memory, which is what was asked for
     plan = ds.cg.explain(fields, **options)
     if np.prod(plan.deposit.grid.shape) < 30_000:
@@ -173,7 +181,9 @@ def _find_contacts(rng: random.Random, ds: xr.Dataset) -> None:
     skin = rng.choice([0.0, 0.0, 0.01, extreme(rng)])
     found = xcg.find_contacts(ds, skin=skin, k_n=1e5, levels=rng.choice([None, 1, 5]))
     if found.sizes["contact"] < 5000:
-        found.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.0, 1.0)}, spacing=0.25, width=0.2)
+        found.cg.coarse_grain(
+            "contact_stress", axes="z", bounds={"z": (0.0, 1.0)}, spacing=0.25, width=0.2
+        )
 
 
 def _chains(rng: random.Random, ds: xr.Dataset) -> None:
@@ -196,7 +206,9 @@ def outcome(seed: int) -> tuple[str, str]:
     try:
         rng.choice(CALLS)(rng, scene(rng))
     except (xcg.SceneError, ValueError) as error:
-        return ("refused", str(error)) if is_own(error) else ("failed", traceback.format_exc()[-2500:])
+        return (
+            ("refused", str(error)) if is_own(error) else ("failed", traceback.format_exc()[-2500:])
+        )
     except Exception:
         return "failed", traceback.format_exc()[-2500:]
     return "computed", ""

@@ -43,7 +43,10 @@ def outcome(name: str, folder: Path) -> tuple[str, str]:
         if not is_own(error):
             return "failed", "".join(traceback.format_exception(error)[-12:])
         if not isinstance(error, (SceneError, OSError)) and not _from_arguments(error):
-            return "failed", f"not the package's own error: {error!r}\n{traceback.format_exc()[-1500:]}"
+            return (
+                "failed",
+                f"not the package's own error: {error!r}\n{traceback.format_exc()[-1500:]}",
+            )
         return "refused", str(error)
     except MemoryError:
         # a job may ask for more nodes than fit, which the command says in its own words; its data are never damaged

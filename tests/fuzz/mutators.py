@@ -28,7 +28,11 @@ PIECES = [
 def mutate(data: bytes, rng: random.Random, others: tuple[bytes, ...] = ()) -> bytes:
     """Damage bytes in one to six ways."""
     if data[:2] == b"\x1f\x8b" and rng.random() < 0.8:  # damage what is inside
-        inner = mutate(gzip.decompress(data), rng, tuple(gzip.decompress(o) for o in others if o[:2] == b"\x1f\x8b"))
+        inner = mutate(
+            gzip.decompress(data),
+            rng,
+            tuple(gzip.decompress(o) for o in others if o[:2] == b"\x1f\x8b"),
+        )
         packed = gzip.compress(inner, 1)
         return mutate_once(packed, rng, ()) if rng.random() < 0.1 else packed
     for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
@@ -93,5 +97,9 @@ def mutate_once(data: bytes, rng: random.Random, others: tuple[bytes, ...]) -> b
         other = rng.choice(others)
         return data[:at] + other[rng.randrange(len(other) or 1) :]
     if way == "bomb" and rng.random() < 0.02:
-        return data[:at] + rng.choice((b" ", b"0", b"\n", b"1 ", b"<!--", b"<DataArray ", b"<")) * (1 << 21) + data[at:]
+        return (
+            data[:at]
+            + rng.choice((b" ", b"0", b"\n", b"1 ", b"<!--", b"<DataArray ", b"<")) * (1 << 21)
+            + data[at:]
+        )
     return data

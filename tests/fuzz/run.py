@@ -113,8 +113,12 @@ def main() -> None:
     parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; all by default")
     parser.add_argument("--minutes", type=float, default=10, help="for each target")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--folder", type=Path, help="where failures are kept; a temporary folder by default")
-    parser.add_argument("--again", type=Path, help="a folder with one set of files, to be tried once")
+    parser.add_argument(
+        "--folder", type=Path, help="where failures are kept; a temporary folder by default"
+    )
+    parser.add_argument(
+        "--again", type=Path, help="a folder with one set of files, to be tried once"
+    )
     given = parser.parse_args()
     if given.again:
         print(*outcome(given.targets[0], given.again), sep="\n")

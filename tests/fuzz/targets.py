@@ -48,7 +48,11 @@ def fields_of(ds, **options) -> None:
         ds.load()
         bounds = dict.fromkeys(ds.attrs["plane"], (0.0, 1.0))
         if "mass" in ds and "velocity" in ds:
-            names = ["velocity", "kinetic_stress", *(["contact_stress"] if "contact_force" in ds else [])]
+            names = [
+                "velocity",
+                "kinetic_stress",
+                *(["contact_stress"] if "contact_force" in ds else []),
+            ]
             ds.cg.coarse_grain(names, bounds=bounds, spacing=0.5, width=0.4)
         if "diameter" in ds and ds.sizes["particle"] < 10_000:
             ds.cg.find_contacts(max_contacts=20_000)
@@ -58,7 +62,10 @@ def _dumps(folder: Path) -> dict[str, bytes]:
     units = "ITEM: UNITS\nlj\n"  # as LAMMPS does it, before the first step only
     files = {}
     for name, text in (("p.dump", dumps.dump_text), ("c.dump", dumps.pairs_text)):
-        steps = [text(step=k, before=f"{units}ITEM: TIME\n{k / 10}\n").removeprefix(units) for k in range(3)]
+        steps = [
+            text(step=k, before=f"{units}ITEM: TIME\n{k / 10}\n").removeprefix(units)
+            for k in range(3)
+        ]
         files[name] = (units + "".join(steps)).encode()
     return files
 
@@ -68,7 +75,11 @@ def _use_dumps(folder: Path) -> None:
 
 
 def _use_local(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "p.dump", contacts=folder / "c.dump", engine="lammps", missing="empty"))
+    fields_of(
+        xcg.open_scene(
+            folder / "p.dump", contacts=folder / "c.dump", engine="lammps", missing="empty"
+        )
+    )
 
 
 def _dumps_gz(folder: Path) -> dict[str, bytes]:
@@ -90,7 +101,11 @@ def _use_lammps_bin(folder: Path) -> None:
 
 
 def _lammps_nc(folder: Path) -> dict[str, bytes]:
-    return {"p.nc": write_netcdf(folder / "n.nc", {k: rows_of(4, seed=k) for k in range(3)}).read_bytes()}
+    return {
+        "p.nc": write_netcdf(
+            folder / "n.nc", {k: rows_of(4, seed=k) for k in range(3)}
+        ).read_bytes()
+    }
 
 
 def _use_lammps_nc(folder: Path) -> None:
@@ -99,13 +114,17 @@ def _use_lammps_nc(folder: Path) -> None:
 
 def _yade(folder: Path) -> dict[str, bytes]:
     head = "# time 0.5 step 7 cell 1 0.1 0 0 1 0 0 0 1\n"
-    grains = head + "# id x y z r mass v(3)\n0 0.4 0.5 0.5 0.1 1 0 0 1\n1 0.59 0.5 0.5 0.1 1 0 0 1\n"
+    grains = (
+        head + "# id x y z r mass v(3)\n0 0.4 0.5 0.5 0.1 1 0 0 1\n1 0.59 0.5 0.5 0.1 1 0 0 1\n"
+    )
     pairs = head + "# id1 id2 n(3) c(3) fn(3) fs(3)\n0 1 1 0 0 0.5 0.5 0.5 5 0 0 0 2 0\n"
     return {"p.txt": grains.encode(), "c.txt": pairs.encode()}
 
 
 def _use_yade(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "p.txt", contacts=folder / "c.txt", engine="yade", shear_rate={}))
+    fields_of(
+        xcg.open_scene(folder / "p.txt", contacts=folder / "c.txt", engine="yade", shear_rate={})
+    )
 
 
 def _csv(folder: Path) -> dict[str, bytes]:
@@ -116,20 +135,33 @@ def _csv(folder: Path) -> dict[str, bytes]:
 
 
 def _use_csv(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "p.csv", contacts=folder / "c.csv", engine="table", density=2.0))
+    fields_of(
+        xcg.open_scene(folder / "p.csv", contacts=folder / "c.csv", engine="table", density=2.0)
+    )
 
 
 def _parquet(folder: Path) -> dict[str, bytes]:
     grains = {"time": [0.0, 0, 1, 1], "id": [0, 1, 0, 1], "x": [0.4, 0.59, 0.4, 0.59], "y": [0.5] * 4, "z": [0.5] * 4,
               "vx": [1.0] * 4, "vy": [0.0] * 4, "vz": [0.0] * 4, "radius": [0.1] * 4}  # fmt: skip
-    pairs = {"time": [0.0, 1.0], "id1": [0, 0], "id2": [1, 1], "fx": [1.0, 2.0], "fy": [0.0] * 2, "fz": [3.0] * 2}
+    pairs = {
+        "time": [0.0, 1.0],
+        "id1": [0, 0],
+        "id2": [1, 1],
+        "fx": [1.0, 2.0],
+        "fy": [0.0] * 2,
+        "fz": [3.0] * 2,
+    }
     for name, table in (("p", grains), ("c", pairs)):
         pd.DataFrame(table).to_parquet(folder / f"{name}.parquet")
     return {name: (folder / name).read_bytes() for name in ("p.parquet", "c.parquet")}
 
 
 def _use_parquet(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "p.parquet", contacts=folder / "c.parquet", engine="table", density=2.0))
+    fields_of(
+        xcg.open_scene(
+            folder / "p.parquet", contacts=folder / "c.parquet", engine="table", density=2.0
+        )
+    )
 
 
 def _hdf5(folder: Path) -> dict[str, bytes]:
@@ -165,7 +197,11 @@ def _vtu(folder: Path) -> dict[str, bytes]:
 
 def _use_vtu(folder: Path) -> None:
     names = {"first": "contact_i", "second": "contact_j", "F": "contact_force"}
-    fields_of(xcg.open_scene(folder / "s.1.vtu", contacts=folder / "c.1.vtp", engine="vtk", names=names, density=2.0))
+    fields_of(
+        xcg.open_scene(
+            folder / "s.1.vtu", contacts=folder / "c.1.vtp", engine="vtk", names=names, density=2.0
+        )
+    )
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -192,10 +228,16 @@ def _mercury(folder: Path) -> dict[str, bytes]:
         f"1.5 1 1 0 1 0 0.3 0 0 0 0 0 0 0\n".encode()
         for t in (0, 0.1)
     )
-    rows = "{} 0 1 0.75 0.5 0.5 0.1 0 3 1 -1 0 0 0 1 0\n{} 1 0 0.75 0.5 0.5 0.1 0 3 1 1 0 0 0 -1 0\n"
+    rows = (
+        "{} 0 1 0.75 0.5 0.5 0.1 0 3 1 -1 0 0 0 1 0\n{} 1 0 0.75 0.5 0.5 0.1 0 3 1 1 0 0 0 -1 0\n"
+    )
     rows += "{} 2 -1 1.5 1 1 0.1 0 2 0 0 0 1 1 0 0\n"
     contacts = b"".join(f"# {t} 0\n# a\n# b\n{rows.format(t, t, t)}".encode() for t in (0, 0.1))
-    return {"run.data": data, "run.fstat": contacts, "run.restart": restart[: restart.index(b"Particles") + 20]}
+    return {
+        "run.data": data,
+        "run.fstat": contacts,
+        "run.restart": restart[: restart.index(b"Particles") + 20],
+    }
 
 
 def _use_mercury(folder: Path) -> None:
@@ -205,7 +247,15 @@ def _use_mercury(folder: Path) -> None:
 def _mfix(folder: Path) -> dict[str, bytes]:
     velocity = np.arange(9.0).reshape(3, 3)
     write_particles(folder / "P_1.vtp", Velocity=velocity, Density=np.full(3, 2.0), time=0.1)
-    write_contacts(folder / "FC_1.vtp", [1, 2, 3], [2, 1, 1], np.eye(3), np.eye(3), FORCE_CHAIN_FN=np.eye(3), time=0.1)
+    write_contacts(
+        folder / "FC_1.vtp",
+        [1, 2, 3],
+        [2, 1, 1],
+        np.eye(3),
+        np.eye(3),
+        FORCE_CHAIN_FN=np.eye(3),
+        time=0.1,
+    )
     write_pvd(folder / "P.pvd", {"P_1.vtp": "0.1"})
     return {name: (folder / name).read_bytes() for name in ("P_1.vtp", "FC_1.vtp", "P.pvd")}
 
@@ -217,9 +267,18 @@ def _use_mfix(folder: Path) -> None:
 def _vtp(folder: Path) -> dict[str, bytes]:
     files = {"A_DES_0.vtp": OLD_ASCII.encode()}
     for k, (mode, compressor) in enumerate(
-        [("Binary", "ZLib"), ("Binary", None), ("Appended", "LZ4"), ("AppendedRaw", "LZMA"), ("AppendedRaw", None)], 1
+        [
+            ("Binary", "ZLib"),
+            ("Binary", None),
+            ("Appended", "LZ4"),
+            ("AppendedRaw", "LZMA"),
+            ("AppendedRaw", None),
+        ],
+        1,
     ):
-        files[f"A_DES_{k}.vtp"] = write_by_vtk(folder / "v.vtp", mode, compressor, 32 + 32 * (k % 2), 40).read_bytes()
+        files[f"A_DES_{k}.vtp"] = write_by_vtk(
+            folder / "v.vtp", mode, compressor, 32 + 32 * (k % 2), 40
+        ).read_bytes()
     return files
 
 
@@ -244,12 +303,21 @@ def _ini(folder: Path) -> dict[str, bytes]:
         Diameter=np.full(20, 0.2), Volume=np.full(20, 0.004),
     )  # fmt: skip
     text = (ROOT / "examples" / "config.ini").read_text()
-    values = {"particles_path": "./P_", "contacts_path": "None", "t0": "150", "tf": "150", "dt": "1"}
+    values = {
+        "particles_path": "./P_",
+        "contacts_path": "None",
+        "t0": "150",
+        "tf": "150",
+        "dt": "1",
+    }
     values |= {f"{a}_axis_periodic": "False" for a in "xyz"} | {"output_path": "out"}
     values |= {f"{a}_{end}": v for a in "xyz" for end, v in (("min", "0"), ("max", "1"))}
     lines = [next((f"{k} = {v}" for k, v in values.items() if line.startswith(f"{k} =")), line)
              for line in text.splitlines()]  # fmt: skip
-    return {"job/config.ini": "\n".join(lines).encode(), "job/P_0150.vtp": (folder / "P_0150.vtp").read_bytes()}
+    return {
+        "job/config.ini": "\n".join(lines).encode(),
+        "job/P_0150.vtp": (folder / "P_0150.vtp").read_bytes(),
+    }
 
 
 def _toml(folder: Path) -> dict[str, bytes]:

@@ -52,15 +52,21 @@ def refused(name, folder, **changes):
 
 
 def test_a_grain_far_away_raises(tmp_path):
-    assert "run.data" not in refused("mercury", tmp_path, run_data=(b"1 0.5 0.5 1 0", b"1 0.5 1e30 1 0"))
+    assert "run.data" not in refused(
+        "mercury", tmp_path, run_data=(b"1 0.5 0.5 1 0", b"1 0.5 1e30 1 0")
+    )
 
 
 def test_a_count_beyond_the_file_raises(tmp_path):
-    assert "promises" in refused("mercury", tmp_path, run_data=(b"3 0 0 0 0 2 2 2", b"1e300 0 0 0 0 2 2 2"))
+    assert "promises" in refused(
+        "mercury", tmp_path, run_data=(b"3 0 0 0 0 2 2 2", b"1e300 0 0 0 0 2 2 2")
+    )
 
 
 def test_a_step_beyond_int64_raises(tmp_path):
-    assert "expected a number" in refused("lammps", tmp_path, p_dump=(b"TIMESTEP\n0", b"TIMESTEP\n" + b"9" * 30))
+    assert "expected a number" in refused(
+        "lammps", tmp_path, p_dump=(b"TIMESTEP\n0", b"TIMESTEP\n" + b"9" * 30)
+    )
 
 
 def test_an_item_without_a_name_raises(tmp_path):
@@ -80,7 +86,11 @@ def test_a_file_name_that_is_too_long_raises(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (b'NumberOfPoints="   3 "', b'NumberOfPoints="999999999999"', "promises 999999999999 points"),
+        (
+            b'NumberOfPoints="   3 "',
+            b'NumberOfPoints="999999999999"',
+            "promises 999999999999 points",
+        ),
         (b'offset="  0 "', b'offset="99999999"', "was cut short"),
         (b'NumberOfComponents="3"', b'NumberOfComponents="4000000000"', "components"),
         (b'<?xml version="1.0"?>', b'<!DOCTYPE a [<!ENTITY b "cc">]>', "entities"),
@@ -95,7 +105,9 @@ def test_wrong_headers_of_vtk_raise(tmp_path, old, new, message):
 
 def test_slices_wider_than_64_bits_raise(tmp_path):
     seeds = dict(TARGETS["toml"].seeds(tmp_path))
-    seeds["job/job.toml"] = seeds["job/job.toml"].replace(b"width = 1.0", b"width = 18446744073709551615")
+    seeds["job/job.toml"] = seeds["job/job.toml"].replace(
+        b"width = 1.0", b"width = 18446744073709551615"
+    )
     lay(tmp_path / "now", seeds)
     assert outcome("toml", tmp_path / "now") == ("opened", "")
 
@@ -129,7 +141,10 @@ def test_damaged_jobs_raise(tmp_path, old, new, message):
 @pytest.fixture(scope="module")
 def checked(tmp_path_factory):
     """Environment in which all indices are checked; loops that check them are kept apart from those that do not."""
-    return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("checked"))}
+    return os.environ | {
+        "NUMBA_BOUNDSCHECK": "1",
+        "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("checked")),
+    }
 
 
 @pytest.mark.parametrize("bounds", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -138,7 +153,9 @@ def test_calls_with_hostile_arguments_raise(bounds, request):
     count = 500 if bounds else 250
     command = [sys.executable, "-m", "tests.fuzz.calls", "--count", str(count)]
     environment = request.getfixturevalue("checked") if bounds else os.environ
-    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
     counts = json.loads(done.stdout.splitlines()[-1])
     assert counts["computed"] > 0.3 * count, counts
@@ -148,7 +165,9 @@ def test_calls_with_hostile_arguments_raise(bounds, request):
 @pytest.mark.slow
 def test_fields_under_bounds_checks(checked):
     command = [sys.executable, "-m", "pytest", "tests/fields/formulas/test_program.py", "-x", "-q"]
-    done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout[-3000:]
 
 
@@ -177,7 +196,12 @@ for call in (lambda: beyond(np.zeros((2, 16)), 1, 9), lambda: beyond(np.zeros((2
         print(error)
 """
     done = subprocess.run(
-        [sys.executable, "-c", code], env=checked, cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code],
+        env=checked,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.stdout.count("out of bounds") == 3, done.stdout + done.stderr
 
@@ -186,7 +210,9 @@ def test_damaged_chunks_of_saved_scenes_raise(tmp_path):
     """Bytes of one chunk are changed, cut or repeated: a scene or an error of the package, nothing else."""
     pytest.importorskip("zarr", reason="saves to Zarr")
     xcg.datasets.random_scene(50, seed=1).cg.save(tmp_path / "scene.zarr")
-    chunks = sorted(p for p in (tmp_path / "scene.zarr").glob("*/c*") if p.is_file() and p.stat().st_size > 16)
+    chunks = sorted(
+        p for p in (tmp_path / "scene.zarr").glob("*/c*") if p.is_file() and p.stat().st_size > 16
+    )
     rng, raised = random.Random(1), 0
     for _ in range(100):
         path = rng.choice(chunks)
@@ -195,7 +221,9 @@ def test_damaged_chunks_of_saved_scenes_raise(tmp_path):
         if rng.random() < 0.5:
             data[at % 16] = rng.randrange(256)  # heads hold the sizes
         else:
-            data[at:] = rng.choice([b"", bytes(data[at : at + 8]) * 3, rng.randbytes(len(data) - at)])
+            data[at:] = rng.choice(
+                [b"", bytes(data[at : at + 8]) * 3, rng.randbytes(len(data) - at)]
+            )
         path.write_bytes(data)
         try:
             xcg.open_scene(tmp_path / "scene.zarr").compute()

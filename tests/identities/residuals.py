@@ -54,7 +54,11 @@ def frame_of(ds: xr.Dataset) -> dict[str, NDArray]:
     contact = frame["contact_i"] >= 0
     for name in frame:
         dims = ds[name].dims
-        frame[name] = frame[name][grain if "particle" in dims else contact] if "box" not in name else frame[name]
+        frame[name] = (
+            frame[name][grain if "particle" in dims else contact]
+            if "box" not in name
+            else frame[name]
+        )
     frame["free"] = frame["frozen"] != 1 if "frozen" in frame else np.ones(grain.sum(), bool)
     return frame
 
@@ -67,7 +71,9 @@ def axes_of(ds: xr.Dataset) -> list[int]:
 def period_of(ds: xr.Dataset) -> NDArray:
     """Length of periodic axes, 0 along the others."""
     box = ds["box"].values[0] if "box" in ds else np.zeros((3, 2))
-    return np.array([np.ptp(box[k]) if a in ds.attrs["periodic"] else 0.0 for k, a in enumerate("xyz")])
+    return np.array(
+        [np.ptp(box[k]) if a in ds.attrs["periodic"] else 0.0 for k, a in enumerate("xyz")]
+    )
 
 
 def depth_of(ds: xr.Dataset) -> float:
@@ -80,33 +86,47 @@ def depth_of(ds: xr.Dataset) -> float:
     return float(ds.attrs.get("thickness", length if np.isfinite(length) else ds.attrs["dmax"]))
 
 
-def at_point(ds: xr.Dataset, fields: list[str], point: NDArray, **options: Any) -> dict[str, NDArray]:
+def at_point(
+    ds: xr.Dataset, fields: list[str], point: NDArray, **options: Any
+) -> dict[str, NDArray]:
     """Fields at one point."""
     at = {a: float(point["xyz".index(a)]) for a in ds.attrs["plane"]}
     f = xcg.coarse_grain(ds, fields, axes="", at=at, **options)
     return {name: f[name].values[0] for name in fields}
 
 
-def at_points(ds: xr.Dataset, fields: list[str], points: NDArray, **options: Any) -> dict[str, NDArray]:
+def at_points(
+    ds: xr.Dataset, fields: list[str], points: NDArray, **options: Any
+) -> dict[str, NDArray]:
     """Fields at points, points first."""
     rows = [at_point(ds, fields, point, **options) for point in points]
     return {name: np.array([row[name] for row in rows]) for name in fields}
 
 
 def derivative(
-    ds: xr.Dataset, fields: list[str], point: NDArray, axis: int, width: float, step: float = STEP, **options: Any
+    ds: xr.Dataset,
+    fields: list[str],
+    point: NDArray,
+    axis: int,
+    width: float,
+    step: float = STEP,
+    **options: Any,
 ) -> dict[str, NDArray]:
     """Derivative of fields along an axis at a point, by finite differences; with momentum_flux, see `with_flux`."""
     h = step * 2 * width
     a = "xyz"[axis]
     at = {b: float(point["xyz".index(b)]) for b in ds.attrs["plane"] if b != a}
     bounds = {a: (point[axis] - 3 * h, point[axis] + 3 * h)}
-    f = xcg.coarse_grain(ds, fields, axes=a, at=at, bounds=bounds, spacing=h, width=width, **options)
+    f = xcg.coarse_grain(
+        ds, fields, axes=a, at=at, bounds=bounds, spacing=h, width=width, **options
+    )
     values = with_flux({name: f[name].values[0] for name in fields})
     return {name: np.tensordot(STENCIL, v, 1) / h for name, v in values.items()}
 
 
-def divergence(ds: xr.Dataset, fields: list[str], points: NDArray, width: float, **options: Any) -> dict[str, NDArray]:
+def divergence(
+    ds: xr.Dataset, fields: list[str], points: NDArray, width: float, **options: Any
+) -> dict[str, NDArray]:
     """Divergence of vector and tensor fields at points; of tensors over the last index, the direction."""
     total: dict[str, NDArray] = {}
     for k, axis in itertools.product(range(len(points)), axes_of(ds)):
@@ -122,7 +142,12 @@ def with_flux(f: dict[str, NDArray]) -> dict[str, NDArray]:
     if not {"density", "momentum_density", "kinetic_stress"} <= set(f):
         return f
     p, rho = f["momentum_density"], f["density"][..., None, None]
-    advected = np.divide(p[..., :, None] * p[..., None, :], rho, out=np.zeros_like(f["kinetic_stress"]), where=rho > 0)
+    advected = np.divide(
+        p[..., :, None] * p[..., None, :],
+        rho,
+        out=np.zeros_like(f["kinetic_stress"]),
+        where=rho > 0,
+    )
     return f | {"momentum_flux": advected + f["kinetic_stress"]}
 
 
@@ -134,14 +159,28 @@ def support(ds: xr.Dataset, axis: int, cutoff: float) -> tuple[float, float]:
 
 
 def integral(
-    ds: xr.Dataset, fields: list[str], axis: int, width: float, at: dict[str, float], step: float, **options: Any
+    ds: xr.Dataset,
+    fields: list[str],
+    axis: int,
+    width: float,
+    at: dict[str, float],
+    step: float,
+    **options: Any,
 ) -> dict[str, NDArray]:
     """Integral of fields along one axis by the sum over nodes; axes neither here nor in `at` by marginals."""
     a = "xyz"[axis]
     averaged = {b: 1.0 for b in ds.attrs["plane"] if b not in at and b != a}
     bounds = None if a in ds.attrs["periodic"] else {a: support(ds, axis, 2 * width)}
     f = xcg.coarse_grain(
-        ds, fields, axes=a, at=at, bounds=bounds, spacing=step * 2 * width, width=width, extent=averaged, **options
+        ds,
+        fields,
+        axes=a,
+        at=at,
+        bounds=bounds,
+        spacing=step * 2 * width,
+        width=width,
+        extent=averaged,
+        **options,
     )
     spacing = float(f[a][1] - f[a][0])
     values = with_flux({name: f[name].values[0] for name in fields})
@@ -151,7 +190,9 @@ def integral(
 # --- sums over grains, written out -----------------------------------------------------------------------
 
 
-def smear(ds: xr.Dataset, columns: NDArray, points: NDArray, width: float, *, slope: bool = False) -> NDArray:
+def smear(
+    ds: xr.Dataset, columns: NDArray, points: NDArray, width: float, *, slope: bool = False
+) -> NDArray:
     """Sum of q_i Psi(r - r_i) over free grains, for columns (n, ...); with `slope`, of q_i grad Psi (last index)."""
     c, axes, period = 2 * width, axes_of(ds), period_of(ds)
     norm = {2: 5 / (math.pi * c**2), 3: 105 / (16 * math.pi * c**3)}[len(axes)] / depth_of(ds)
@@ -160,7 +201,9 @@ def smear(ds: xr.Dataset, columns: NDArray, points: NDArray, width: float, *, sl
     period = period[axes]
     reach = [
         range(-n, n + 1)
-        for n in np.where(period > 0, np.floor(c / np.where(period > 0, period, 1) + 0.5), 0).astype(int)
+        for n in np.where(
+            period > 0, np.floor(c / np.where(period > 0, period, 1) + 0.5), 0
+        ).astype(int)
     ]
     out = []
     for point in points:
@@ -176,7 +219,9 @@ def smear(ds: xr.Dataset, columns: NDArray, points: NDArray, width: float, *, sl
                 weight[:, axes] = (-12 * norm / c**2) * ((1 - q[hit]) ** 2)[:, None] * x[hit]
                 total = total + np.einsum("n...,nk->...k", columns[hit], weight)
             else:
-                total = total + np.tensordot(norm * (1 - q[hit]) ** 3 * (1 + 3 * q[hit]), columns[hit], 1)
+                total = total + np.tensordot(
+                    norm * (1 - q[hit]) ** 3 * (1 + 3 * q[hit]), columns[hit], 1
+                )
         out.append(total)
     return np.array(out)
 
@@ -188,7 +233,10 @@ def forces_on(ds: xr.Dataset) -> NDArray:
     row = {number: k for k, number in enumerate(ids)}
     total = np.zeros((len(ids), 3))
     for i, j, force in zip(
-        frame["contact_i"].tolist(), frame["contact_j"].tolist(), frame["contact_force"], strict=True
+        frame["contact_i"].tolist(),
+        frame["contact_j"].tolist(),
+        frame["contact_force"],
+        strict=True,
     ):
         if i in row:
             total[row[i]] += force
@@ -212,7 +260,10 @@ def mass(ds: xr.Dataset, width: float) -> Residual:
     """
     frame = frame_of(ds)
     total = frame["mass"][frame["free"]].sum()
-    found = [integral(ds, ["density"], axis, width, {}, 1 / 128)["density"] * depth_of(ds) for axis in axes_of(ds)]
+    found = [
+        integral(ds, ["density"], axis, width, {}, 1 / 128)["density"] * depth_of(ds)
+        for axis in axes_of(ds)
+    ]
     return Residual(np.array(found) - total, float(total))
 
 
@@ -238,7 +289,9 @@ def stress_divergence(ds: xr.Dataset, width: float, points: NDArray, **options: 
     return own | Residual(found + force - f["wall_traction"], scale)
 
 
-def static_equilibrium(ds: xr.Dataset, width: float, points: NDArray) -> tuple[Residual, Residual, float]:
+def static_equilibrium(
+    ds: xr.Dataset, width: float, points: NDArray
+) -> tuple[Residual, Residual, float]:
     """4: div sigma - rho g - t, and its difference from -sum (F_i + m_i g) Psi + div sigma^k, which must vanish.
 
     Both in units of the largest |sigma^c| / w. The third number is how static the data are: the largest resultant
@@ -248,11 +301,19 @@ def static_equilibrium(ds: xr.Dataset, width: float, points: NDArray) -> tuple[R
     f = at_points(ds, ["contact_stress", "density", "wall_traction"], points, width=width)
     div = divergence(ds, ["contact_stress", "kinetic_stress"], points, width)
     weight = gravity_of(ds)
-    left = div["contact_stress"] + div["kinetic_stress"] - f["density"][:, None] * weight - f["wall_traction"]
+    left = (
+        div["contact_stress"]
+        + div["kinetic_stress"]
+        - f["density"][:, None] * weight
+        - f["wall_traction"]
+    )
     resultant = forces_on(ds) + frame["mass"][frame["free"], None] * weight
     right = -smear(ds, resultant, points, width) + div["kinetic_stress"]
     scale = float(np.abs(f["contact_stress"]).max() / width)
-    largest = np.linalg.norm(resultant, axis=1).max() / np.linalg.norm(frame["contact_force"], axis=1).mean()
+    largest = (
+        np.linalg.norm(resultant, axis=1).max()
+        / np.linalg.norm(frame["contact_force"], axis=1).mean()
+    )
     return Residual(left, scale), Residual(left - right, scale), float(largest)
 
 
@@ -262,7 +323,10 @@ def moved(ds: xr.Dataset, dt: float, acceleration: NDArray | float = 0.0) -> xr.
     position, velocity = ds["position"].values, ds["velocity"].values
     new = position + velocity * dt + acceleration * dt**2 / 2, velocity + acceleration * dt
     return ds.drop_vars(contacts).assign(
-        {name: (ds[name].dims, values) for name, values in zip(("position", "velocity"), new, strict=True)}
+        {
+            name: (ds[name].dims, values)
+            for name, values in zip(("position", "velocity"), new, strict=True)
+        }
     )
 
 
@@ -284,18 +348,27 @@ def time_scale(ds: xr.Dataset, width: float, acceleration: NDArray | float = 0.0
         return float(min(np.divide(width, fastest), np.sqrt(np.divide(width, largest))))
 
 
-def mass_between_frames(ds: xr.Dataset, width: float, points: NDArray, *steps: float) -> list[Residual]:
+def mass_between_frames(
+    ds: xr.Dataset, width: float, points: NDArray, *steps: float
+) -> list[Residual]:
     """2: (rho(t + dt) - rho(t - dt)) / 2 dt + div p for each dt, of order dt^2; in units of rho |v| / w."""
     div = divergence(ds, ["momentum_density"], points, width)["momentum_density"]
     middle = at_points(ds, ["density"], points, width=width)["density"].max()
     found = []
     for dt in steps:
-        rho = [at_points(moved(ds, s * dt), ["density"], points, width=width)["density"] for s in (-1, 1)]
-        found.append(Residual((rho[1] - rho[0]) / (2 * dt) + div, float(middle / time_scale(ds, width))))
+        rho = [
+            at_points(moved(ds, s * dt), ["density"], points, width=width)["density"]
+            for s in (-1, 1)
+        ]
+        found.append(
+            Residual((rho[1] - rho[0]) / (2 * dt) + div, float(middle / time_scale(ds, width)))
+        )
     return found
 
 
-def momentum_between_frames(ds: xr.Dataset, width: float, points: NDArray, *steps: float) -> list[Residual]:
+def momentum_between_frames(
+    ds: xr.Dataset, width: float, points: NDArray, *steps: float
+) -> list[Residual]:
     """5: d(rho V)/dt + div(rho V V + sigma) - rho g - t for each dt, of order dt^2; in units of |rho V V + sigma| / w.
 
     Frames at t -+ dt follow from the contact forces and gravity at t; grains that are frozen do not move.
@@ -305,11 +378,18 @@ def momentum_between_frames(ds: xr.Dataset, width: float, points: NDArray, *step
     div = divergence(ds, fields, points, width)
     f = with_flux(at_points(ds, [*fields, "wall_traction"], points, width=width))
     flux = np.abs(f["momentum_flux"] + f["contact_stress"]).max()
-    still = div["momentum_flux"] + div["contact_stress"] - f["density"][:, None] * weight - f["wall_traction"]
+    still = (
+        div["momentum_flux"]
+        + div["contact_stress"]
+        - f["density"][:, None] * weight
+        - f["wall_traction"]
+    )
     found = []
     for dt in steps:
         p = [
-            at_points(moved(ds, s * dt, acceleration), ["momentum_density"], points, width=width)["momentum_density"]
+            at_points(moved(ds, s * dt, acceleration), ["momentum_density"], points, width=width)[
+                "momentum_density"
+            ]
             for s in (-1, 1)
         ]
         found.append(Residual((p[1] - p[0]) / (2 * dt) + still, float(flux / width)))
@@ -336,9 +416,19 @@ def periodicity(ds: xr.Dataset, width: float, points: NDArray, seed: int = 0) ->
     vector = np.random.default_rng(seed).uniform(-1, 1, 3) * lengths
     vector = np.where([a in ds.attrs["plane"] for a in "xyz"], vector, 0.0)
     skipped = ("friction_coefficient", "inertial_number")
-    directed = ("orientation_tensor", "nematic_tensor", "nematic_order", "nematic_director")  # see test_orientation
-    skipped += (*directed, *(name for name in registry.listed() if name.endswith("_error")))  # roots of differences
-    fields = [name for name in registry.listed() if name not in skipped and not xcg.FIELDS[name].option]
+    directed = (
+        "orientation_tensor",
+        "nematic_tensor",
+        "nematic_order",
+        "nematic_director",
+    )  # see test_orientation
+    skipped += (
+        *directed,
+        *(name for name in registry.listed() if name.endswith("_error")),
+    )  # roots of differences
+    fields = [
+        name for name in registry.listed() if name not in skipped and not xcg.FIELDS[name].option
+    ]
     here = at_points(ds, fields, points, width=width)
     there = at_points(shifted(ds, vector), fields, points + vector, width=width)
     return difference(ds, width, here, there)
@@ -353,7 +443,9 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     scales |= {"momentum_density": rho * speed, "velocity": speed, "fluctuation_density": rho}
     scales |= dict.fromkeys(["granular_temperature", "directional_temperature"], speed**2)
     scales |= dict.fromkeys(["velocity_gradient", "shear_rate_tensor", "shear_rate"], speed / width)
-    scales |= dict.fromkeys(["kinetic_stress", "fluctuation_stress", "momentum_flux"], rho * speed**2)
+    scales |= dict.fromkeys(
+        ["kinetic_stress", "fluctuation_stress", "momentum_flux"], rho * speed**2
+    )
     # tensors whose traces are 1; where forces of both signs leave a mean of 1/k of their size to divide by, values are
     # k times as large, and their rounding k^2 times
     ratios = [name for name in scales if name.endswith(("_anisotropy", "_force_fabric"))]
@@ -361,20 +453,29 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     scales |= dict.fromkeys(["strong_contact_stress", "weak_contact_stress"], stress)
     scales |= dict.fromkeys(["wall_traction", "contact_force_density"], stress / width)
     # torques and powers of forces that cancel
-    spin, radius = np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max(), ds.attrs["dmax"] / 2
+    spin, radius = (
+        np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max(),
+        ds.attrs["dmax"] / 2,
+    )
     surface = speed + float(spin) * radius
     scales |= {"vorticity": speed / width, "couple_stress": stress * radius}
     scales |= dict.fromkeys(["torque_density", "contact_couple_density"], stress)
-    scales |= dict.fromkeys(["contact_power", "dissipation_rate", "wall_power"], stress * surface / width)
+    scales |= dict.fromkeys(
+        ["contact_power", "dissipation_rate", "wall_power"], stress * surface / width
+    )
     scales |= {"stress_power": (stress + rho * speed**2) * speed / width}
     scales |= dict.fromkeys(["contact_energy_flux", "contact_heat_flux"], stress * surface)
     scales |= dict.fromkeys(["kinetic_energy_flux", "kinetic_heat_flux"], rho * surface**3)
     scales |= {"heat_flux": stress * surface + rho * surface**3}
     scales |= dict.fromkeys(["mean_kinetic_energy", "fluctuating_kinetic_energy"], rho * speed**2)
-    return scales | dict.fromkeys(["stress", "pressure", "deviatoric_stress", "shear_stress"], stress + rho * speed**2)
+    return scales | dict.fromkeys(
+        ["stress", "pressure", "deviatoric_stress", "shear_stress"], stress + rho * speed**2
+    )
 
 
-def difference(ds: xr.Dataset, width: float, a: dict[str, NDArray], b: dict[str, NDArray]) -> Residual:
+def difference(
+    ds: xr.Dataset, width: float, a: dict[str, NDArray], b: dict[str, NDArray]
+) -> Residual:
     """Return the worst difference of fields, each in units of its size; NaN must stand in the same places.
 
     Fits through fewer than FEW grains, which amplify rounding by their condition, are compared only for NaN.
@@ -448,18 +549,24 @@ def virial(ds: xr.Dataset, width: float) -> Residual:
                 total += np.outer(on_it, arm)
                 size += np.linalg.norm(on_it) * np.linalg.norm(arm)
     found = [
-        integral(ds, ["contact_stress"], axis, width, {}, 1 / 128)["contact_stress"] * depth_of(ds) - total
+        integral(ds, ["contact_stress"], axis, width, {}, 1 / 128)["contact_stress"] * depth_of(ds)
+        - total
         for axis in axes_of(ds)
     ]
     return Residual(np.array(found), float(size))
 
 
-def phase_divergence(ds: xr.Dataset, width: float, points: NDArray, by: str, groups: list[int]) -> Residual:
+def phase_divergence(
+    ds: xr.Dataset, width: float, points: NDArray, by: str, groups: list[int]
+) -> Residual:
     """3, of each phase: div sigma^c_a = -sum F_i Psi over its grains + what walls and the other phases do to it.
 
     In units of the largest |sigma^c| / w. Forces of phases on each other are opposite, and none acts on itself.
     """
-    fields, options = ["contact_stress", "interphase_force", "wall_traction"], {"by": by, "groups": groups}
+    fields, options = (
+        ["contact_stress", "interphase_force", "wall_traction"],
+        {"by": by, "groups": groups},
+    )
     f = at_points(ds, fields, points, width=width, **options)
     found = divergence(ds, ["contact_stress"], points, width, **options)["contact_stress"]
     scale = float(np.abs(f["contact_stress"]).max() / width)

@@ -63,9 +63,13 @@ def places(ds: xr.Dataset, width: float, count: int, seed: int = 0) -> NDArray:
     row = np.clip(np.searchsorted(ds["particle_id"].values[0], i), 0, ds.sizes["particle"] - 1)
     partner = np.clip(np.searchsorted(ds["particle_id"].values[0], j), 0, ds.sizes["particle"] - 1)
     position = ds["position"].values[0]
-    far = (np.linalg.norm(position[row] - position[partner], axis=1) > 3 * ds.attrs["dmax"]) & (j >= 0)
+    far = (np.linalg.norm(position[row] - position[partner], axis=1) > 3 * ds.attrs["dmax"]) & (
+        j >= 0
+    )
     frozen = ds["frozen"].values[0][partner] == 1 if "frozen" in ds else np.zeros(len(i), bool)
-    chosen = [rng.choice(found) for mask in (far, (j < 0) | frozen) if len(found := np.flatnonzero(mask))]
+    chosen = [
+        rng.choice(found) for mask in (far, (j < 0) | frozen) if len(found := np.flatnonzero(mask))
+    ]
     chosen += rng.permutation(len(i))[: count - len(chosen)].tolist()
     points = np.zeros((len(chosen), 3))
     points[:, plane] = (centre[chosen] + rng.uniform(-0.3, 0.3, (len(chosen), 3)) * width)[:, plane]
@@ -120,7 +124,9 @@ def _mercury_synthetic(folder: Path) -> xr.Dataset:
 
 
 def _force_chain_finder(folder: Path) -> xr.Dataset:
-    return xcg.open_scene(folder / "compress3500.liggghts", contacts=folder / "pair3500.txt", density=2500.0)
+    return xcg.open_scene(
+        folder / "compress3500.liggghts", contacts=folder / "pair3500.txt", density=2500.0
+    )
 
 
 def _yade_periodic(folder: Path) -> xr.Dataset:
@@ -135,7 +141,9 @@ def _yade_periodic(folder: Path) -> xr.Dataset:
         diameter=2 * grains[:, 4],
         mass=grains[:, 5],
         velocity=grains[:, 6:9],
-        angular_velocity=np.random.default_rng(0).normal(0.0, 10.0, (len(grains), 3)),  # the file has none
+        angular_velocity=np.random.default_rng(0).normal(
+            0.0, 10.0, (len(grains), 3)
+        ),  # the file has none
         contact_i=rows[:, 1],
         contact_j=rows[:, 0],
         contact_force=rows[:, 12:15] + rows[:, 15:18],
@@ -166,7 +174,9 @@ def load(name: str, **which: int) -> Case:
 # --- scenes that need no data ----------------------------------------------------------------------------
 
 
-def synthetic(seed: int, particles: int, periodic: str, dimension: int, polydispersity: float) -> Case:
+def synthetic(
+    seed: int, particles: int, periodic: str, dimension: int, polydispersity: float
+) -> Case:
     """Random grains: no physics, but contacts across edges, walls, and any periodicity."""
     periodic = "".join(a for a in periodic if a != "z" or dimension == 3)
     ds = xcg.datasets.random_scene(

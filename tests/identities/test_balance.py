@@ -36,13 +36,21 @@ def test_kernel_gradient_closes_the_mass_balance(name):
     """Rho tr(G) + V . grad rho = div p with G the exact derivative of V(r)."""
     case = load(name)
     options = {"width": case.width, "gradient": "kernel"}
-    f = residuals.at_points(case.ds, ["density", "velocity", "velocity_gradient"], case.points, **options)
-    div = residuals.divergence(case.ds, ["momentum_density"], case.points, case.width)["momentum_density"]
+    f = residuals.at_points(
+        case.ds, ["density", "velocity", "velocity_gradient"], case.points, **options
+    )
+    div = residuals.divergence(case.ds, ["momentum_density"], case.points, case.width)[
+        "momentum_density"
+    ]
     slopes = np.zeros((len(case.points), 3))
     for k, point in enumerate(case.points):
         for axis in residuals.axes_of(case.ds):
-            slopes[k, axis] = residuals.derivative(case.ds, ["density"], point, axis, case.width)["density"]
-    left = f["density"] * np.einsum("nii->n", f["velocity_gradient"]) + np.einsum("ni,ni->n", f["velocity"], slopes)
+            slopes[k, axis] = residuals.derivative(case.ds, ["density"], point, axis, case.width)[
+                "density"
+            ]
+    left = f["density"] * np.einsum("nii->n", f["velocity_gradient"]) + np.einsum(
+        "ni,ni->n", f["velocity"], slopes
+    )
     scale = f["density"].max() / residuals.time_scale(case.ds, case.width)
     np.testing.assert_allclose(left, div, rtol=0, atol=KINK * scale)
 
@@ -88,17 +96,26 @@ def in_halves(ds):
     return ds.assign(half=ds.particle_id % 2)
 
 
-@pytest.mark.parametrize("name", ["lammps_chute", "lammps_biaxial2d", "liggghts_box", "mercury_synthetic"])
+@pytest.mark.parametrize(
+    "name", ["lammps_chute", "lammps_biaxial2d", "liggghts_box", "mercury_synthetic"]
+)
 def test_divergence_of_the_contact_stress_of_each_phase(name):
     case = load(name)
-    found = residuals.phase_divergence(in_halves(case.ds), case.width, case.points[:3], "half", [0, 1])
+    found = residuals.phase_divergence(
+        in_halves(case.ds), case.width, case.points[:3], "half", [0, 1]
+    )
     assert found.relative < ROUNDING
 
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_divergence_of_the_contact_stress_of_each_phase_of_any_scene(case):
-    assert residuals.phase_divergence(in_halves(case.ds), case.width, case.points, "half", [0, 1]).relative < 1e-9
+    assert (
+        residuals.phase_divergence(
+            in_halves(case.ds), case.width, case.points, "half", [0, 1]
+        ).relative
+        < 1e-9
+    )
 
 
 @settings(deadline=None, max_examples=20)
@@ -111,8 +128,12 @@ def test_divergence_of_contact_stress_of_any_scene(case):
 def test_wall_traction_is_a_large_part_of_the_balance_at_the_bottom():
     """At the bottom of a scene with walls the traction is a large part of the balance."""
     for case in (load("liggghts_box"), load("lammps_chute")):
-        f = residuals.at_points(case.ds, ["wall_traction", "contact_stress"], case.points, width=case.width)
-        assert np.abs(f["wall_traction"]).max() > 0.1 * np.abs(f["contact_stress"]).max() / case.width
+        f = residuals.at_points(
+            case.ds, ["wall_traction", "contact_stress"], case.points, width=case.width
+        )
+        assert (
+            np.abs(f["wall_traction"]).max() > 0.1 * np.abs(f["contact_stress"]).max() / case.width
+        )
 
 
 @REAL
@@ -149,7 +170,13 @@ def test_stress_of_a_packing_at_rest_balances_gravity(name, which, of_field, of_
     assert unexplained.relative < ROUNDING
 
 
-FLOWING = ["lammps_chute", "lammps_biaxial2d", "mfix_chute", "mercury_synthetic", "force_chain_finder"]
+FLOWING = [
+    "lammps_chute",
+    "lammps_biaxial2d",
+    "mfix_chute",
+    "mercury_synthetic",
+    "force_chain_finder",
+]
 
 
 @pytest.mark.parametrize("name", FLOWING)
@@ -159,7 +186,9 @@ def test_residuals_out_of_equilibrium_follow_from_resultant_forces(name):
     left, unexplained, _ = residuals.static_equilibrium(case.ds, case.width, case.points)
     assert left.relative > 1e-3
     # the kinetic stress is a sum of kernels, with their kinks
-    kinetic = residuals.at_points(case.ds, ["kinetic_stress", "contact_stress"], case.points, width=case.width)
+    kinetic = residuals.at_points(
+        case.ds, ["kinetic_stress", "contact_stress"], case.points, width=case.width
+    )
     share = np.abs(kinetic["kinetic_stress"]).max() / np.abs(kinetic["contact_stress"]).max()
     assert unexplained.relative < ROUNDING + KINK * share
 
@@ -171,7 +200,9 @@ def test_residuals_out_of_equilibrium_follow_from_resultant_forces(name):
 def test_momentum_is_balanced_between_close_frames(name):
     case = load(name)
     step = 0.05 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
-    coarse, fine = residuals.momentum_between_frames(case.ds, case.width, case.points, step, step / 2)
+    coarse, fine = residuals.momentum_between_frames(
+        case.ds, case.width, case.points, step, step / 2
+    )
     # as for mass, with one more derivative of the kernel where grains are accelerated
     assert coarse.relative < 0.05**2 / 6 * 100
     assert second_order(coarse, fine)
@@ -182,7 +213,9 @@ def test_momentum_is_balanced_between_close_frames(name):
 def test_momentum_of_any_scene_is_balanced_between_close_frames(case):
     step = 0.02 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
     steps = step, step / 4, step / 16
-    coarse, fine, finest = residuals.momentum_between_frames(case.ds, case.width, case.points, *steps)
+    coarse, fine, finest = residuals.momentum_between_frames(
+        case.ds, case.width, case.points, *steps
+    )
     # four times finer leaves 1/16, and no less than 1/8 with a few grains at their kinks; down to those in space
     floor = 2 * KINK * coarse.scale
     size = [np.abs(r.difference).max() for r in (coarse, fine, finest)]
@@ -196,7 +229,9 @@ def test_momentum_of_a_pair_without_gravity_is_balanced():
         [[0.0, 0, 0], [1.0, 0, 0]], diameter=[1.0, 1.0], density=1.0, velocity=np.zeros((2, 3)),
         contact_i=[0], contact_j=[1], contact_force=[[-3.0, 0.5, 0]],
     )  # fmt: skip
-    f = residuals.at_point(ds, ["contact_stress"], np.array([0.5, 0.2, 0]), width=0.75)["contact_stress"]
+    f = residuals.at_point(ds, ["contact_stress"], np.array([0.5, 0.2, 0]), width=0.75)[
+        "contact_stress"
+    ]
     assert f[0, 0] > 0  # repulsion is positive
     assert f[1, 0] == pytest.approx(-f[0, 0] / 6)  # component of the force first, then direction
     assert (f[:, 1:] == 0).all()

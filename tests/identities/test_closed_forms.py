@@ -24,9 +24,14 @@ def inner(ds, width, count, seed=0):
     """Grains that have their whole support among others, as places to look at."""
     frame = residuals.frame_of(ds)
     position = frame["position"]
-    low, high = np.quantile(position, 0.02, axis=0) + 2 * width, np.quantile(position, 0.98, axis=0) - 2 * width
+    low, high = (
+        np.quantile(position, 0.02, axis=0) + 2 * width,
+        np.quantile(position, 0.98, axis=0) - 2 * width,
+    )
     axes = residuals.axes_of(ds)
-    inside = np.flatnonzero(((position > low) & (position < high))[:, axes].all(axis=1) & frame["free"])
+    inside = np.flatnonzero(
+        ((position > low) & (position < high))[:, axes].all(axis=1) & frame["free"]
+    )
     rng = np.random.default_rng(seed)
     points = position[rng.choice(inside, count)] + rng.uniform(-0.5, 0.5, (count, 3)) * width
     return points * np.isin(np.arange(3), axes)
@@ -53,7 +58,9 @@ def assert_linear_flow_is_exact(ds, width, points, gradient):
     np.testing.assert_allclose(f["shear_rate"], rate, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["lammps_chute", "lammps_polydisperse", "mfix_chute", "yade_periodic"])
+@pytest.mark.parametrize(
+    "name", ["lammps_chute", "lammps_polydisperse", "mfix_chute", "yade_periodic"]
+)
 @pytest.mark.parametrize("factor", [0.75, 1.5])
 @pytest.mark.parametrize("gradient", [SHEAR, ANY], ids=["shear", "any"])
 def test_linear_flow_of_a_real_packing(name, factor, gradient):
@@ -81,8 +88,12 @@ def test_linear_flow_of_any_scene(seed, width, size):
         flow.position.values[0] - flow.position.values[0].mean(axis=0),
         flow.velocity.values[0] - flow.velocity.values[0].mean(axis=0), rcond=None,
     )[0].T  # fmt: skip
-    f = residuals.at_point(flow, ["velocity_gradient", "granular_temperature"], np.full(3, 2.5), width=width)
-    np.testing.assert_allclose(f["velocity_gradient"], gradient, rtol=0, atol=1e-12 * np.abs(gradient).max())
+    f = residuals.at_point(
+        flow, ["velocity_gradient", "granular_temperature"], np.full(3, 2.5), width=width
+    )
+    np.testing.assert_allclose(
+        f["velocity_gradient"], gradient, rtol=0, atol=1e-12 * np.abs(gradient).max()
+    )
     assert f["granular_temperature"] < 1e-12 * np.abs(gradient).max() ** 2
 
 
@@ -90,7 +101,9 @@ def test_the_kernel_gradient_errs_where_grains_are_uneven():
     """The exact derivative of V(r) is not the rate of the flow: grains are not evenly spread (10 % at w = 0.75 d)."""
     ds = load("lammps_chute").ds
     points = inner(ds, 0.75, 6)
-    f = residuals.at_points(linear(ds, SHEAR), ["velocity_gradient"], points, width=0.75, gradient="kernel")
+    f = residuals.at_points(
+        linear(ds, SHEAR), ["velocity_gradient"], points, width=0.75, gradient="kernel"
+    )
     error = np.abs(f["velocity_gradient"] - SHEAR).max(axis=(1, 2))
     assert 0.01 < np.median(error) < 0.3
 
@@ -108,7 +121,9 @@ def test_one_grain_has_no_gradient_wherever_it_is(dimension):
                 density=rng.uniform(1, 2, count), dimension=dimension,
             )  # fmt: skip
             at = dict(zip(axes, rng.uniform(-0.1, 0.3, dimension), strict=True))
-            f = ds.cg.coarse_grain(["velocity_gradient", "sample_count"], width=0.75, axes="", at=at)
+            f = ds.cg.coarse_grain(
+                ["velocity_gradient", "sample_count"], width=0.75, axes="", at=at
+            )
             assert f.sample_count.item() == count
             assert np.isnan(f.velocity_gradient.values[0][:, :dimension]).all()
 
@@ -119,11 +134,17 @@ def test_one_grain_has_no_gradient_wherever_it_is(dimension):
 @pytest.mark.parametrize(("diameter", "bond"), [(1.0, 1.0), (1.0, 0.97), (3e-3, 2.9e-3)])
 def test_averages_over_a_lattice_box_have_closed_forms(diameter, bond):
     ds = xcg.datasets.face_centred_cubic(3, diameter=diameter, bond=bond, force=2.5)
-    f = ds.cg.coarse_grain(["volume_fraction", "stress", "coordination_number", "pressure"], width=diameter, axes="")
-    assert f.volume_fraction.item() == pytest.approx(np.pi / (3 * np.sqrt(2)) * (diameter / bond) ** 3, rel=1e-13)
+    f = ds.cg.coarse_grain(
+        ["volume_fraction", "stress", "coordination_number", "pressure"], width=diameter, axes=""
+    )
+    assert f.volume_fraction.item() == pytest.approx(
+        np.pi / (3 * np.sqrt(2)) * (diameter / bond) ** 3, rel=1e-13
+    )
     # 6 bonds a grain, each with tr(f l) = f l, and sqrt(2) / l^3 grains a volume
     pressure = 2 * np.sqrt(2) * 2.5 / bond**2
-    np.testing.assert_allclose(f.stress.values[0], pressure * np.eye(3), rtol=1e-13, atol=1e-13 * pressure)
+    np.testing.assert_allclose(
+        f.stress.values[0], pressure * np.eye(3), rtol=1e-13, atol=1e-13 * pressure
+    )
     assert f.pressure.item() == pytest.approx(pressure, rel=1e-13)
     assert f.coordination_number.item() == pytest.approx(12)
 
@@ -133,7 +154,9 @@ def test_averages_over_a_layer_box_have_closed_forms():
     n, bond, force, speed, thickness = 6, 0.9, 1.5, 0.4, 0.25
     i, j = np.divmod(np.arange(n * n), n)
     right, up = (i + 1) % n * n + j, i * n + (j + 1) % n
-    pairs = np.concatenate([np.stack([np.arange(n * n), right], 1), np.stack([np.arange(n * n), up], 1)])
+    pairs = np.concatenate(
+        [np.stack([np.arange(n * n), right], 1), np.stack([np.arange(n * n), up], 1)]
+    )
     push = -force * np.repeat(np.eye(3)[:2], n * n, axis=0)  # on i, away from the neighbour
     ds = xcg.scene_from_arrays(
         np.stack([i, j, 0 * i], 1) * bond, velocity=speed * np.stack([(-1.0) ** i, (-1.0) ** j, 0.0 * i], 1),
@@ -141,7 +164,9 @@ def test_averages_over_a_layer_box_have_closed_forms():
         box=[(0, n * bond), (0, n * bond), (-1, 1)], periodic="xy", dimension=2, shape="disc", thickness=thickness,
     )  # fmt: skip
     f = ds.cg.coarse_grain(width=1.0, axes="").isel(time=0)
-    by_density = ds.cg.coarse_grain("granular_temperature", temperature="biased", width=1.0, axes="")
+    by_density = ds.cg.coarse_grain(
+        "granular_temperature", temperature="biased", width=1.0, axes=""
+    )
     phi = np.pi / 4 / bond**2
     contact, kinetic = force / (bond * thickness), 2.0 * phi * speed**2
     exact = {"volume_fraction": phi, "density": 2 * phi, "pressure": contact + kinetic, "shear_stress": 0.0,
@@ -149,7 +174,9 @@ def test_averages_over_a_layer_box_have_closed_forms():
     for name, value in exact.items():
         assert f[name].item() == pytest.approx(value, rel=1e-13, abs=1e-13), name
     assert by_density.granular_temperature.item() == pytest.approx(speed**2, rel=1e-13)
-    np.testing.assert_allclose(f.stress.values, (contact + kinetic) * np.diag([1, 1, 0]), rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(
+        f.stress.values, (contact + kinetic) * np.diag([1, 1, 0]), rtol=1e-13, atol=1e-13
+    )
 
 
 def transform(kernel, k):
@@ -186,7 +213,10 @@ def test_lattice_fields_reach_their_plateau(kernel):
         spread = np.abs(phi / exact - 1).max()
         spreads.append(spread)
         if kernel is xcg.Lucy:  # the others' transforms fall too slowly for a sum over 24 shells
-            bound = np.abs(transform(chosen, np.unique(k.round(9)))) @ np.unique(k.round(9), return_counts=True)[1]
+            bound = (
+                np.abs(transform(chosen, np.unique(k.round(9))))
+                @ np.unique(k.round(9), return_counts=True)[1]
+            )
             # shells beyond carry less than a thousandth of a transform that falls as k^-5, and 1e-13 is rounding
             assert spread <= bound * 1.01 + 1e-13
         pressure = f.pressure.values / (2 * np.sqrt(2)) - 1

@@ -14,11 +14,32 @@ from xcg.scene.schema import VARIABLES, powers_of
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # temperatures along the axes and errors are parts of tensors, not vectors: they do not turn like one
-DIRECTED = {name for name, row in xcg.FIELDS.items() if "director" in name or "orient" in name or "nematic" in name}
-OTHERS = {"directional_temperature", *DIRECTED, *(name for name in xcg.FIELDS if name.endswith("_error"))}
+DIRECTED = {
+    name
+    for name, row in xcg.FIELDS.items()
+    if "director" in name or "orient" in name or "nematic" in name
+}
+OTHERS = {
+    "directional_temperature",
+    *DIRECTED,
+    *(name for name in xcg.FIELDS if name.endswith("_error")),
+}
 ALL = [name for name in registry.listed() if not xcg.FIELDS[name].option and name not in OTHERS]
-OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
-VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal", "angular_velocity")
+OBJECTIVE = [
+    "kinetic_stress",
+    "velocity_gradient",
+    "granular_temperature",
+    "fluctuation_stress",
+    "shear_rate",
+]
+VECTORS = (
+    "position",
+    "velocity",
+    "contact_point",
+    "contact_force",
+    "contact_normal",
+    "angular_velocity",
+)
 # what a mirror turns once more: vectors along axes of rotation, and their fluxes
 AXIAL = ("angular_velocity", "vorticity", "spin", "spin_density", "spin_flux", "torque_density",
          "contact_couple_density", "couple_stress")  # fmt: skip
@@ -55,14 +76,18 @@ def test_a_constant_velocity_changes_neither_stress_nor_gradient(name, speed):
     fluctuation = np.sqrt(slow["granular_temperature"].min())
     direction = np.array([0.48, -0.6, 0.64 if case.ds.attrs["dimension"] == 3 else 0.0])
     boost = speed * fluctuation * direction
-    fast = residuals.at_points(boosted(case.ds, boost), [*OBJECTIVE, "velocity"], case.points, width=case.width)
+    fast = residuals.at_points(
+        boosted(case.ds, boost), [*OBJECTIVE, "velocity"], case.points, width=case.width
+    )
     # velocities of size s v' are rounded to s 1e-16 v'; the sums add that rounding, not s^2 1e-16
     tolerance = 1e-12 + 1e-15 * speed
     for field in OBJECTIVE:
         size = np.abs(slow[field]).reshape(len(case.points), -1).max(axis=1)
         change = np.abs(fast[field] - slow[field]).reshape(len(case.points), -1).max(axis=1)
         assert (change < tolerance * size).all(), field
-    np.testing.assert_allclose(fast["velocity"] - boost, slow["velocity"], rtol=0, atol=tolerance * fluctuation * 10)
+    np.testing.assert_allclose(
+        fast["velocity"] - boost, slow["velocity"], rtol=0, atol=tolerance * fluctuation * 10
+    )
 
 
 @REAL
@@ -71,8 +96,12 @@ def test_a_constant_velocity_without_rounding(name):
     case = load(name)
     unit = 2.0 ** (np.ceil(np.log2(np.abs(case.ds.velocity.values).max())) - 20)
     slow = case.ds.assign(velocity=np.round(case.ds.velocity / unit) * unit)
-    fast = boosted(slow, np.array([1.0, -1.0, float(case.ds.attrs["dimension"] == 3)]) * unit * 2**40)
-    a, b = (residuals.at_points(ds, OBJECTIVE, case.points, width=case.width) for ds in (slow, fast))
+    fast = boosted(
+        slow, np.array([1.0, -1.0, float(case.ds.attrs["dimension"] == 3)]) * unit * 2**40
+    )
+    a, b = (
+        residuals.at_points(ds, OBJECTIVE, case.points, width=case.width) for ds in (slow, fast)
+    )
     for field in OBJECTIVE:
         np.testing.assert_array_equal(a[field], b[field], err_msg=field)
 
@@ -87,7 +116,10 @@ def sign(name, matrix):
 def turned(ds, matrix):
     """Return the scene x -> Q x, without its box (which would no longer be along the axes)."""
     new = {
-        name: (ds[name].dims, sign(name, matrix) * np.einsum("ij,...j->...i", matrix, ds[name].values))
+        name: (
+            ds[name].dims,
+            sign(name, matrix) * np.einsum("ij,...j->...i", matrix, ds[name].values),
+        )
         for name in VECTORS
         if name in ds
     }
@@ -135,20 +167,31 @@ def test_turned_scenes_have_turned_fields(angle, mirror):
     seed=st.integers(0, 10_000), angle=st.floats(0, 6.3), azimuth=st.floats(0, 6.3), polar=st.floats(0, 3.1),
     mirror=st.booleans(), dimension=st.sampled_from([2, 3]),
 )  # fmt: skip
-def test_turned_scenes_have_turned_fields_for_any_scene(seed, angle, azimuth, polar, mirror, dimension):
+def test_turned_scenes_have_turned_fields_for_any_scene(
+    seed, angle, azimuth, polar, mirror, dimension
+):
     axis = (0, 0, 1) if dimension == 2 else (
         np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
     )  # fmt: skip
     matrix = rotation(axis, angle) @ np.diag([-1 if mirror else 1, 1, 1])
     case = synthetic(seed, 40, "", dimension, 3.0)
     # where few grains are near a plane, and the derivative across is on the verge of being unknown, rounding decides
-    count = residuals.at_points(case.ds, ["sample_count"], case.points, width=case.width)["sample_count"]
+    count = residuals.at_points(case.ds, ["sample_count"], case.points, width=case.width)[
+        "sample_count"
+    ]
     points = case.points[count >= residuals.FEW]
     if len(points):
         assert_transforms(Case(case.name, case.ds, case.width, points), matrix)
 
 
-SUMS = ["density", "momentum_density", "kinetic_stress", "contact_stress", "fabric", "contact_force_density"]
+SUMS = [
+    "density",
+    "momentum_density",
+    "kinetic_stress",
+    "contact_stress",
+    "fabric",
+    "contact_force_density",
+]
 
 
 @settings(deadline=None, max_examples=15)
@@ -160,7 +203,9 @@ SUMS = ["density", "momentum_density", "kinetic_stress", "contact_stress", "fabr
 def test_cylinders_turn_with_the_scene(seed, angle, azimuth, polar, place, axes, part):
     """About any line, in volumes and averaged over theta and z, over a circle or a part of it."""
     case = synthetic(seed, 40, "", 3, 3.0)
-    matrix = rotation((np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)), angle)
+    matrix = rotation(
+        (np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)), angle
+    )
     centre = case.ds.position.values[0].mean(axis=0) + case.width * np.array(place)
     bounds = {"r": (0.0, 3 * case.width), "z": (-2 * case.width, 2 * case.width)}
     if part:
@@ -196,7 +241,10 @@ def test_axes_have_no_order(name, order):
     names = allowed(case.ds, NO_PRESSURE)
     here = residuals.at_points(case.ds, names, case.points, width=case.width)
     there = residuals.at_points(ds, names, case.points @ matrix.T, width=case.width)
-    assert residuals.difference(case.ds, case.width, as_tensors(here, matrix), there).relative < ROUNDING
+    assert (
+        residuals.difference(case.ds, case.width, as_tensors(here, matrix), there).relative
+        < ROUNDING
+    )
     # and averaged over the other axes
     axis = "xyz"[residuals.axes_of(case.ds)[0]]
     first = float(case.points[0, "xyz".index(axis)])
@@ -234,7 +282,9 @@ def test_fields_have_their_units(name):
     if "box" in ds:
         ds["box"] = case.ds.box * scales[0]
         ds.attrs |= {key: case.ds.attrs[key] * scales[0] for key in ("box_lower", "box_upper")}
-    ds.attrs |= {key: case.ds.attrs[key] * scales[0] for key in ("dmax", "thickness") if key in case.ds.attrs}
+    ds.attrs |= {
+        key: case.ds.attrs[key] * scales[0] for key in ("dmax", "thickness") if key in case.ds.attrs
+    }
     names = allowed(case.ds, ALL)
     here = residuals.at_points(case.ds, names, case.points, width=case.width)
     there = residuals.at_points(ds, names, case.points * scales[0], width=case.width * scales[0])
@@ -242,5 +292,7 @@ def test_fields_have_their_units(name):
         assert np.isfinite(values).any(), field
         want = values * factor(xcg.FIELDS[field].powers)
         np.testing.assert_array_equal(np.isnan(there[field]), np.isnan(want))
-        size = residuals.scales_of(case.ds, case.width, here)[field] * factor(xcg.FIELDS[field].powers)
+        size = residuals.scales_of(case.ds, case.width, here)[field] * factor(
+            xcg.FIELDS[field].powers
+        )
         np.testing.assert_allclose(there[field], want, rtol=0, atol=ROUNDING * size, err_msg=field)

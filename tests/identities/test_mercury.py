@@ -29,7 +29,13 @@ def case_of(reference, coordinates):
     columns = {name: values[:, k] for k, name in enumerate(names)}
     points = np.array([node["coords"] for node in case["nodes"]]).reshape(len(values), -1)
     kinetic = np.array([node["kinetic_stress"] for node in case["nodes"]])
-    return columns, points, kinetic, float(case["header"].split("width")[1].split()[0]), case["n_rows_per_time"]
+    return (
+        columns,
+        points,
+        kinetic,
+        float(case["header"].split("width")[1].split()[0]),
+        case["n_rows_per_time"],
+    )
 
 
 def evaluate(axes, points, cutoff):
@@ -37,7 +43,9 @@ def evaluate(axes, points, cutoff):
     ds = load("mercury_synthetic").ds
     kernel = xcg.Lucy(cutoff=cutoff, dimension=max(len(axes), 1))
     rows = [
-        xcg.coarse_grain(ds, kernel=kernel, axes="", at=dict(zip(axes, map(float, point), strict=True))).isel(time=0)
+        xcg.coarse_grain(
+            ds, kernel=kernel, axes="", at=dict(zip(axes, map(float, point), strict=True))
+        ).isel(time=0)
         for point in points
     ]
     return {str(name): np.array([row[name].values for row in rows]) for name in rows[0].data_vars}
@@ -55,14 +63,28 @@ def test_fields_equal_the_columns_of_mercury(reference, coordinates):
     f = with_flux(evaluate("" if coordinates == "O" else coordinates.lower(), points, cutoff))
     assert_close(f["volume_fraction"], columns["VolumeFraction"], "VolumeFraction")
     assert_close(f["density"], columns["Density"], "Density")
-    assert_close(f["particle_density"], np.full(len(points), reference["particle_density"]), "particle density")
+    assert_close(
+        f["particle_density"],
+        np.full(len(points), reference["particle_density"]),
+        "particle density",
+    )
     for k, a in enumerate("XYZ"):
         assert_close(f["momentum_density"][:, k], columns[f"Momentum{a}"], f"Momentum{a}")
-        assert_close(f["wall_traction"][:, k], columns[f"InteractionForce{a}"], f"InteractionForce{a}")
+        assert_close(
+            f["wall_traction"][:, k], columns[f"InteractionForce{a}"], f"InteractionForce{a}"
+        )
         for j, b in enumerate("XYZ"):
-            assert_close(f["contact_stress"][:, k, j], columns[f"ContactStress{a}{b}"], f"ContactStress{a}{b}")
+            assert_close(
+                f["contact_stress"][:, k, j],
+                columns[f"ContactStress{a}{b}"],
+                f"ContactStress{a}{b}",
+            )
             if k <= j:
-                assert_close(f["momentum_flux"][:, k, j], columns[f"MomentumFlux{a}{b}"], f"MomentumFlux{a}{b}")
+                assert_close(
+                    f["momentum_flux"][:, k, j],
+                    columns[f"MomentumFlux{a}{b}"],
+                    f"MomentumFlux{a}{b}",
+                )
     assert_close(f["kinetic_stress"][:, *np.triu_indices(3)], kinetic, "kinetic stress")
     # sums of powers of the radius
     assert_close(f["number_density"], columns["ParticleSize0"], "ParticleSize0")
@@ -93,7 +115,11 @@ def test_the_marginal_is_another_kernel(reference):
     columns, points, _, cutoff, _ = case_of(reference, "Z")
     ds = load("mercury_synthetic").ds
     found = [
-        float(xcg.coarse_grain(ds, "density", kernel=xcg.Lucy(cutoff=cutoff), axes="", at={"z": float(z)}).density[0])
+        float(
+            xcg.coarse_grain(
+                ds, "density", kernel=xcg.Lucy(cutoff=cutoff), axes="", at={"z": float(z)}
+            ).density[0]
+        )
         for (z,) in points
     ]
     assert np.abs(found - columns["Density"]).max() > 0.01 * columns["Density"].max()

@@ -49,7 +49,9 @@ def test_partial_fields_add_up(name):
     case = load(name)
     # any division of the grains will do; the files' own species are few, or one
     species = 1 + np.arange(case.ds.sizes["particle"]) % 3
-    ds = case.ds.assign(species=(case.ds.particle_id.dims, np.broadcast_to(species, case.ds.particle_id.shape)))
+    ds = case.ds.assign(
+        species=(case.ds.particle_id.dims, np.broadcast_to(species, case.ds.particle_id.shape))
+    )
     fields = [name for name, row in xcg.FIELDS.items() if row.additive and not row.option]
     whole = residuals.at_points(ds, fields, case.points, width=case.width)
     parts = residuals.at_points(ds, fields, case.points, width=case.width, by="species")
@@ -110,7 +112,9 @@ def test_marginals_of_kernels_that_jump(kernel):
         line = ds.cg.coarse_grain(
             fields, kernel=kernel, width=0.6, axes="x", at={"y": 1.0, "z": 2.0}, spacing=0.6 / 2000
         )
-        mean = ds.cg.coarse_grain(fields, kernel=kernel, width=0.6, axes="", at={"y": 1.0, "z": 2.0})
+        mean = ds.cg.coarse_grain(
+            fields, kernel=kernel, width=0.6, axes="", at={"y": 1.0, "z": 2.0}
+        )
         scale = float(np.abs(line[fields]).max())
         np.testing.assert_allclose(line[fields].mean("x"), mean[fields], rtol=0, atol=1e-3 * scale)
 
@@ -138,6 +142,10 @@ def test_integral_of_contact_stress_by_quadrature_is_the_virial(rtol, rounding):
     """
     ds = xcg.datasets.random_scene(60, seed=3)
     exact = ds.cg.coarse_grain("contact_stress", width=1.0, axes="", rtol=0).contact_stress
-    f = ds.cg.coarse_grain("contact_stress", width=1.0, axes="z", spacing=1 / 64, rtol=rtol).contact_stress
+    f = ds.cg.coarse_grain(
+        "contact_stress", width=1.0, axes="z", spacing=1 / 64, rtol=rtol
+    ).contact_stress
     # 128 nodes in c leave 1e-12 of a smooth kernel
-    np.testing.assert_allclose(f.mean("z"), exact, rtol=0, atol=rounding * float(np.abs(exact).max()))
+    np.testing.assert_allclose(
+        f.mean("z"), exact, rtol=0, atol=rounding * float(np.abs(exact).max())
+    )

@@ -27,10 +27,14 @@ def thermo():
 
 def test_the_box_equals_that_of_lammps_and_moves_as_it_is_deformed(sheared, thermo):
     lengths = sheared.box[..., 1] - sheared.box[..., 0]
-    np.testing.assert_allclose(lengths, np.column_stack([thermo[n] for n in ("lx", "ly", "lz")]), rtol=1e-12)
+    np.testing.assert_allclose(
+        lengths, np.column_stack([thermo[n] for n in ("lx", "ly", "lz")]), rtol=1e-12
+    )
     np.testing.assert_allclose(sheared.box[..., 0], np.zeros((6, 3)), atol=1e-12)
     for name, vector, axis in (("xy", "b", "x"), ("xz", "c", "x"), ("yz", "c", "y")):
-        np.testing.assert_allclose(sheared.lattice.sel(vector=vector, component=axis), thermo[name], rtol=1e-11)
+        np.testing.assert_allclose(
+            sheared.lattice.sel(vector=vector, component=axis), thermo[name], rtol=1e-11
+        )
     assert (np.diff(thermo["xy"]) < 0).any()  # LAMMPS flipped the box in between
     expected = np.zeros((6, 3, 3))
     expected[:, 1, 0] = RATE * thermo["ly"]
@@ -38,32 +42,49 @@ def test_the_box_equals_that_of_lammps_and_moves_as_it_is_deformed(sheared, ther
 
 
 def test_the_mean_of_stress_and_volume_fraction_equal_those_of_lammps(sheared, thermo):
-    f = sheared.cg.coarse_grain(["contact_stress", "volume_fraction", "density"], axes="", width=0.75)
+    f = sheared.cg.coarse_grain(
+        ["contact_stress", "volume_fraction", "density"], axes="", width=0.75
+    )
     stress = f.contact_stress.transpose("time", ...).values
     for name in ("pxx", "pyy", "pzz", "pxy", "pxz", "pyz"):
         i, j = ("xyz".index(a) for a in name[1:])
         # LAMMPS sums r_x f_y for xy; friction makes that of yx another
-        np.testing.assert_allclose(stress[:, j, i], thermo[name], rtol=0, atol=1e-6 * thermo["pxx"].max(), err_msg=name)
+        np.testing.assert_allclose(
+            stress[:, j, i], thermo[name], rtol=0, atol=1e-6 * thermo["pxx"].max(), err_msg=name
+        )
     np.testing.assert_allclose(f.volume_fraction, 400 * np.pi / 6 / thermo["volume"], rtol=1e-7)
     # the mean over a mesh is the same
-    mesh = sheared.isel(time=[0, 4]).cg.coarse_grain("contact_stress", width=0.75, spacing=0.4, axes="xyz")
-    np.testing.assert_allclose(mesh.contact_stress.mean([*"xyz"]), stress[[0, 4]], rtol=0, atol=1e-3 * stress.max())
+    mesh = sheared.isel(time=[0, 4]).cg.coarse_grain(
+        "contact_stress", width=0.75, spacing=0.4, axes="xyz"
+    )
+    np.testing.assert_allclose(
+        mesh.contact_stress.mean([*"xyz"]), stress[[0, 4]], rtol=0, atol=1e-3 * stress.max()
+    )
 
 
 def test_the_flow_is_the_same_at_the_edges_of_the_box(sheared):
-    options = {"axes": "yz", "width": 1.0, "spacing": {"y": 0.5, "z": 1.0}, "bounds": {"y": (-3.5, 10), "z": (0, 6)}}
+    options = {
+        "axes": "yz",
+        "width": 1.0,
+        "spacing": {"y": 0.5, "z": 1.0},
+        "bounds": {"y": (-3.5, 10), "z": (0, 6)},
+    }
     fields = ["velocity", "velocity_gradient", "granular_temperature", "volume_fraction"]
     f = sheared.cg.coarse_grain(fields, **options)
     step = 14  # nodes in a period along y
     jump = f.velocity.values[:, step:] - f.velocity.values[:, :-step]
-    np.testing.assert_allclose(jump, np.broadcast_to([RATE * 7.0, 0, 0], jump.shape), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        jump, np.broadcast_to([RATE * 7.0, 0, 0], jump.shape), rtol=0, atol=1e-6
+    )
     for name in ("velocity_gradient", "granular_temperature", "volume_fraction"):
         values = f[name].transpose("time", "y", ...).values
         np.testing.assert_allclose(values[:, step:], values[:, :-step], rtol=1e-6, atol=1e-6)
     one = f.isel(y=slice(7, 7 + step))
     rate = one.velocity_gradient.sel(component="x", direction="y").values
     assert abs(rate.mean() - RATE) < 0.1 * RATE
-    still = xcg.open_scene(DATA / "particles.dump.gz", shear_rate={}).cg.coarse_grain(fields, **options)
+    still = xcg.open_scene(DATA / "particles.dump.gz", shear_rate={}).cg.coarse_grain(
+        fields, **options
+    )
     jump = still.velocity_gradient.sel(component="x", direction="y").values
     assert np.abs(jump - RATE).max() > 2 * np.abs(rate - RATE).max()
     edge = [g.granular_temperature.sel(y=0.0).mean().compute() for g in (still, f)]
@@ -78,7 +99,9 @@ def test_contacts_found_equal_those_of_lammps(sheared):
 
     def pairs(ds):
         i, j = ds.contact_i.values[0], ds.contact_j.values[0]
-        return {(min(a, b), max(a, b)) for a, b in zip(i.tolist(), j.tolist(), strict=True) if a >= 0}
+        return {
+            (min(a, b), max(a, b)) for a, b in zip(i.tolist(), j.tolist(), strict=True) if a >= 0
+        }
 
     missed = pairs(found) ^ pairs(one)
     assert len(pairs(one)) > 600

@@ -72,7 +72,9 @@ def start(job: Path, *words: str, before="", **options) -> subprocess.Popen:
     code = f"{before}\nimport sys; from xcg.cli import main; main()"
     command = [sys.executable, "-c", code, "run", str(job), *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, **options)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, **options
+    )
 
 
 def steps_there(job: Path) -> int:
@@ -122,7 +124,10 @@ def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypa
     job = write_job(tmp_path)
     job.write_text(JOB.replace("temporal", images))
     xcg_run("run", job, "-q")
-    whole, names = loaded(tmp_path / "out" / "fields.nc"), sorted(p.name for p in (tmp_path / "out").iterdir())
+    whole, names = (
+        loaded(tmp_path / "out" / "fields.nc"),
+        sorted(p.name for p in (tmp_path / "out").iterdir()),
+    )
     shutil.rmtree(tmp_path / "out")
     real, calls = os.replace, itertools.count()
 
@@ -137,7 +142,9 @@ def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypa
     monkeypatch.undo()
     assert len(list((tmp_path / "out").glob("fields*"))) == 1
     xcg_run("run", job, "--resume", "-q")
-    (tmp_path / "out" / "..fields.begun.0123abcd.part").mkdir()  # of a run that was killed when all was there
+    (
+        tmp_path / "out" / "..fields.begun.0123abcd.part"
+    ).mkdir()  # of a run that was killed when all was there
     (tmp_path / "out" / ".fields.begun.lock").touch()
     xcg_run("run", job, "--resume", "-q")
     xr.testing.assert_identical(loaded(tmp_path / "out" / "fields.nc"), whole)
@@ -203,7 +210,9 @@ def test_resume_never_starts_over(job):
     assert "5 of 20 steps are there" in xcg_run("run", job, "--resume")
     assert "20 of 20 steps are there" in xcg_run("run", job, "--resume")
     job.write_text(JOB.replace("spacing = 0.75", "spacing = 1.0"))
-    assert "exists, of another job or other input; choose another" in xcg_run("run", job, "--resume", code=1)
+    assert "exists, of another job or other input; choose another" in xcg_run(
+        "run", job, "--resume", code=1
+    )
 
 
 def test_resume_names_the_option_that_changed(job):
@@ -219,14 +228,18 @@ def test_resume_names_the_option_that_changed(job):
 def test_resume_notices_changed_files(tmp_path):
     scene = steps_of_random_scenes(3).chunk(time=1).cg.save(tmp_path / "scene.zarr")
     job = tmp_path / "job.toml"
-    job.write_text('[scene]\nparticles = "scene.zarr"\nchunks = 1\n[fields]\nfields = "density"\naxes = "z"\n')
+    job.write_text(
+        '[scene]\nparticles = "scene.zarr"\nchunks = 1\n[fields]\nfields = "density"\naxes = "z"\n'
+    )
     steps = run_job(read_config(job), jobs=1)
     next(steps)
     next(steps)
     steps.close()
     chunk = next((scene / "position").glob("c*"))
     before = scene.stat().st_mtime_ns
-    os.utime(chunk, ns=(chunk.stat().st_atime_ns, chunk.stat().st_mtime_ns + 10**9))  # as where it is written anew
+    os.utime(
+        chunk, ns=(chunk.stat().st_atime_ns, chunk.stat().st_mtime_ns + 10**9)
+    )  # as where it is written anew
     assert scene.stat().st_mtime_ns == before
     assert "sizes and times of files: " in " ".join(xcg_run("run", job, "--resume", code=1).split())
 
@@ -244,7 +257,11 @@ def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job):
         ended = process.poll() is not None
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=60)
-        if ended or (process.returncode == 0 and "steps in" in said) or (job.parent / "out" / "fields.nc").exists():
+        if (
+            ended
+            or (process.returncode == 0 and "steps in" in said)
+            or (job.parent / "out" / "fields.nc").exists()
+        ):
             continue  # it was faster
         assert process.returncode == 130, said
         assert "Traceback" not in said
@@ -256,8 +273,12 @@ def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job):
 
 
 def test_ctrl_c_while_libraries_load_exits_quietly(tmp_path):
-    (tmp_path / "numba.py").write_text("import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)")
-    module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
+    (tmp_path / "numba.py").write_text(
+        "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)"
+    )
+    module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"][
+        "xcg"
+    ].split(":")
     done = subprocess.run(
         [sys.executable, "-c", f"from {module} import {function}; {function}()", "info", __file__], capture_output=True,
         text=True, env=os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}, timeout=120, check=False,
@@ -288,7 +309,9 @@ with locked(Path({str(tmp_path / "lock")!r}), "it"):
     print("held", flush=True); time.sleep(60)
 """
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=env)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=env
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     with (
@@ -353,7 +376,9 @@ def test_writers_at_a_size_limit_leave_no_files(tmp_path):
             whole_file(tmp_path / "a", overwrite=False) as part,
         ):
             part.write_bytes(b"0" * 20_000)
-        with pytest.raises(OSError, match=r"f\.vtkhdf: a file may not be larger here.*nothing was left behind"):
+        with pytest.raises(
+            OSError, match=r"f\.vtkhdf: a file may not be larger here.*nothing was left behind"
+        ):
             f.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -452,7 +477,12 @@ if __name__ == "__main__":
     (tmp_path / "killed.py").write_text(code)
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, str(tmp_path / "killed.py")], capture_output=True, text=True, env=env, timeout=120, check=False
+        [sys.executable, str(tmp_path / "killed.py")],
+        capture_output=True,
+        text=True,
+        env=env,
+        timeout=120,
+        check=False,
     )
     assert "skipped 0 same True" in done.stdout, done.stdout + done.stderr[-2000:]
 

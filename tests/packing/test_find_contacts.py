@@ -31,7 +31,13 @@ def listed(path):
     rows = np.array([line.split() for line in lines[head + 1 :]], float)
     ids = np.sort(rows[:, [columns.index("id1"), columns.index("id2")]].astype(int), axis=1)
     force = np.linalg.norm(rows[:, [columns.index(f"fn{a}") for a in "xyz"]], axis=1)
-    return dict(zip(map(tuple, ids.tolist()), zip(rows[:, columns.index("dist")], force, strict=True), strict=True))
+    return dict(
+        zip(
+            map(tuple, ids.tolist()),
+            zip(rows[:, columns.index("dist")], force, strict=True),
+            strict=True,
+        )
+    )
 
 
 def found_in(ds):
@@ -43,7 +49,10 @@ def found_in(ds):
 
 
 FRAMES = [
-    *[("lammps_polydisperse", f"{k:08d}.dump.gz", None, {"E": 2e8, "nu": 0.2}) for k in (0, 10_000)],
+    *[
+        ("lammps_polydisperse", f"{k:08d}.dump.gz", None, {"E": 2e8, "nu": 0.2})
+        for k in (0, 10_000)
+    ],
     *[("lammps_chute", f"{10_000 * k:08d}.dump.gz", 2, {"k_n": 2e3}) for k in range(6)],
     ("lammps_biaxial2d", "00000000.dump", None, {"k_n": 1e5}),
     *[("lammps_biaxial2d", f"{k:08d}.dump", 2, {"k_n": 1e5}) for k in (50_000, 100_000)],
@@ -51,7 +60,9 @@ FRAMES = [
 
 
 @pytest.mark.parametrize("method", ["hierarchical", "linked-cell"])
-@pytest.mark.parametrize(("name", "file", "frozen", "stiffness"), FRAMES, ids=[f"{n}-{f[:8]}" for n, f, *_ in FRAMES])
+@pytest.mark.parametrize(
+    ("name", "file", "frozen", "stiffness"), FRAMES, ids=[f"{n}-{f[:8]}" for n, f, *_ in FRAMES]
+)
 def test_contacts_are_those_that_lammps_lists(name, file, frozen, stiffness, method):
     folder = shared_data(name)
     ds = xcg.open_scene(folder / f"particles.{file}", frozen=frozen).load()
@@ -109,15 +120,23 @@ def test_stress_of_contacts_found_from_positions():
     """A compressed cubic lattice: 3 bonds a particle, sigma = k_n overlap / spacing^2."""
     ds = xcg.datasets.simple_cubic(5, density=1000.0)
     squeezed = (
-        bare(ds).assign(position=ds.position * 0.98, box=ds.box * 0.98).assign_attrs(box_upper=0.98 * 5 + np.zeros(3))
+        bare(ds)
+        .assign(position=ds.position * 0.98, box=ds.box * 0.98)
+        .assign_attrs(box_upper=0.98 * 5 + np.zeros(3))
     )
-    f = squeezed.cg.find_contacts(k_n=1e4).cg.coarse_grain("contact_stress", axes="", at={}, width=1.0)
-    np.testing.assert_allclose(f.contact_stress.values[0], 1e4 * 0.02 / 0.98 * np.eye(3) / 0.98, rtol=1e-9, atol=1e-9)
+    f = squeezed.cg.find_contacts(k_n=1e4).cg.coarse_grain(
+        "contact_stress", axes="", at={}, width=1.0
+    )
+    np.testing.assert_allclose(
+        f.contact_stress.values[0], 1e4 * 0.02 / 0.98 * np.eye(3) / 0.98, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_frozen_pairs_and_glued_pairs_are_left_out():
     position = [[0.0, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [2.7, 0, 0]]
-    ds = xcg.scene_from_arrays(position, diameter=np.ones(4), density=1.0, frozen=[1, 1, 0, 0], body_id=[0, 1, 2, 2])
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.ones(4), density=1.0, frozen=[1, 1, 0, 0], body_id=[0, 1, 2, 2]
+    )
     c = ds.cg.find_contacts()
     assert c.contact_i.values.tolist() == [[1]]
     assert c.contact_j.values.tolist() == [[2]]
@@ -179,7 +198,9 @@ def test_padding_of_the_bound_changes_nothing():
 def test_too_many_contacts_raise_and_suggest_a_bound():
     crowd = xcg.scene_from_arrays(np.zeros((20, 3)), diameter=np.ones(20), density=1.0)
     assert crowd.cg.find_contacts().sizes["contact"] == 190
-    with pytest.raises(xcg.SceneError, match=r"step 0: 190 contacts .* than the 140 rows.*max_contacts=190"):
+    with pytest.raises(
+        xcg.SceneError, match=r"step 0: 190 contacts .* than the 140 rows.*max_contacts=190"
+    ):
         crowd.chunk(time=1).cg.find_contacts().compute()
     assert crowd.chunk(time=1).cg.find_contacts(max_contacts=190).compute().sizes["contact"] == 190
     with pytest.raises(xcg.SceneError, match="max_contacts=190"):

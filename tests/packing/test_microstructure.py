@@ -52,7 +52,9 @@ def test_coordination_stress_and_fabric_of_lattices(lattice, partners, fraction,
     assert one(m, "mean_normal_force") == pytest.approx(1.0)
     assert float(m.normal_force_count.sum()) == partners * count / 2
     assert float((m.normal_force_pdf * m.force_ratio_width).sum()) == pytest.approx(1.0)
-    assert m.force_ratio.attrs["long_name"] == "force over its mean"  # shared by normal and tangential forces
+    assert (
+        m.force_ratio.attrs["long_name"] == "force over its mean"
+    )  # shared by normal and tangential forces
     for name in ("d_max", "d50", "d_bar"):
         assert one(m, name) == 1
 
@@ -103,7 +105,9 @@ def test_a_known_strain_and_rate_are_recovered():
     names = ["diameter", "contact_i", "contact_j", "contact_force"]
     given = {name: [ds[name].values[0]] * 9 for name in names}
     position = [ds.position.values[0] * s for s in stretch]
-    series = xcg.scene_from_arrays(position, time=time, box=edges, periodic="xyz", density=2500.0, **given)
+    series = xcg.scene_from_arrays(
+        position, time=time, box=edges, periodic="xyz", density=2500.0, **given
+    )
     m = series.cg.microstructure()
     np.testing.assert_allclose(m.volumetric_strain, 0, atol=1e-12)
     np.testing.assert_allclose(m.axial_strain, 0.1 * time, atol=1e-12)
@@ -112,8 +116,12 @@ def test_a_known_strain_and_rate_are_recovered():
     )
     # isochoric triaxial: the deviatoric rate is the axial rate
     np.testing.assert_allclose(m.strain_rate, 0.1, rtol=1e-9)
-    np.testing.assert_allclose(m.inertial_number_dmax, 0.1 * np.sqrt(2500 / m.mean_stress), rtol=1e-9)
-    engineering = series.cg.microstructure(["axial_strain", "volumetric_strain"], strain="engineering")
+    np.testing.assert_allclose(
+        m.inertial_number_dmax, 0.1 * np.sqrt(2500 / m.mean_stress), rtol=1e-9
+    )
+    engineering = series.cg.microstructure(
+        ["axial_strain", "volumetric_strain"], strain="engineering"
+    )
     np.testing.assert_allclose(engineering.axial_strain, 1 - np.exp(-0.1 * time), atol=1e-12)
     assert engineering.axial_strain.attrs["measure"] == "engineering"
     lazy = series.chunk(time=1).cg.microstructure()
@@ -124,7 +132,9 @@ def test_shear_rates_from_velocities_and_as_given():
     ds = xcg.datasets.random_scene(300, seed=1)
     gradient = np.array([[0.0, 0.0, 0.7], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     sheared = ds.assign(velocity=ds.velocity.copy(data=(ds.position.values @ gradient.T) + 5.0))
-    m = sheared.cg.microstructure(["strain_rate", "inertial_number_d50", "mean_stress", "particle_density", "d50"])
+    m = sheared.cg.microstructure(
+        ["strain_rate", "inertial_number_d50", "mean_stress", "particle_density", "d50"]
+    )
     # in simple shear the deviatoric rate is the shear rate over sqrt 3
     assert one(m, "strain_rate") == pytest.approx(0.7 / np.sqrt(3))
     names = ["inertial_number_dmax", "inertial_number_d50", "inertial_number_dbar", "mean_stress"]
@@ -153,11 +163,14 @@ def brute(ds, member, volume, least):
     row = {identifier: k for k, identifier in enumerate(ids)}
     x, d, v = ds.position.values[0], ds.diameter.values[0], ds.volume.values[0]
     box = ds.box.values[0]
-    period = [box[k, 1] - box[k, 0] if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")]
+    period = [
+        box[k, 1] - box[k, 0] if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")
+    ]
     partners = {k: set() for k in range(len(ids))}
     sides = []
     for i, j, force, point in zip(
-        *(ds[n].values[0] for n in ("contact_i", "contact_j", "contact_force", "contact_point")), strict=True
+        *(ds[n].values[0] for n in ("contact_i", "contact_j", "contact_force", "contact_point")),
+        strict=True,
     ):
         arms = {}
         for identifier, other in ((i, j), (j, i)):
@@ -182,7 +195,12 @@ def brute(ds, member, volume, least):
     bearing = z >= 2
     order = sorted(inside, key=lambda k: d[k])
     half = next(
-        (d[k] for k in order if sum(v[q] for q in order if d[q] <= d[k]) >= 0.5 * sum(v[q] for q in order)), np.nan
+        (
+            d[k]
+            for k in order
+            if sum(v[q] for q in order if d[q] <= d[k]) >= 0.5 * sum(v[q] for q in order)
+        ),
+        np.nan,
     )
     return {
         "particle_count": len(inside),
@@ -199,10 +217,18 @@ def brute(ds, member, volume, least):
     }
 
 
-@pytest.mark.filterwarnings("ignore:.*contacts looked at lie more than")  # of random places, some are
+@pytest.mark.filterwarnings(
+    "ignore:.*contacts looked at lie more than"
+)  # of random places, some are
 @settings(deadline=None, max_examples=20)
-@given(seed=st.integers(0, 10_000), periodic=st.sampled_from(["", "xy", "xyz"]), polydispersity=st.floats(1.0, 6.0))
-@example(seed=495, periodic="", polydispersity=1.0)  # no grain of a phase in a region has two contacts
+@given(
+    seed=st.integers(0, 10_000),
+    periodic=st.sampled_from(["", "xy", "xyz"]),
+    polydispersity=st.floats(1.0, 6.0),
+)
+@example(
+    seed=495, periodic="", polydispersity=1.0
+)  # no grain of a phase in a region has two contacts
 def test_brute_force_by_region_and_phase(seed, periodic, polydispersity):
     ds = xcg.datasets.random_scene(120, seed=seed, periodic=periodic, polydispersity=polydispersity)
     bounds = {"low": {"z": (0.0, 2.0)}, "corner": {"x": (1.0, 5.0), "z": (2.0, 5.0)}}
@@ -217,7 +243,11 @@ def test_brute_force_by_region_and_phase(seed, periodic, polydispersity):
             part = m.sel(region=region, phase=phase)
             for name, expected in brute(ds, member, volume, 4).items():
                 np.testing.assert_allclose(
-                    one(part, name), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max(), err_msg=name
+                    one(part, name),
+                    expected,
+                    rtol=1e-10,
+                    atol=1e-10 * np.abs(expected).max(),
+                    err_msg=name,
                 )
 
 
@@ -231,24 +261,35 @@ def test_phases_and_regions_add_up():
         np.testing.assert_allclose(m[name].sel(phase=["1", "2"]).sum("phase"), whole[name])
         np.testing.assert_allclose(thirds[name].sum("region"), whole[name])
     for name in ("volume_fraction", "stress"):
-        np.testing.assert_allclose(m[name].sel(phase=["1", "2"]).sum("phase"), whole[name], atol=1e-12)
+        np.testing.assert_allclose(
+            m[name].sel(phase=["1", "2"]).sum("phase"), whole[name], atol=1e-12
+        )
         np.testing.assert_allclose(thirds[name].mean("region"), whole[name], atol=1e-12)
 
 
 def test_grains_outside_the_box_count_as_their_images_inside():
     ds = xcg.datasets.random_scene(200, seed=5, periodic="xz")
     away = np.array([0.7, -31.0, 12.3])
-    moved = ds.assign(position=ds.position + away, contact_point=ds.contact_point + away, box=ds.box + away[:, None])
+    moved = ds.assign(
+        position=ds.position + away,
+        contact_point=ds.contact_point + away,
+        box=ds.box + away[:, None],
+    )
     turns = np.random.default_rng(0).integers(-3, 4, (200, 3)) * [5.0, 0, 5.0]
     assert (turns != 0).sum() > 100
     moved["position"] = moved.position + turns
     bounds = {"x": (1.0, 3.0), "z": (0.0, 2.0)}
-    there = {a: (low + away["xyz".index(a)], high + away["xyz".index(a)]) for a, (low, high) in bounds.items()}
+    there = {
+        a: (low + away["xyz".index(a)], high + away["xyz".index(a)])
+        for a, (low, high) in bounds.items()
+    }
     expected, m = ds.cg.microstructure(bounds=bounds), moved.cg.microstructure(bounds=there)
     assert 10 < expected.particle_count.item() < 100
     for name in expected:
         size = float(np.abs(expected[name]).max())
-        np.testing.assert_allclose(m[name], expected[name], rtol=1e-9, atol=1e-9 * size, err_msg=str(name))
+        np.testing.assert_allclose(
+            m[name], expected[name], rtol=1e-9, atol=1e-9 * size, err_msg=str(name)
+        )
 
 
 def test_a_region_holds_its_lower_bound_and_not_its_upper_one():
@@ -264,7 +305,9 @@ def test_stress_equals_that_of_coarse_graining():
     ds = xcg.datasets.random_scene(200, seed=4)
     f = ds.cg.coarse_grain(["contact_stress", "volume_fraction"], axes="", at={}, width=1.0)
     m = ds.cg.microstructure(["stress", "volume_fraction"])
-    np.testing.assert_allclose(m.stress, f.contact_stress, atol=1e-12 * float(np.abs(m.stress).max()))
+    np.testing.assert_allclose(
+        m.stress, f.contact_stress, atol=1e-12 * float(np.abs(m.stress).max())
+    )
     np.testing.assert_allclose(m.volume_fraction, f.volume_fraction)
 
 
@@ -277,7 +320,12 @@ def test_the_backbone_is_left_after_removing_rattlers(seed, least):
     pairs = [(int(i), int(j)) for i, j in zip(contacts.key_i, contacts.key_j, strict=True)]
     kept = set(range(60))
     while True:
-        z = {k: len({b for a, b in pairs + [p[::-1] for p in pairs] if a == k and (b in kept or b < 0)}) for k in kept}
+        z = {
+            k: len(
+                {b for a, b in pairs + [p[::-1] for p in pairs] if a == k and (b in kept or b < 0)}
+            )
+            for k in kept
+        }
         out = {k for k in kept if z[k] < least}
         if not out:
             break
@@ -364,9 +412,13 @@ def test_the_default_is_all_quantities_the_scene_allows():
 
 
 def test_a_layer_has_no_region_along_its_normal():
-    ds = xcg.scene_from_arrays([[0.5, 0.5, 0.0]], diameter=[1.0], dimension=2, box={"x": (0, 1), "y": (0, 1)})
+    ds = xcg.scene_from_arrays(
+        [[0.5, 0.5, 0.0]], diameter=[1.0], dimension=2, box={"x": (0, 1), "y": (0, 1)}
+    )
     assert one(ds.cg.microstructure("particle_count", bounds={"x": (0, 1)}), "particle_count") == 1
-    with pytest.raises(ValueError, match=r"axes of the scene \(x, y\), for example {'y': \(0.0, 0.1\)}"):
+    with pytest.raises(
+        ValueError, match=r"axes of the scene \(x, y\), for example {'y': \(0.0, 0.1\)}"
+    ):
         ds.cg.microstructure("particle_count", bounds={"z": (0.2, 1)})
 
 
@@ -376,7 +428,13 @@ def test_scenes_of_up_to_two_particles(count):
     assert one(m, "particle_count") == count
     assert one(m, "volume_fraction") >= 0
     assert one(m, "contact_count") == 0
-    for name in ("mechanical_coordination_number", "fabric", "mean_normal_force", "d_bar", "inertial_number_dbar"):
+    for name in (
+        "mechanical_coordination_number",
+        "fabric",
+        "mean_normal_force",
+        "d_bar",
+        "inertial_number_dbar",
+    ):
         assert np.isnan(one(m, name)).all(), name
 
 

@@ -11,13 +11,26 @@ from tests import steps_of_random_scenes
 
 nx = pytest.importorskip("networkx")
 
-CLUSTERS = ["cluster_count", "largest_cluster", "largest_cluster_fraction", "percolation", "particle_count"]
+CLUSTERS = [
+    "cluster_count",
+    "largest_cluster",
+    "largest_cluster_fraction",
+    "percolation",
+    "particle_count",
+]
 
 
 def grains(position, edge=5.0, diameter=1.0, **options):
     """Spheres and their contacts, with forces of a spring."""
-    given = {"diameter": np.full(len(position), diameter), "density": 1.0, "box": [[0.0, edge]] * 3, "periodic": "xyz"}
-    return xcg.scene_from_arrays(np.asarray(position, float), **(given | options)).cg.find_contacts(k_n=10.0)
+    given = {
+        "diameter": np.full(len(position), diameter),
+        "density": 1.0,
+        "box": [[0.0, edge]] * 3,
+        "periodic": "xyz",
+    }
+    return xcg.scene_from_arrays(np.asarray(position, float), **(given | options)).cg.find_contacts(
+        k_n=10.0
+    )
 
 
 def loose(count, seed, **options):
@@ -26,7 +39,11 @@ def loose(count, seed, **options):
 
 def rows_of_contacts(ds, t=0):
     there = ds.contact_i.values[t] >= 0
-    names = [n for n in ("contact_i", "contact_j", "contact_force", "contact_point", "overlap") if n in ds]
+    names = [
+        n
+        for n in ("contact_i", "contact_j", "contact_force", "contact_point", "overlap")
+        if n in ds
+    ]
     return {name: ds[name].values[t][there] for name in names}
 
 
@@ -37,7 +54,9 @@ def test_edges_are_sums_over_contacts():
     ds = xcg.datasets.random_scene(150, seed=4, periodic="xy")
     graph = ds.cg.contact_graph(walls=True)
     c, expected = rows_of_contacts(ds), {}
-    for i, j, f in zip(c["contact_i"].tolist(), c["contact_j"].tolist(), c["contact_force"], strict=True):
+    for i, j, f in zip(
+        c["contact_i"].tolist(), c["contact_j"].tolist(), c["contact_force"], strict=True
+    ):
         low, high, sign = (i, j, 1) if j < 0 or i < j else (j, i, -1)
         total = expected.setdefault((low, high), [0, np.zeros(3)])
         total[0] += 1
@@ -51,11 +70,15 @@ def test_edges_are_sums_over_contacts():
     # forces on a grain add up to what they are on its rows
     for node in (n for n, wall in graph.nodes(data="wall") if not wall):
         total = sum(
-            (a["force"] if a["i"] == node else -a["force"] for *_, a in graph.edges(node, data=True)), np.zeros(3)
+            (
+                a["force"] if a["i"] == node else -a["force"]
+                for *_, a in graph.edges(node, data=True)
+            ),
+            np.zeros(3),
         )
-        brute = c["contact_force"][c["contact_i"] == node].sum(axis=0) - c["contact_force"][c["contact_j"] == node].sum(
-            axis=0
-        )
+        brute = c["contact_force"][c["contact_i"] == node].sum(axis=0) - c["contact_force"][
+            c["contact_j"] == node
+        ].sum(axis=0)
         np.testing.assert_allclose(total, brute, atol=1e-12)
 
 
@@ -72,7 +95,9 @@ def test_nodes_have_the_variables_of_their_step():
         assert type(node["species"]) is int
         assert node["diameter"] == step.diameter.values[row]
         np.testing.assert_array_equal(node["velocity"], step.velocity.values[row])
-    assert set(node) == {"wall"} | {n for n in ds.data_vars if "particle" in ds[n].dims} - {"particle_id"}
+    assert set(node) == {"wall"} | {n for n in ds.data_vars if "particle" in ds[n].dims} - {
+        "particle_id"
+    }
     alone = step.cg.contact_graph()
     assert nx.utils.graphs_equal(nx.Graph(alone.edges), nx.Graph(graph.edges))
     lazy = ds.chunk(time=1).cg.contact_graph(time=-2)
@@ -80,7 +105,13 @@ def test_nodes_have_the_variables_of_their_step():
 
 
 def test_a_pair_that_touches_on_both_sides():
-    ds = grains([(0.5, 0.5, 0.5), (1.49, 0.5, 0.5)], edge=1.98, diameter=1.0, periodic="x", box={"x": (0, 1.98)})
+    ds = grains(
+        [(0.5, 0.5, 0.5), (1.49, 0.5, 0.5)],
+        edge=1.98,
+        diameter=1.0,
+        periodic="x",
+        box={"x": (0, 1.98)},
+    )
     edge = ds.cg.contact_graph().edges[0, 1]
     assert edge["contacts"] == 2
     np.testing.assert_allclose(edge["force"], 0, atol=1e-12)
@@ -94,7 +125,9 @@ def test_the_matrix_equals_that_of_the_graph(weight):
     ds = loose(120, 3)
     matrix = ds.cg.adjacency(weight=weight)
     graph = ds.cg.contact_graph()
-    value = {"force": lambda a: np.linalg.norm(a["force"]), None: lambda a: 1}.get(weight, lambda a: a[weight])
+    value = {"force": lambda a: np.linalg.norm(a["force"]), None: lambda a: 1}.get(
+        weight, lambda a: a[weight]
+    )
     for *_, a in graph.edges(data=True):
         a["value"] = value(a)
     expected = nx.to_scipy_sparse_array(graph, sorted(graph), weight="value")
@@ -149,24 +182,38 @@ def winding_brute(ds, reach=2):
 @pytest.mark.parametrize("seed", range(5))
 def test_percolation_equals_that_of_copies_of_the_box(count, seed):
     ds = loose(count, seed)
-    np.testing.assert_array_equal(ds.cg.microstructure("percolation").percolation[0], winding_brute(ds))
+    np.testing.assert_array_equal(
+        ds.cg.microstructure("percolation").percolation[0], winding_brute(ds)
+    )
 
 
 def test_random_packings_percolate_about_half_the_time():
-    found = np.array([winding_brute(loose(count, seed)) for count in (40, 60, 75, 85, 95, 110) for seed in range(5)])
+    found = np.array(
+        [
+            winding_brute(loose(count, seed))
+            for count in (40, 60, 75, 85, 95, 110)
+            for seed in range(5)
+        ]
+    )
     assert (found.mean(axis=0) > 0.1).all()
     assert (found.mean(axis=0) < 0.9).all()
     assert (found.min(axis=1) != found.max(axis=1)).any()
 
 
 def test_a_loop_within_the_box_does_not_percolate():
-    ring = [(2 + np.cos(a), 2 + np.sin(a), 2.0) for a in np.linspace(0, 2 * np.pi, 6, endpoint=False)]
+    ring = [
+        (2 + np.cos(a), 2 + np.sin(a), 2.0) for a in np.linspace(0, 2 * np.pi, 6, endpoint=False)
+    ]
     m = grains(ring, diameter=1.01).cg.microstructure([*CLUSTERS, "contact_count"]).isel(time=0)
     assert m.contact_count == 6
     assert m.cluster_count == 1
     np.testing.assert_array_equal(m.percolation, 0)
     # also where it lies across the edges
-    shifted = grains(np.mod(np.add(ring, 2.3), 5.0), diameter=1.01).cg.microstructure(CLUSTERS).isel(time=0)
+    shifted = (
+        grains(np.mod(np.add(ring, 2.3), 5.0), diameter=1.01)
+        .cg.microstructure(CLUSTERS)
+        .isel(time=0)
+    )
     assert shifted.cluster_count == 1
     np.testing.assert_array_equal(shifted.percolation, 0)
 
@@ -182,7 +229,11 @@ def test_percolation_of_a_tilted_box_is_along_its_vectors(tilt):
     m = ds.cg.microstructure(CLUSTERS).isel(time=0)
     assert m.cluster_count == 1
     np.testing.assert_array_equal(m.percolation, [0, 1, 0])
-    moved = ds.assign(position=ds.position + np.array([3.3, 4.4, 1.1])).drop_dims("contact").cg.find_contacts()
+    moved = (
+        ds.assign(position=ds.position + np.array([3.3, 4.4, 1.1]))
+        .drop_dims("contact")
+        .cg.find_contacts()
+    )
     np.testing.assert_array_equal(moved.cg.microstructure("percolation").percolation[0], [0, 1, 0])
 
 
@@ -191,7 +242,9 @@ def test_random_sites_of_a_lattice_percolate_from_the_known_share_on(share, perc
     """Share 0.3116 of the sites of a simple cubic lattice (Lorenz & Ziff 1998)."""
     ds = xcg.datasets.simple_cubic(16)
     chosen = np.random.default_rng(3).random(ds.position.shape[:2]) < share
-    m = ds.assign(chosen=(("time", "particle"), chosen.astype(int))).cg.microstructure("percolation", by="chosen")
+    m = ds.assign(chosen=(("time", "particle"), chosen.astype(int))).cg.microstructure(
+        "percolation", by="chosen"
+    )
     np.testing.assert_array_equal(m.percolation.sel(phase=1)[0], percolates)
 
 
@@ -200,7 +253,10 @@ def column(count, walls, frozen=False):
     z = np.arange(count) + 0.5
     i, j = list(range(count - 1)), list(range(1, count))
     force, point = [(0, 0, -1.0)] * (count - 1), [(0, 0, h + 1.0) for h in range(count - 1)]
-    for number, (row, push, place) in {-2: (0, 1.0, 0.0), -3: (count - 1, -1.0, float(count))}.items():
+    for number, (row, push, place) in {
+        -2: (0, 1.0, 0.0),
+        -3: (count - 1, -1.0, float(count)),
+    }.items():
         if number in walls:
             i, j = [*i, row], [*j, number]
             force, point = [*force, (0, 0, push)], [*point, (0, 0, place)]
@@ -232,9 +288,14 @@ def test_columns_that_are_broken_do_not_span():
 
 def test_clusters_of_phases_and_regions_take_contacts_between_their_grains():
     ds = xcg.datasets.random_scene(200, seed=2)
-    m = ds.cg.microstructure(CLUSTERS, by="species", bounds={"low": {"z": (0, 2.5)}, "high": {"z": (2.5, 5)}})
+    m = ds.cg.microstructure(
+        CLUSTERS, by="species", bounds={"low": {"z": (0, 2.5)}, "high": {"z": (2.5, 5)}}
+    )
     graph, species = ds.cg.contact_graph(), ds.species.values[0]
-    for region, chosen in (("low", ds.position.values[0][:, 2] < 2.5), ("high", ds.position.values[0][:, 2] >= 2.5)):
+    for region, chosen in (
+        ("low", ds.position.values[0][:, 2] < 2.5),
+        ("high", ds.position.values[0][:, 2] >= 2.5),
+    ):
         for phase, of_phase in (("bulk", species > 0), ("1", species == 1), ("2", species == 2)):
             ids = ds.particle_id.values[0][chosen & of_phase].tolist()
             sizes = [len(c) for c in nx.connected_components(graph.subgraph(ids))]
@@ -256,9 +317,13 @@ def test_a_layer_has_no_percolation_across():
 
 def test_forces_over_their_means_by_phase():
     ds = xcg.datasets.random_scene(200, seed=7)
-    names = [f"{kind}_force_{what}" for kind in ("normal", "tangential") for what in ("pdf", "count")]
+    names = [
+        f"{kind}_force_{what}" for kind in ("normal", "tangential") for what in ("pdf", "count")
+    ]
     edges = np.linspace(0, 3, 7)
-    m = ds.cg.microstructure([*names, "mean_normal_force", "mean_tangential_force"], by="species", force_bins=edges)
+    m = ds.cg.microstructure(
+        [*names, "mean_normal_force", "mean_tangential_force"], by="species", force_bins=edges
+    )
     c = rows_of_contacts(ds)
     row = {int(k): n for n, k in enumerate(ds.particle_id.values[0])}
     species, x = ds.species.values[0], ds.position.values[0]
@@ -277,14 +342,19 @@ def test_forces_over_their_means_by_phase():
             mean = (weight * size).sum() / weight.sum()
             assert found[f"mean_{kind}_force"] == pytest.approx(mean)
             count = [
-                weight[(size >= low * mean) & (size < high * mean)].sum() for low, high in itertools.pairwise(edges)
+                weight[(size >= low * mean) & (size < high * mean)].sum()
+                for low, high in itertools.pairwise(edges)
             ]
             np.testing.assert_allclose(found[f"{kind}_force_count"], count)
-            np.testing.assert_allclose(found[f"{kind}_force_pdf"], np.array(count) / weight.sum() / 0.5)
+            np.testing.assert_allclose(
+                found[f"{kind}_force_pdf"], np.array(count) / weight.sum() / 0.5
+            )
 
 
 def test_without_friction_there_is_no_distribution_of_tangential_forces():
-    m = loose(120, 1).cg.microstructure(["mean_tangential_force", "tangential_force_pdf", "normal_force_pdf"])
+    m = loose(120, 1).cg.microstructure(
+        ["mean_tangential_force", "tangential_force_pdf", "normal_force_pdf"]
+    )
     assert m.mean_tangential_force == 0
     assert np.isnan(m.tangential_force_pdf).all()
     assert (m.normal_force_pdf * m.force_ratio_width).sum() == pytest.approx(1)
@@ -295,15 +365,21 @@ def test_without_friction_there_is_no_distribution_of_tangential_forces():
 
 def test_wrong_arguments_raise(monkeypatch):
     ds = loose(20, 1)
-    with pytest.raises(ValueError, match="weight='mass': expected None, 'contacts', 'force', 'overlap'"):
+    with pytest.raises(
+        ValueError, match="weight='mass': expected None, 'contacts', 'force', 'overlap'"
+    ):
         ds.cg.adjacency(weight="mass")
-    with pytest.raises(ValueError, match="time=3: expected the position of a step, a whole number from -1 to 0"):
+    with pytest.raises(
+        ValueError, match="time=3: expected the position of a step, a whole number from -1 to 0"
+    ):
         ds.cg.adjacency(3)
     with pytest.raises(xcg.SceneError, match="contact_force"):
         ds.drop_vars("contact_force").cg.adjacency(weight="force")
     with pytest.raises(xcg.SceneError, match=r"contact_graph needs .*find_contacts"):
         ds.drop_dims("contact").cg.contact_graph()
     monkeypatch.setitem(sys.modules, "networkx", None)
-    with pytest.raises(ImportError, match=r"contact_graph needs networkx, .* pip install 'xcg\[network\]'"):
+    with pytest.raises(
+        ImportError, match=r"contact_graph needs networkx, .* pip install 'xcg\[network\]'"
+    ):
         ds.cg.contact_graph()
     assert ds.cg.adjacency().shape == (20, 20)

@@ -66,13 +66,18 @@ def test_pairs_equal_those_of_brute_force(
 def test_exactly_touching_and_coincident_particles_are_found(data, periodic, count, cells, skin):
     """On a lattice of quarters every distance is exact: touching is not closer, and a duplicate is a pair."""
     place = st.tuples(*[st.integers(-2, 8 * n + 2) for n in cells])
-    position = np.array(data.draw(st.lists(place, min_size=count, max_size=count)), float).reshape(-1, 3) / 8
+    position = (
+        np.array(data.draw(st.lists(place, min_size=count, max_size=count)), float).reshape(-1, 3)
+        / 8
+    )
     size = st.sampled_from([0.0, 0.125, 0.25, 0.5, 1.0, 2.0])
     radius = np.array(data.draw(st.lists(size, min_size=count, max_size=count)))
     box = [(0.0, float(n)) for n in cells]
     expected = all_pairs(position, radius, box, periodic, skin)
     for method in ("hierarchical", "linked-cell"):
-        np.testing.assert_array_equal(find_pairs(position, radius, box, periodic, skin=skin, method=method), expected)
+        np.testing.assert_array_equal(
+            find_pairs(position, radius, box, periodic, skin=skin, method=method), expected
+        )
 
 
 @pytest.mark.parametrize("periodic", ["", "xyz"])
@@ -178,7 +183,9 @@ for call in (lambda: find_pairs(np.zeros((30_000, 3)), np.ones(30_000)), lambda:
         print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.count("more than 6000000 pairs of near particles among 30000") == 2, done.stderr
+    assert done.stdout.count("more than 6000000 pairs of near particles among 30000") == 2, (
+        done.stderr
+    )
 
 
 def test_most_raises_the_limit_on_pairs():

@@ -56,7 +56,9 @@ def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
     (warning,) = found  # one for all phases
     cell = float(re.search(r"take cell=([\d.]+) or more", str(warning.message))[1])
     assert cell < 2.1  # of 8 grains each
-    assert np.isfinite(ds.cg.microstructure("lacey_index", by="species", cell=cell).lacey_index).all()
+    assert np.isfinite(
+        ds.cg.microstructure("lacey_index", by="species", cell=cell).lacey_index
+    ).all()
     few = scene(x[:3], [1, 1, 2], box=BOX)
     with pytest.warns(xcg.SceneWarning, match="the region holds too few grains"):
         few.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
@@ -67,7 +69,9 @@ def test_separated_halves_have_a_lacey_index_of_zero():
     ds = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX, periodic="xyz")
     m = measured(ds, cell=2.0, neighbours=6)
     assert m["lacey_index"] == pytest.approx(0.0, abs=1e-14)
-    assert m["concentration_variance"] == m["segregated_concentration_variance"] == 0.5  # 1/4 of each phase
+    assert (
+        m["concentration_variance"] == m["segregated_concentration_variance"] == 0.5
+    )  # 1/4 of each phase
     assert m["mixing_entropy"] == pytest.approx(0.0, abs=1e-14)
     # one of six neighbours is across one of both faces, the periodic one too
     assert m["nearest_neighbour_index"] == pytest.approx(1 / 6 / (32 / 63), rel=1e-14)
@@ -85,10 +89,16 @@ def test_the_mean_over_all_arrangements_is_the_random_limit(phase):
         species = np.full(7, 2)
         species[list(chosen)] = 1
         ds = scene(position, species, box=[[0, 4], [0, 1], [0, 1]], diameter=np.linspace(0.5, 1, 7))
-        m = ds.cg.microstructure(MIXING, by="species", cell=1.0, neighbours=2).isel(time=0).sel(phase=phase)
+        m = (
+            ds.cg.microstructure(MIXING, by="species", cell=1.0, neighbours=2)
+            .isel(time=0)
+            .sel(phase=phase)
+        )
         found.append([m[name].item() for name in MIXING])
     mean = dict(zip(MIXING, np.mean(found, axis=0), strict=True))
-    assert mean["concentration_variance"] == pytest.approx(mean["random_concentration_variance"], rel=1e-13)
+    assert mean["concentration_variance"] == pytest.approx(
+        mean["random_concentration_variance"], rel=1e-13
+    )
     assert mean["lacey_index"] == pytest.approx(1.0, rel=1e-13)
     assert mean["nearest_neighbour_index"] == pytest.approx(1.0, rel=1e-13)
 
@@ -101,7 +111,9 @@ def test_the_random_limit_by_volume_equals_that_of_large_cells():
     for _ in range(40):
         species = rng.permutation(np.repeat([1, 2], [1000, 2000]))
         ds = scene(x, species, diameter=0.02 * size, box=[[0, 1]] * 3, periodic="xyz")
-        m = ds.cg.microstructure(MIXING[1:3], by="species", cell=0.27, mixing_weight="volume").sel(phase="1")
+        m = ds.cg.microstructure(MIXING[1:3], by="species", cell=0.27, mixing_weight="volume").sel(
+            phase="1"
+        )
         found.append(m.concentration_variance.item())
         limit.append(m.random_concentration_variance.item())
     assert np.mean(found) == pytest.approx(np.mean(limit), rel=0.08)
@@ -145,7 +157,11 @@ def test_indices_equal_their_sums_written_out(weight, dimension):
                 p = w[species == a].sum() / w.sum()
                 apart += p * (1 - p)
                 random += (
-                    (len(cells) - 1) / (total - 1) * total * ((w * ((species == a) - p)) ** 2).sum() / w.sum() ** 2
+                    (len(cells) - 1)
+                    / (total - 1)
+                    * total
+                    * ((w * ((species == a) - p)) ** 2).sum()
+                    / w.sum() ** 2
                 )
                 for rows in cells.values():
                     c = w[rows][species[rows] == a].sum() / w[rows].sum()
@@ -169,7 +185,10 @@ def test_indices_equal_their_sums_written_out(weight, dimension):
 def test_indices_of_three_phases_over_time():
     rng = np.random.default_rng(1)
     x = lattice()
-    species = [1 + rng.permutation(len(x)) % 3, np.where(x[:, 0] < 1, 1, np.where(x[:, 0] < 2, 2, 3))]
+    species = [
+        1 + rng.permutation(len(x)) % 3,
+        np.where(x[:, 0] < 1, 1, np.where(x[:, 0] < 2, 2, 3)),
+    ]
     ds = xcg.scene_from_arrays(
         [x, x], diameter=[np.ones(64)] * 2, density=1.0, species=species, box=BOX, periodic="xyz"
     )
@@ -225,4 +244,6 @@ def test_neighbours_across_the_edges_of_a_tilted_box(dimension, count):
         unlike = (species[nearest] != species[:, None]).mean(axis=1)
         alike = np.bincount(species)[species]
         expected = unlike.sum() / ((total - alike) / (total - 1)).sum()
-        assert found.nearest_neighbour_index.sel(phase="bulk").item() == pytest.approx(expected, rel=1e-12)
+        assert found.nearest_neighbour_index.sel(phase="bulk").item() == pytest.approx(
+            expected, rel=1e-12
+        )

@@ -44,7 +44,9 @@ def test_fields_have_the_bits_of_open_scene(files):
     fields = ["density", "contact_stress"]
     expected = xcg.open_scene(**files).cg.coarse_grain(fields).compute()
     for chunks in (None, {}, {"time": 2}):
-        xr.testing.assert_equal(opened(files, chunks=chunks).cg.coarse_grain(fields).compute(), expected)
+        xr.testing.assert_equal(
+            opened(files, chunks=chunks).cg.coarse_grain(fields).compute(), expected
+        )
 
 
 def test_only_selected_variables_are_read(files, reads):
@@ -58,7 +60,8 @@ def test_only_selected_variables_are_read(files, reads):
             xr.testing.assert_identical(one[name].load(), other[name])
         rows = rng.integers(0, 60, 7)
         xr.testing.assert_identical(
-            one.velocity.isel(particle=rows, component=1).load(), other.velocity.isel(particle=rows, component=1)
+            one.velocity.isel(particle=rows, component=1).load(),
+            other.velocity.isel(particle=rows, component=1),
         )
     assert {step for _, step in reads} == {1, 2, 3}
     assert max(reads.values()) == 1
@@ -92,12 +95,21 @@ def test_a_relative_path_and_another_current_folder(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir("elsewhere")
     absolute.position.load()
-    with pytest.raises(xcg.SceneError, match=r"absolute path where the current folder changed \(it is .*elsewhere\)"):
+    with pytest.raises(
+        xcg.SceneError,
+        match=r"absolute path where the current folder changed \(it is .*elsewhere\)",
+    ):
         relative.position.load()
 
 
 def test_options_and_drop_variables_are_taken(files):
-    ds = opened(files, reader="mfix", drop_variables=["velocity", "nothing"], density=100.0, gravity=(0, 0, -9.81))
+    ds = opened(
+        files,
+        reader="mfix",
+        drop_variables=["velocity", "nothing"],
+        density=100.0,
+        gravity=(0, 0, -9.81),
+    )
     assert "velocity" not in ds
     assert ds.attrs["gravity"].tolist() == [0, 0, -9.81]
     with pytest.raises(xcg.SceneError, match="unknown engine 'mfx'; did you mean 'mfix'"):

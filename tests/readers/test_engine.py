@@ -36,8 +36,12 @@ def write_grit(folder):
 def site(tmp_path):
     """A folder with the engine of the docs as an installed package, in front of the path of modules."""
     page = (ROOT / "docs" / "custom.md").read_text().partition("## File formats")[2]
-    source, project = (re.search(rf"```{kind}\n(.*?)```", page, re.DOTALL)[1] for kind in ("python", "toml"))
-    entry = re.search(r'\[project.entry-points."xcg.readers"\]\n(.*)\n', project)[1].replace('"', "")
+    source, project = (
+        re.search(rf"```{kind}\n(.*?)```", page, re.DOTALL)[1] for kind in ("python", "toml")
+    )
+    entry = re.search(r'\[project.entry-points."xcg.readers"\]\n(.*)\n', project)[1].replace(
+        '"', ""
+    )
     site = tmp_path / "site"
     (site / "grit_tools-1.0.dist-info").mkdir(parents=True)
     (site / "grit_tools-1.0.dist-info" / "METADATA").write_text(
@@ -45,8 +49,12 @@ def site(tmp_path):
     )
     (site / "grit_tools-1.0.dist-info" / "entry_points.txt").write_text(f"[xcg.readers]\n{entry}\n")
     (site / "grit_tools.py").write_text(source)
-    if not entry_points(group="xarray.backends", name="xcg"):  # a checkout that was installed before there was any
-        backends = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["xarray.backends"]
+    if not entry_points(
+        group="xarray.backends", name="xcg"
+    ):  # a checkout that was installed before there was any
+        backends = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][
+            "xarray.backends"
+        ]
         lines = "".join(f"{name} = {place}\n" for name, place in backends.items())
         (site / "grit_tools-1.0.dist-info" / "entry_points.txt").write_text(
             f"[xcg.readers]\n{entry}\n[xarray.backends]\n{lines}"
@@ -139,8 +147,13 @@ with warnings.catch_warnings(record=True) as caught:
 print(*(w.message for w in caught))
 """
     shown = run(code, site, tmp_path)
-    assert re.match(r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/custom.md", shown)
-    assert "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'" in shown
+    assert re.match(
+        r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/custom.md", shown
+    )
+    assert (
+        "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'"
+        in shown
+    )
 
 
 def test_faulty_engines_are_named(tmp_path):
@@ -206,7 +219,12 @@ def test_faulty_engines_are_named(tmp_path):
 
 def reader(step=None, **changed):
     """A reader of three grains, of which some arrays, or something of the step, are others."""
-    particles = {"particle_id": [3, 1, 2], "position": np.eye(3), "velocity": np.ones((3, 3)), "diameter": np.ones(3)}
+    particles = {
+        "particle_id": [3, 1, 2],
+        "position": np.eye(3),
+        "velocity": np.ones((3, 3)),
+        "diameter": np.ones(3),
+    }
 
     class Own(Engine):
         """Three grains."""
@@ -229,9 +247,15 @@ def opened(tmp_path, engine):
 
 
 def test_engines_may_return_lists(tmp_path):
-    step = {"box": [[0, 2], [0, 3], [0, 4]], "gravity": np.array([0.0, 0.0, -9.81]), "periodic": "x"}
+    step = {
+        "box": [[0, 2], [0, 3], [0, 4]],
+        "gravity": np.array([0.0, 0.0, -9.81]),
+        "periodic": "x",
+    }
     velocity = [[3, 3, 3], [1, 1, 1], [2, 2, 2]]
-    ds = opened(tmp_path, reader(step, position=np.eye(3).tolist(), velocity=velocity, charge=[6, 4, 5]))
+    ds = opened(
+        tmp_path, reader(step, position=np.eye(3).tolist(), velocity=velocity, charge=[6, 4, 5])
+    )
     assert ds.velocity.values[0, :, 0].tolist() == [1, 2, 3]
     assert ds.charge.values[0].tolist() == [4, 5, 6]
     assert ds.box.values[0].tolist() == step["box"]
@@ -240,10 +264,16 @@ def test_engines_may_return_lists(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"velocity": np.ma.masked_equal(np.eye(3), 1)}, "'velocity' is a masked array with 3 masked values"),
+        (
+            {"velocity": np.ma.masked_equal(np.eye(3), 1)},
+            "'velocity' is a masked array with 3 masked values",
+        ),
         ({"velocity": 1j * np.eye(3)}, "'velocity' holds complex128, expected real numbers"),
         ({"particle_id": ["a", "b", "c"]}, "'particle_id' holds <U1, expected real numbers"),
-        ({"particle_id": [2**70, 1, 2]}, "'particle_id' holds object, expected real numbers of 64 bits"),
+        (
+            {"particle_id": [2**70, 1, 2]},
+            "'particle_id' holds object, expected real numbers of 64 bits",
+        ),
         ({"velocity": [[1, 2, 3], [1, 2], [1, 2, 3]]}, "gives values that are no array"),
         ({"position": 3.0}, "no positions"),
         ({"step": {"box": [0, 1]}}, r"gives a step box=\(0, 1\)"),

@@ -16,13 +16,27 @@ class Lammps:
     """Two grains that touch across the edge x = 0, and one at a wall, as LAMMPS' Python module hands them out."""
 
     POSITION = np.array([[0.4, 1.0, 1.0], [9.5, 1.0, 1.0], [5.0, 5.0, 0.48]])
-    FORCE, SHEAR, PUSH = np.array([10.0, 0.0, 0.0]), np.array([0.0, 2.0, -1.0]), np.array([0.0, 0.5, 30.0])
+    FORCE, SHEAR, PUSH = (
+        np.array([10.0, 0.0, 0.0]),
+        np.array([0.0, 2.0, -1.0]),
+        np.array([0.0, 0.5, 30.0]),
+    )
 
-    def __init__(self, units="si", tilt=0.0, world=None, atoms=None, style="gran/hooke/history", running=False):
+    def __init__(
+        self,
+        units="si",
+        tilt=0.0,
+        world=None,
+        atoms=None,
+        style="gran/hooke/history",
+        running=False,
+    ):
         self.units, self.tilt, self.style, self.is_running = units, tilt, style, running
         self.world = world
         self.commands, self.ready = [], {}
-        self.fixes = {"floor": np.array([[0.0] * 8, [0.0] * 8, [1.0, *self.PUSH, 5.0, 5.0, 0.0, 0.5]])}
+        self.fixes = {
+            "floor": np.array([[0.0] * 8, [0.0] * 8, [1.0, *self.PUSH, 5.0, 5.0, 0.0, 0.5]])
+        }
         self.atoms = {
             "id": np.array([7, 3, 12, 7, 3], "int32"),  # ghosts follow
             "type": np.array([1, 1, 2, 1, 1], "int32"),
@@ -32,7 +46,9 @@ class Lammps:
         }  # fmt: skip
         self.atoms = self.atoms if atoms is None else {name: self.atoms[name] for name in atoms}
         self.numpy = SimpleNamespace(
-            extract_atom=self.atoms.get, extract_compute=self.extract_compute, extract_fix=self.extract_fix
+            extract_atom=self.atoms.get,
+            extract_compute=self.extract_compute,
+            extract_fix=self.extract_fix,
         )
 
     def command(self, line):
@@ -49,7 +65,14 @@ class Lammps:
         assert (style, kind) == (2, 2)
         assert not self.commands or self.commands[-1] == "run 0 post no"
         branch = self.POSITION[0] - self.POSITION[1] + [10.0, 0, 0]
-        row = dict(zip("patom1 patom2 dx dy dz fx fy fz p1 p2 p3".split(), [7, 3, *branch, *self.FORCE, *self.SHEAR]))  # noqa: B905, SIM905
+        partners = {"patom1": 7, "patom2": 3}
+        vectors = {"d?": branch, "f?": self.FORCE}
+        row = partners | {
+            template.replace("?", axis): value
+            for template, vector in vectors.items()
+            for axis, value in zip("xyz", vector, strict=True)
+        }
+        row |= dict(zip(("p1", "p2", "p3"), self.SHEAR, strict=True))
         return np.array([[row[word] for word in self.ready[name]]])
 
     def extract_fix(self, name, style, kind):
@@ -95,7 +118,9 @@ def test_one_step_of_a_running_simulation():
     assert ds.contact_i.values.tolist() == [[7, 12]]
     assert ds.contact_j.values.tolist() == [[3, -2]]
     np.testing.assert_array_equal(ds.contact_force[0], [lmp.FORCE + lmp.SHEAR, lmp.PUSH])
-    np.testing.assert_allclose(ds.contact_point[0], [[-0.05, 1.0, 1.0], [5.0, 5.0, 0.0]], atol=1e-15)
+    np.testing.assert_allclose(
+        ds.contact_point[0], [[-0.05, 1.0, 1.0], [5.0, 5.0, 0.0]], atol=1e-15
+    )
     assert ds.attrs["unit_system"] == "SI"
     assert ds.attrs["wall_names"] == "floor"
     assert ds.attrs["gravity"].tolist() == [0, 0, -9.81]
@@ -129,7 +154,9 @@ def test_without_contacts_and_other_units():
     assert "contact_i" not in ds
     np.testing.assert_allclose(ds.diameter, 1e-6)
     np.testing.assert_allclose(ds.time, 0.25e-6)
-    assert xcg.scene_from_lammps(Lammps(units="lj"), contacts=False).attrs["unit_system"] == "reduced"
+    assert (
+        xcg.scene_from_lammps(Lammps(units="lj"), contacts=False).attrs["unit_system"] == "reduced"
+    )
     si = xcg.scene_from_lammps(Lammps(units="real"), contacts=False, units={"length": 1e-10})
     np.testing.assert_allclose(si.diameter, 1e-10)
 
@@ -144,7 +171,9 @@ def test_pair_styles_without_friction():
 def test_atoms_of_several_processes_are_gathered():
     """Two of them, of which the other has the same atoms with other ids: each array is gathered."""
     shift = iter(range(100))
-    world = SimpleNamespace(allgather=lambda values: [values, values[:0]] if next(shift) >= 0 else None)
+    world = SimpleNamespace(
+        allgather=lambda values: [values, values[:0]] if next(shift) >= 0 else None
+    )
     check(xcg.scene_from_lammps(Lammps(world=world)))
     with pytest.raises(xcg.SceneError, match="pip install mpi4py"):
         xcg.scene_from_lammps(Lammps(world=False))
@@ -165,7 +194,11 @@ def test_computes_are_removed_after_an_error():
         ({"atoms": ["id", "type", "x", "v"]}, {}, "the atoms of LAMMPS have no radius"),
         ({}, {"contacts": {"no": "patom1 patom2"}}, "LAMMPS has no compute 'no'"),
         ({}, {"contacts": {"ids": "patom1"}}, "compute 'ids' has 2 columns, 1 are named"),
-        ({}, {"contacts": {"ids": "patom1 patom2"}}, r"lacks \['dx', 'dy', 'dz', 'fx', 'fy', 'fz'\]"),
+        (
+            {},
+            {"contacts": {"ids": "patom1 patom2"}},
+            r"lacks \['dx', 'dy', 'dz', 'fx', 'fy', 'fz'\]",
+        ),
     ],
 )
 def test_simulations_without_needed_data_raise(lmp, arguments, message):
@@ -237,7 +270,10 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
     own = xcg.scene_from_lammps(lammps, contacts=CONTACTS, walls="floor")
     lammps.commands_string("undump dp\nundump dc\nuncompute ids\nuncompute pl")
     dumps = xcg.open_scene(
-        tmp_path / "particles.dump", contacts=tmp_path / "contacts.dump", names=NAMES, walls={"floor": "f_floor[*]"}
+        tmp_path / "particles.dump",
+        contacts=tmp_path / "contacts.dump",
+        names=NAMES,
+        walls={"floor": "f_floor[*]"},
     ).load()
     order = np.lexsort((live.contact_j[0], live.contact_i[0]))
     for scene in (dumps, again, own):
@@ -248,13 +284,22 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
                 a, b = a[order], b[same][-len(order) :]
             np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15 * np.abs(b).max(), err_msg=name)
         for name in ("periodic", "unit_system", "dimension", "wall_names", "d43"):
-            assert live.attrs[name] == pytest.approx(scene.attrs[name]) if name == "d43" else scene.attrs[name]
+            assert (
+                live.attrs[name] == pytest.approx(scene.attrs[name])
+                if name == "d43"
+                else scene.attrs[name]
+            )
         assert live.time.item() == pytest.approx(scene.time.item())
     assert set(dumps.data_vars) <= set(live.data_vars)
     fields = ["density", "velocity", "stress", "wall_traction"]
-    f, g = (ds.cg.coarse_grain(fields, axes="z", bounds={"z": (0, 0.01)}, spacing=0.001) for ds in (live, dumps))
+    f, g = (
+        ds.cg.coarse_grain(fields, axes="z", bounds={"z": (0, 0.01)}, spacing=0.001)
+        for ds in (live, dumps)
+    )
     for name in fields:
-        np.testing.assert_allclose(f[name], g[name], rtol=1e-10, atol=1e-12 * float(np.abs(g[name]).max()))
+        np.testing.assert_allclose(
+            f[name], g[name], rtol=1e-10, atol=1e-12 * float(np.abs(g[name]).max())
+        )
 
 
 def test_the_dumps_of_the_documentation(lammps, tmp_path):
@@ -265,7 +310,11 @@ def test_the_dumps_of_the_documentation(lammps, tmp_path):
     lammps.command("run 1000 post no")
     live = xcg.scene_from_lammps(lammps)
     lammps.commands_string("undump p\nundump c\nuncompute ids\nuncompute pl")
-    ds = xcg.open_scene(tmp_path / "particles.*.dump", contacts=tmp_path / "contacts.*.dump").isel(time=-1).load()
+    ds = (
+        xcg.open_scene(tmp_path / "particles.*.dump", contacts=tmp_path / "contacts.*.dump")
+        .isel(time=-1)
+        .load()
+    )
     assert ds.step.item() == live.step.item()
     assert ds.time.item() == pytest.approx(live.time.item())
     assert (ds.contact_i > 0).sum() == live.sizes["contact"] > 100
@@ -288,7 +337,9 @@ def test_the_binary_dump_of_the_documentation(lammps, tmp_path):
 
 
 def test_fields_are_recorded_while_it_runs(lammps, tmp_path):
-    with xcg.record(tmp_path / "live.nc", ["density"], axes="z", width=0.001, bounds={"z": (0, 0.01)}) as live:
+    with xcg.record(
+        tmp_path / "live.nc", ["density"], axes="z", width=0.001, bounds={"z": (0, 0.01)}
+    ) as live:
         for _ in range(3):
             lammps.command("run 100 post no")
             live.append(xcg.scene_from_lammps(lammps, walls="floor"))

@@ -80,7 +80,9 @@ def test_only_changed_files_are_read_again(series, scanned, tmp_path):
     open_scene(series[0])
     write(tmp_path / "p.10.dump", dump_text(step=10, before="ITEM: TIME\n1.5\n"))  # another size
     at = os.stat(tmp_path / "p.20.dump").st_mtime_ns
-    write(tmp_path / "p.20.dump", dump_text(step=20, before="ITEM: TIME\n4.0\n"))  # the same size, another time
+    write(
+        tmp_path / "p.20.dump", dump_text(step=20, before="ITEM: TIME\n4.0\n")
+    )  # the same size, another time
     os.utime(tmp_path / "p.20.dump", ns=(at, at + 1))
     write(tmp_path / "p.30.dump", dump_text(step=30, before="ITEM: TIME\n5.0\n"))  # one more
     scanned.clear()

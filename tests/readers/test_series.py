@@ -36,7 +36,9 @@ def test_files_are_in_natural_order(tmp_path):
     sorted(["1a", "a1", "", "1", "a"], key=natural_key)  # numbers and text are never compared
     for name in names[:3]:
         write(tmp_path / name, "")
-    assert [Path(path).name for path in expand_paths(tmp_path / "p*.dump", "particles")] == names[:3]
+    assert [Path(path).name for path in expand_paths(tmp_path / "p*.dump", "particles")] == names[
+        :3
+    ]
 
 
 def test_lists_keep_their_order(tmp_path):
@@ -50,8 +52,14 @@ def test_lists_keep_their_order(tmp_path):
 @pytest.mark.parametrize(
     ("path", "match"),
     [
-        ("particle.*.dump", r"contacts='.*particle\.\*\.dump': no file matches .* 2 files, .*'particles.10.dump'"),
-        ("particles.11.dump", "no such file; the folder .* holds 2 files, among them 'particles.10.dump'"),
+        (
+            "particle.*.dump",
+            r"contacts='.*particle\.\*\.dump': no file matches .* 2 files, .*'particles.10.dump'",
+        ),
+        (
+            "particles.11.dump",
+            "no such file; the folder .* holds 2 files, among them 'particles.10.dump'",
+        ),
         ("nowhere/*.dump", "the folder '.*nowhere' does not exist"),
         ("empty/*.dump", "the folder '.*empty' holds no files"),
         ("**/nothing", "no file matches this pattern"),
@@ -94,7 +102,9 @@ def test_a_series_is_opened_as_a_lazy_scene(series):
 
 
 def test_types_of_the_graph_equal_those_of_the_arrays(series):
-    scene = open_scene(series[0], contacts=series[1], frozen=2, names={"vx": "colour", "vy": None, "vz": None})
+    scene = open_scene(
+        series[0], contacts=series[1], frozen=2, names={"vx": "colour", "vy": None, "vz": None}
+    )
     computed = scene.compute()
     for name, values in scene.data_vars.items():
         assert values.dtype == computed[name].dtype
@@ -108,7 +118,10 @@ INTEGERS = ("particle_id", "species", "frozen", "contact_i", "contact_j")
 def test_steps_of_different_length_are_padded(tmp_path):
     for step, rows in enumerate((ROWS[1:2], ROWS, [])):
         write(tmp_path / f"p.{step}.dump", dump_text(rows, step=step))
-        write(tmp_path / f"c.{step}.dump", pairs_text(["1 2 1 0 0 0 0 0"] * (len(rows) - 2), step=step))
+        write(
+            tmp_path / f"c.{step}.dump",
+            pairs_text(["1 2 1 0 0 0 0 0"] * (len(rows) - 2), step=step),
+        )
     for chunks in (1, 2, -1):
         scene = open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*", chunks=chunks).compute()
         np.testing.assert_array_equal(scene.particle_id, [[1, -1, -1], [1, 2, 3], [-1, -1, -1]])
@@ -128,7 +141,9 @@ def test_extent_covers_the_first_and_the_last_step(tmp_path):
 
 
 def test_opening_reads_the_first_and_the_last_particles_only(series, reads):
-    with dask.config.set(scheduler=lambda *args, **kwargs: pytest.fail("computed while the graph was built")):
+    with dask.config.set(
+        scheduler=lambda *args, **kwargs: pytest.fail("computed while the graph was built")
+    ):
         open_scene(series[0], contacts=series[1])
     assert reads == {("particles", 0): 1, ("particles", 20): 1}
 
@@ -163,7 +178,9 @@ def test_contacts_of_one_step_touch_that_step_only(series, reads):
 def test_chunks_are_as_requested(series, chunks, expected):
     scene = open_scene(series[0], contacts=series[1], chunks=chunks)
     assert scene.contact_point.chunks == (expected, (1,), (3,))
-    xr.testing.assert_identical(scene.compute(), open_scene(series[0], contacts=series[1]).compute())
+    xr.testing.assert_identical(
+        scene.compute(), open_scene(series[0], contacts=series[1]).compute()
+    )
 
 
 @pytest.mark.parametrize("chunks", [0, -2, 1.5])
@@ -172,7 +189,9 @@ def test_wrong_chunks_raise(series, chunks):
         open_scene(series[0], chunks=chunks)
 
 
-@pytest.mark.parametrize("chunks", ["often", True, {"particle": 2}, {"time": 0}, (1, 1), (4, -1), [[3]], {"time": {}}])
+@pytest.mark.parametrize(
+    "chunks", ["often", True, {"particle": 2}, {"time": 0}, (1, 1), (4, -1), [[3]], {"time": {}}]
+)
 def test_chunks_that_xarray_would_refuse(series, chunks):
     with pytest.raises(SceneError, match=r"chunks=.*: expected"):
         open_scene(series[0], chunks=chunks)
@@ -228,7 +247,9 @@ def test_the_graph_pickles(series, computing):
 def test_files_that_changed_are_noticed(series, tmp_path):
     scene = open_scene(series[0], contacts=series[1], chunks=1)
     write(tmp_path / "p.10.dump", dump_text(step=10))
-    with pytest.raises(SceneError, match=r"p\.10\.dump \(step 10\): the file has \d+ bytes, but had \d+"):
+    with pytest.raises(
+        SceneError, match=r"p\.10\.dump \(step 10\): the file has \d+ bytes, but had \d+"
+    ):
         scene.position.compute()
     (tmp_path / "c.20.dump").unlink()
     with pytest.raises(SceneError, match=r"c\.20\.dump \(step 20\): the file is gone"):
@@ -248,7 +269,9 @@ def test_a_changed_file_of_equal_size_is_noticed(tmp_path):
 
 
 def test_bodies_are_checked_when_they_are_read(tmp_path, series):
-    write(tmp_path / "c.10.dump", pairs_text(["1 7 1 0 0 0 0 0"], step=10, before="ITEM: TIME\n1.0\n"))
+    write(
+        tmp_path / "c.10.dump", pairs_text(["1 7 1 0 0 0 0 0"], step=10, before="ITEM: TIME\n1.0\n")
+    )
     scene = open_scene(series[0], contacts=series[1])
     with pytest.raises(SceneError, match=r"c\.10\.dump \(step 10\): contact row 0 has contact_j=7"):
         scene.contact_i.compute()
@@ -269,9 +292,13 @@ def test_unknown_ids_can_be_walls(tmp_path):
 def test_contacts_that_start_later(series, tmp_path):
     particles, contacts = series
     (tmp_path / "c.0.dump").unlink()
-    with pytest.raises(SceneError, match=r"1 of 3 steps of the particles \(.*p\.0\.dump.*missing='skip'"):
+    with pytest.raises(
+        SceneError, match=r"1 of 3 steps of the particles \(.*p\.0\.dump.*missing='skip'"
+    ):
         open_scene(particles, contacts=contacts)
-    with pytest.warns(SceneWarning, match=r"1 of 3 steps have no contacts and are left out: .*p\.0\.dump"):
+    with pytest.warns(
+        SceneWarning, match=r"1 of 3 steps have no contacts and are left out: .*p\.0\.dump"
+    ):
         scene = open_scene(particles, contacts=contacts, missing="skip")
     np.testing.assert_array_equal(scene.time, [1, 2])
     np.testing.assert_array_equal(scene.contact_i.compute(), [[1], [1]])
@@ -300,7 +327,9 @@ def test_time_pairs_before_the_step_number(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("times", "near"), [((0.0, 1.0, 11.0), 1e-3), ((0.0, 10.0, 10.5), 0.5e-3), ((7.0,), 7e-6)], ids=str
+    ("times", "near"),
+    [((0.0, 1.0, 11.0), 1e-3), ((0.0, 10.0, 10.5), 0.5e-3), ((7.0,), 7e-6)],
+    ids=str,
 )
 def test_times_pair_within_a_thousandth_of_the_shortest_interval(tmp_path, times, near):
     """For a single step it is a millionth of the time."""
@@ -308,13 +337,17 @@ def test_times_pair_within_a_thousandth_of_the_shortest_interval(tmp_path, times
         for step, time in enumerate(times):
             off = share * near if step == len(times) - 1 else 0.0
             write(tmp_path / f"p.{step}.dump", dump_text(step=step, before=f"ITEM: TIME\n{time}\n"))
-            text = pairs_text(["1 2 5 0 0 0 0 0"], step=step, before=f"ITEM: TIME\n{time + off:.12g}\n")
+            text = pairs_text(
+                ["1 2 5 0 0 0 0 0"], step=step, before=f"ITEM: TIME\n{time + off:.12g}\n"
+            )
             write(tmp_path / f"c.{step}.dump", text)
         if paired:
             scene = open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
             assert (scene.contact_force[:, 0, 0] == 5).all()
         else:
-            with pytest.raises(SceneError, match=f"no step with the same time for 1 of {len(times)} steps"):
+            with pytest.raises(
+                SceneError, match=f"no step with the same time for 1 of {len(times)} steps"
+            ):
                 open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
 
 
@@ -365,12 +398,18 @@ def test_times_of_the_caller_are_taken(series):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (dump_text([f"{row} 1" for row in ROWS], ATOMS + " q", step=30), "column 'q' is in the second only"),
+        (
+            dump_text([f"{row} 1" for row in ROWS], ATOMS + " q", step=30),
+            "column 'q' is in the second only",
+        ),
         (
             dump_text(columns=ATOMS.replace("mass", "density"), step=30),
             "column 'mass' is in the first only; column 'density' is in the second only",
         ),
-        (dump_text(step=30, box=BOX.replace("pp ff", "ff ff")), "periodic: 'xy' became 'x' .*periodic="),
+        (
+            dump_text(step=30, box=BOX.replace("pp ff", "ff ff")),
+            "periodic: 'xy' became 'x' .*periodic=",
+        ),
         (dump_text(step=30, box=""), "the box is in the first only"),
         (dump_text(step=30, before="ITEM: UNITS\nlj\n"), "units: 'si' became 'lj'"),
         (dump_text(step=30, before="ITEM: TIME\n3\n"), "the time is in the second only"),
@@ -426,7 +465,9 @@ def test_units_are_read_from_headers(tmp_path, system, units, length, mass, time
     np.testing.assert_allclose(scene.position[0, 0], np.array([1, 1, 1]) * length)
     np.testing.assert_allclose(scene.velocity[0, 0], np.array([0.1, 0.2, 0.3]) * length / time)
     np.testing.assert_allclose(scene.mass, mass)
-    np.testing.assert_allclose(scene.contact_force[0, 0], np.array([-9, 1, 0]) * mass * length / time**2)
+    np.testing.assert_allclose(
+        scene.contact_force[0, 0], np.array([-9, 1, 0]) * mass * length / time**2
+    )
     np.testing.assert_allclose(scene.box[0, 0], [0, 10 * length])
     np.testing.assert_allclose(scene.contact_point[0, 0], np.array([1.45, 1, 1.25]) * length)
 
@@ -460,7 +501,11 @@ def test_files_without_a_box(tmp_path):
 def test_dimension_is_detected(tmp_path):
     path = write(tmp_path / "p.dump", dump_text(["1 1 5 2", "2 2 5 3", "3 4 5 2"], "id x y z"))
     scene = open_scene(path, periodic="xy", box=[[0, 9]] * 3)
-    assert (scene.attrs["dimension"], scene.attrs["plane"], scene.attrs["periodic"]) == (2, "xz", "xy")
+    assert (scene.attrs["dimension"], scene.attrs["plane"], scene.attrs["periodic"]) == (
+        2,
+        "xz",
+        "xy",
+    )
     assert open_scene(path).attrs["periodic"] == "x"  # the header's "xy" has y across the plane
     assert open_scene(path, dimension=3).attrs["dimension"] == 3
     assert open_scene(path, plane="yz").attrs["plane"] == "yz"
@@ -493,7 +538,10 @@ def test_sizes_from_volumes(tmp_path):
 
 @pytest.mark.parametrize("column", ["mass", "density"])
 def test_variables_of_files_take_precedence_over_density(tmp_path, column):
-    path = write(tmp_path / "p.dump", dump_text(["1 1 5 2 7", "2 2 6 2 7", "3 4 5 2 7"], f"id x y radius {column}"))
+    path = write(
+        tmp_path / "p.dump",
+        dump_text(["1 1 5 2 7", "2 2 6 2 7", "3 4 5 2 7"], f"id x y radius {column}"),
+    )
     with_it, without = (open_scene(path, **given).compute() for given in ({"density": 2.0}, {}))
     for name in ("mass", "density"):
         np.testing.assert_array_equal(with_it[name], without[name])
@@ -514,18 +562,26 @@ def test_frozen_species_are_marked(series):
 
 
 def test_wrong_arguments_raise(series, tmp_path):
-    with pytest.raises(SceneError, match=r"unknown engine 'lamps'; did you mean 'lammps'\? Expected one of lammps, "):
+    with pytest.raises(
+        SceneError,
+        match=r"unknown engine 'lamps'; did you mean 'lammps'\? Expected one of lammps, ",
+    ):
         open_scene(series[0], engine="lamps")
-    with pytest.raises(SceneError, match="no argument 'periodc' for the engine 'lammps'; did you mean 'periodic'"):
+    with pytest.raises(
+        SceneError, match="no argument 'periodc' for the engine 'lammps'; did you mean 'periodic'"
+    ):
         open_scene(series[0], periodc="x")
     with pytest.raises(SceneError, match="no argument 'restart' for the engine 'lammps'"):
         open_scene(series[0], restart="x")
     path = write(tmp_path / "q.dump", dump_text(["1 1 5 2 3"], "id x y z c_nc"))
     with pytest.raises(
-        SceneError, match=r"names=\{'c_cn': ...\}: unknown column 'c_cn'; did you mean 'c_nc'\? Columns are "
+        SceneError,
+        match=r"names=\{'c_cn': ...\}: unknown column 'c_cn'; did you mean 'c_nc'\? Columns are ",
     ):
         open_scene(path, names={"c_cn": "coordination_number"})
-    with pytest.raises(SceneError, match=r"no engine recognises .*x\.txt; name one with engine=: lammps, lig"):
+    with pytest.raises(
+        SceneError, match=r"no engine recognises .*x\.txt; name one with engine=: lammps, lig"
+    ):
         open_scene(write(tmp_path / "x.txt", "hello\n"))
     with pytest.raises(SceneError, match=r"x\.txt: the file is empty; write it again"):
         open_scene(write(tmp_path / "x.txt", ""))
@@ -543,7 +599,9 @@ def test_the_chute_opens_without_warnings():
     folder = shared_data("lammps_chute")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene = open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2)
+        scene = open_scene(
+            folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2
+        )
     assert scene.sizes["time"] == 6
     assert scene.sizes["particle"] == 4398
     assert (scene.attrs["unit_system"], scene.attrs["periodic"]) == ("reduced", "xy")

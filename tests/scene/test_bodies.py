@@ -31,7 +31,9 @@ def test_bodies_have_mass_centre_velocity_and_contacts(lazy):
     assert b.particle_id.values.tolist() == [3, 7, 22, -1, -1]
     assert b.mass.values[:3].tolist() == [4.0, 4.0, 5.0]
     x = b.position.values[:3]
-    assert (x[1, 0] - 9.95) % 10 == pytest.approx(0, abs=1e-12)  # (1 x 10.1 + 3 x 9.9) / 4, around the edge
+    assert (x[1, 0] - 9.95) % 10 == pytest.approx(
+        0, abs=1e-12
+    )  # (1 x 10.1 + 3 x 9.9) / 4, around the edge
     np.testing.assert_allclose(x[[0, 2]], [[1.2, 5, 5], [5, 5, 5]])
     np.testing.assert_allclose(b.velocity.values[:3], [[0, 3, 0], [0.25, 0, 0], [0, 0, 1]])
     np.testing.assert_allclose(b.volume.values[:3], np.pi / 6 * 0.6**3 * np.array([2, 2, 1]))
@@ -44,7 +46,13 @@ def test_bodies_have_mass_centre_velocity_and_contacts(lazy):
 def test_sums_of_bodies_equal_those_of_their_spheres():
     ds = dimers()
     bodies = ds.cg.group_bodies()
-    options = {"axes": "x", "width": 0.5, "spacing": 0.05, "extent": {"y": 10, "z": 10}, "bounds": {"x": (0, 9.95)}}
+    options = {
+        "axes": "x",
+        "width": 0.5,
+        "spacing": 0.05,
+        "extent": {"y": 10, "z": 10},
+        "bounds": {"x": (0, 9.95)},
+    }
     both = [s.cg.coarse_grain(["density", "momentum_density", "contact_stress", "wall_traction"], **options)
             for s in (ds, bodies)]  # fmt: skip
     for name in ("density", "momentum_density", "wall_traction"):
@@ -89,9 +97,13 @@ def test_spheres_of_a_body_must_agree(name):
 def test_sizes_of_bodies_of_a_lazy_scene_are_measured_or_given():
     lazy = dimers(box=[[0, 10.0], [-np.inf, np.inf], [-np.inf, np.inf]]).chunk(time=1)
     options = {"axes": "y", "extent": {"z": 9.0}, "by_body": "body_id"}
-    for given, lacking in (({}, "needs the attribute 'd43'"), ({"width": 1.0}, "axis 'y' has no bounds")):
+    for given, lacking in (
+        ({}, "needs the attribute 'd43'"),
+        ({"width": 1.0}, "axis 'y' has no bounds"),
+    ):
         with pytest.raises(
-            ValueError, match=rf"{lacking}.*group_bodies\(\.\.\.\)\.cg\.measure\(\) in place of by_body="
+            ValueError,
+            match=rf"{lacking}.*group_bodies\(\.\.\.\)\.cg\.measure\(\) in place of by_body=",
         ):
             lazy.cg.coarse_grain("density", **given, **options)
     whole = lazy.compute().cg.coarse_grain("density", **options)

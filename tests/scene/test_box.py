@@ -16,7 +16,11 @@ def steps_of(edges=EDGES, **options):
     names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
     key = {"contact": "contact_i", "particle": "particle_id"}
     rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
-    given = {"density": 2500.0, "box": [[[0, edge]] * 3 for edge in edges], "periodic": "xyz"} | rows | options
+    given = (
+        {"density": 2500.0, "box": [[[0, edge]] * 3 for edge in edges], "periodic": "xyz"}
+        | rows
+        | options
+    )
     return xcg.scene_from_arrays([s.position.values[0] for s in steps], **given), steps
 
 
@@ -40,10 +44,16 @@ def test_axes_that_keep_their_period_have_neighbours_across_its_edges(lazy):
     """One axis of three is stretched: differences along the others go on across the edges."""
     ds = xcg.datasets.random_scene(150, seed=1, edge=6.0)
     box = np.array([[[0.0, 6.0], [0.0, 6.0], [0.0, 6.0 + t]] for t in range(3)])
-    ds = xr.concat([ds] * 3, "time").assign(box=(("time", "component", "bound"), box), time=[0.0, 1.0, 2.0])
-    ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if not k.startswith("box_")})
+    ds = xr.concat([ds] * 3, "time").assign(
+        box=(("time", "component", "bound"), box), time=[0.0, 1.0, 2.0]
+    )
+    ds = ds.drop_attrs(deep=False).assign_attrs(
+        {k: v for k, v in ds.attrs.items() if not k.startswith("box_")}
+    )
     ds = ds.chunk({"time": 1}).assign(box=ds.box) if lazy else ds
-    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], axes="xz", width=1.2, gradient="finite_difference")
+    f = ds.cg.coarse_grain(
+        ["velocity", "velocity_gradient"], axes="xz", width=1.2, gradient="finite_difference"
+    )
     assert f.attrs["wrapped_axes"] == "x"
     v, step = f.velocity, float(f.x[1] - f.x[0])
     want = (v.isel(x=1) - v.isel(x=-1)) / (2 * step)
@@ -66,8 +76,12 @@ def test_finite_differences_at_the_edge_of_a_box_that_changed(t):
     """Nodes that fill the period of the first step, against the slope of V on a mesh that goes on beyond them."""
     ds, _ = steps_of(edges=(10.0, 8.0, 6.0))
     options = {"axes": "x", "width": 2.0, "spacing": 0.05}
-    f = ds.cg.coarse_grain("velocity_gradient", gradient="finite_difference", **options).isel(time=t)
-    beyond = ds.cg.coarse_grain("velocity", **options, bounds={"x": (-0.1, 10.1)}).velocity.isel(time=t)
+    f = ds.cg.coarse_grain("velocity_gradient", gradient="finite_difference", **options).isel(
+        time=t
+    )
+    beyond = ds.cg.coarse_grain("velocity", **options, bounds={"x": (-0.1, 10.1)}).velocity.isel(
+        time=t
+    )
     slope = np.gradient(beyond.values, 0.05, axis=0)[2 : 2 + f.sizes["x"]]
     scale = np.abs(slope).max()
     np.testing.assert_allclose(f.velocity_gradient.sel(direction="x"), slope, atol=2e-3 * scale)
@@ -96,9 +110,12 @@ def slices_by_hand(ds, t, method, edge, nodes, width, planes):
                 weight = m[grain] * (-width / 2 <= off < width / 2)
                 if method == "planes":
                     cuts = (
-                        (1 - abs(k) / (planes + 1), off - k * width / (2 * planes)) for k in range(-planes, planes + 1)
+                        (1 - abs(k) / (planes + 1), off - k * width / (2 * planes))
+                        for k in range(-planes, planes + 1)
                     )
-                    weight = sum(share * np.pi * max((d[grain] / 2) ** 2 - h**2, 0.0) for share, h in cuts)
+                    weight = sum(
+                        share * np.pi * max((d[grain] / 2) ** 2 - h**2, 0.0) for share, h in cuts
+                    )
                 if weight > 0:
                     seen.add(grain)
                     total, momentum = total + weight, momentum + weight * v[grain]
@@ -122,15 +139,23 @@ def test_slices_count_every_image_in_the_box_of_each_step(method):
             one = scene.cg.slice_temperature(**options)
             for name in s.data_vars:
                 np.testing.assert_allclose(one[name][0], s[name][t], rtol=1e-6, atol=1e-9)
-        default = [scene.cg.slice_temperature("x", method=method, width=0.8) for scene in (alone[t], away)]
+        default = [
+            scene.cg.slice_temperature("x", method=method, width=0.8) for scene in (alone[t], away)
+        ]
         assert default[1].sizes["x"] == default[0].sizes["x"]
         assert default[1].sample_count.sum() == default[0].sample_count.sum()
 
 
 def test_regions_across_an_edge_against_a_loop_over_images():
     ds, alone = steps_of(edges=(10.0, 8.0))
-    bounds = {"across": {"x": (7.0, 11.5), "y": (-1.0, 2.0)}, "far": {"z": (-33.0, -27.5)}, "inside": {"y": (1.0, 2.0)}}
-    far = np.random.default_rng(0).integers(-5, 6, (2, 150, 3)) * np.array([10.0, 8.0])[:, None, None]
+    bounds = {
+        "across": {"x": (7.0, 11.5), "y": (-1.0, 2.0)},
+        "far": {"z": (-33.0, -27.5)},
+        "inside": {"y": (1.0, 2.0)},
+    }
+    far = (
+        np.random.default_rng(0).integers(-5, 6, (2, 150, 3)) * np.array([10.0, 8.0])[:, None, None]
+    )
     for scene in (ds, ds.assign(position=ds.position + far)):
         m = scene.cg.microstructure(["volume_fraction", "particle_count"], bounds=bounds)
         for t, edge in enumerate((10.0, 8.0)):
@@ -157,17 +182,22 @@ def test_regions_wider_than_the_period_raise():
         bounded = alone[0].cg.microstructure("volume_fraction", bounds={"x": (low, low + 10.0)})
         assert bounded.volume_fraction.item() == pytest.approx(whole, rel=1e-12)
     with pytest.raises(
-        xcg.SceneError, match="step 1: the region reaches from 0 to 9 along 'x', further than the period 8"
+        xcg.SceneError,
+        match="step 1: the region reaches from 0 to 9 along 'x', further than the period 8",
     ):
         ds.cg.microstructure("volume_fraction", bounds={"x": (0, 9)})
 
 
-@pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0], [np.nan] * 3])
+@pytest.mark.parametrize(
+    "times", [[0.0, 2.0, 1.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0], [np.nan] * 3]
+)
 def test_times_that_do_not_rise_raise(times):
     with pytest.raises(xcg.SceneError, match="a scene needs finite times that rise"):
         steps_of(time=times)
     ds = steps_of()[0].assign_coords(time=times)
-    with pytest.raises(xcg.SceneError, match=r"the strain rate of the box needs finite times .*sortby"):
+    with pytest.raises(
+        xcg.SceneError, match=r"the strain rate of the box needs finite times .*sortby"
+    ):
         ds.cg.microstructure("strain_rate", strain_rate="box")
     with pytest.raises(xcg.SceneError, match="balance needs finite times"):
         ds.cg.balance(axes="x", width=1.0)

@@ -13,9 +13,15 @@ D = RNG.uniform(0.5, 1.0, 5)
 
 def test_values_given_once_equal_values_for_each_step():
     own = RNG.uniform(size=(5, 3))
-    once = xcg.scene_from_arrays([R, R + 0.1], diameter=D, density=2500.0, species=[1, 1, 2, 2, 1], spin=own)
+    once = xcg.scene_from_arrays(
+        [R, R + 0.1], diameter=D, density=2500.0, species=[1, 1, 2, 2, 1], spin=own
+    )
     each = xcg.scene_from_arrays(
-        [R, R + 0.1], diameter=[D, D], density=2500.0, species=[[1, 1, 2, 2, 1]] * 2, spin=[own, own]
+        [R, R + 0.1],
+        diameter=[D, D],
+        density=2500.0,
+        species=[[1, 1, 2, 2, 1]] * 2,
+        spin=[own, own],
     )
     assert once.identical(each)
 
@@ -30,20 +36,27 @@ def test_ids_given_once_hold_for_all_steps():
 def test_ids_that_differ_between_steps_raise():
     ids = [[1, 2, 3, 4, 5], [1, 2, 3, 5, 4]]
     with pytest.raises(
-        SceneError, match=r"'diameter' is given once for 2 steps, and the ids of step 1 are not those of"
+        SceneError,
+        match=r"'diameter' is given once for 2 steps, and the ids of step 1 are not those of",
     ):
         xcg.scene_from_arrays([R, R + 0.1], particle_id=ids, diameter=D, density=2500.0)
 
 
 def test_steps_of_different_length_raise():
     with pytest.raises(
-        SceneError, match=r"'diameter' is given once for 2 steps, and the steps have \[4, 5\] particles"
+        SceneError,
+        match=r"'diameter' is given once for 2 steps, and the steps have \[4, 5\] particles",
     ):
         xcg.scene_from_arrays([R, R[:4]], diameter=D, density=2500.0)
 
 
 def test_contacts_must_be_given_for_each_step():
-    contacts = {"contact_i": [0], "contact_j": [1], "contact_force": [[1.0, 0, 0]], "contact_point": [[0.0, 0, 0]]}
+    contacts = {
+        "contact_i": [0],
+        "contact_j": [1],
+        "contact_force": [[1.0, 0, 0]],
+        "contact_point": [[0.0, 0, 0]],
+    }
     with pytest.raises(SceneError, match="different numbers of steps"):
         xcg.scene_from_arrays([R, R + 0.1], diameter=D, density=2500.0, **contacts)
 

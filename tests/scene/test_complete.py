@@ -17,7 +17,11 @@ EDGE = 1.45
 
 def grains(seed=0, count=4):
     rng = np.random.default_rng(seed)
-    return rng.uniform(0, EDGE, (count, 3)), rng.uniform(0.9, 1.3, count), rng.normal(size=(count, 3))
+    return (
+        rng.uniform(0, EDGE, (count, 3)),
+        rng.uniform(0.9, 1.3, count),
+        rng.normal(size=(count, 3)),
+    )
 
 
 def scene(copies, seed=0, **options):
@@ -50,16 +54,31 @@ def test_found_contacts_and_all_that_follows_as_in_a_larger_box(seed, lazy):
     small, large = (scene(copies, seed) for copies in (1, 3))
     if lazy:
         small = small.chunk(time=1)
-    small, large = small.cg.find_contacts(k_n=1.0, max_contacts=60 if lazy else None), large.cg.find_contacts(k_n=1.0)
+    small, large = (
+        small.cg.find_contacts(k_n=1.0, max_contacts=60 if lazy else None),
+        large.cg.find_contacts(k_n=1.0),
+    )
     expected = sorted(((i, j, *branch) for i, j, branch in by_hand(*grains(seed)[:2])), key=rounded)
-    i, j = (small[name].values[0][small.contact_i.values[0] >= 0] for name in ("contact_i", "contact_j"))
+    i, j = (
+        small[name].values[0][small.contact_i.values[0] >= 0] for name in ("contact_i", "contact_j")
+    )
     diameter, overlap = small.diameter.values[0], small.overlap.values[0][: len(i)]
-    branch = ((diameter[i] + diameter[j]) / 2 - overlap)[:, None] * small.contact_normal.values[0][: len(i)]
-    np.testing.assert_allclose(sorted(zip(i, j, *branch.T, strict=True), key=rounded), expected, rtol=1e-12)
+    branch = ((diameter[i] + diameter[j]) / 2 - overlap)[:, None] * small.contact_normal.values[0][
+        : len(i)
+    ]
+    np.testing.assert_allclose(
+        sorted(zip(i, j, *branch.T, strict=True), key=rounded), expected, rtol=1e-12
+    )
     assert len(expected) > len({row[:2] for row in expected})  # some touch on several sides
     assert (large.contact_i.values >= 0).sum() == 27 * len(expected)
 
-    fields = ["contact_stress", "fabric", "coordination_number", "contact_force_density", "kinetic_stress"]
+    fields = [
+        "contact_stress",
+        "fabric",
+        "coordination_number",
+        "contact_force_density",
+        "kinetic_stress",
+    ]
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.5, "width": 0.4}
     both = [ds.cg.coarse_grain(fields, **options) for ds in (small, large)]
     own = [ds.cg.particle_stress().stress.values[0, :3] for ds in (small, large)]
@@ -77,7 +96,8 @@ def dumps(tmp_path, columns="id1 id2 dx dy dz fnx fny fnz", sign=1.0):
     """A dump of the small box with a force along each branch, and the scene's stress by hand."""
     position, diameter, _ = grains()
     atoms = [
-        f"{k + 1} 1 {x} {y} {z} {d / 2} 1" for k, ((x, y, z), d) in enumerate(zip(position, diameter, strict=True))
+        f"{k + 1} 1 {x} {y} {z} {d / 2} 1"
+        for k, ((x, y, z), d) in enumerate(zip(position, diameter, strict=True))
     ]
     rows, stress = [], np.zeros((3, 3))
     for k, (i, j, branch) in enumerate(by_hand(position, diameter)):
@@ -86,9 +106,15 @@ def dumps(tmp_path, columns="id1 id2 dx dy dz fnx fny fnz", sign=1.0):
         if k % 2:  # either may come first
             i, j, branch, force = j, i, -branch, -force
         given = {f"d{a}": sign * x for a, x in zip("xyz", branch, strict=True)}
-        given |= {f"fn{a}": x for a, x in zip("xyz", force, strict=True)} | {"id1": i + 1, "id2": j + 1}
+        given |= {f"fn{a}": x for a, x in zip("xyz", force, strict=True)} | {
+            "id1": i + 1,
+            "id2": j + 1,
+        }
         rows.append(
-            " ".join(repr(float(given[c])) if c not in ("id1", "id2") else str(given[c]) for c in columns.split())
+            " ".join(
+                repr(float(given[c])) if c not in ("id1", "id2") else str(given[c])
+                for c in columns.split()
+            )
         )
     box = "ITEM: BOX BOUNDS pp pp pp\n" + f"0 {EDGE}\n" * 3
     particles = write(tmp_path / "p.dump", dump_text(atoms, "id type x y z radius mass", box=box))
@@ -110,7 +136,9 @@ def test_branches_in_a_dump_choose_the_images(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*only normal forces")
 def test_ambiguous_images_raise(tmp_path):
     particles, contacts, _ = dumps(tmp_path, "id1 id2 fnx fny fnz")
-    with pytest.raises(xcg.SceneError, match=r"may be on either side.*names=\{'dx': 'contact_branch_x'"):
+    with pytest.raises(
+        xcg.SceneError, match=r"may be on either side.*names=\{'dx': 'contact_branch_x'"
+    ):
         xcg.open_scene(particles, contacts=contacts).contact_point.compute()
     particles, contacts, _ = dumps(tmp_path, sign=-1.0)
     ds = xcg.open_scene(particles, contacts=contacts)
@@ -124,7 +152,9 @@ def test_ambiguous_images_raise(tmp_path):
 def test_grains_that_touch_themselves_raise():
     one = {"diameter": [1.1], "density": 1.0, "box": [[0, 1.0], [0, 5], [0, 5]], "periodic": "xy"}
     ds = xcg.scene_from_arrays([[0.5, 0.5, 0.5]], particle_id=[7], **one)
-    with pytest.raises(xcg.SceneError, match=r"particle 7 of diameter 1.1 touches its own image.*along 'x' is 1"):
+    with pytest.raises(
+        xcg.SceneError, match=r"particle 7 of diameter 1.1 touches its own image.*along 'x' is 1"
+    ):
         ds.cg.find_contacts()
     assert ds.assign(frozen=ds.particle_id * 0 + 1).cg.find_contacts().sizes["contact"] == 0
     assert ds.assign(diameter=ds.diameter * 0.9).cg.find_contacts().sizes["contact"] == 0
@@ -150,7 +180,9 @@ def test_lattices_of_few_cells_have_their_closed_form_stress():
 
 
 def test_spheres_without_a_body_touch_each_other():
-    ds = xcg.scene_from_arrays([[0.0, 0, 0], [0.9, 0, 0]], diameter=np.ones(2), density=1.0, body_id=[-1, -1])
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [0.9, 0, 0]], diameter=np.ones(2), density=1.0, body_id=[-1, -1]
+    )
     assert ds.cg.find_contacts().sizes["contact"] == 1
 
 
@@ -162,13 +194,17 @@ def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
     plain = []
     for edge in np.geomspace(1.5, 30.0, 40):
         position, diameter = rng.uniform(0.0, edge, (20, 3)), rng.uniform(0.3, 1.5, 40)
-        position = np.concatenate([position, (position + rng.normal(scale=0.5, size=(20, 3))) % edge])
+        position = np.concatenate(
+            [position, (position + rng.normal(scale=0.5, size=(20, 3))) % edge]
+        )
         i, j = np.arange(40).reshape(2, 20)
         box = np.array([[0.0, edge]] * 3)
         lattice = Lattice.of({"box": box}, periodic)
         given = {"contact_i": i, "contact_j": j, "contact_force": rng.normal(size=(20, 3))}
         if seen:
-            given["contact_branch"] = lattice.shortest(position[i] - position[j]) * rng.uniform(0.8, 1.2, (20, 1))
+            given["contact_branch"] = lattice.shortest(position[i] - position[j]) * rng.uniform(
+                0.8, 1.2, (20, 1)
+            )
         particles = {"particle_id": np.arange(40), "position": position, "diameter": diameter}
         found = []
         for closer in (False, True):
@@ -176,7 +212,9 @@ def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
                 if closer:
                     only.setattr(complete, "_plain_points", lambda *_: None)
                 try:
-                    points = complete.complete_contacts(given, particles, lattice, Setup.make(), "box")["contact_point"]
+                    points = complete.complete_contacts(
+                        given, particles, lattice, Setup.make(), "box"
+                    )["contact_point"]
                     found.append(points.tobytes())
                 except xcg.SceneError as error:
                     found.append(str(error))
@@ -191,17 +229,24 @@ def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
 @pytest.mark.parametrize("value", [2.0**53, -(2.0**53), 1e20, 0.5, np.nan, np.inf])
 def test_whole_numbers_that_floats_do_not_hold_raise(name, value):
     x = [[0.0, 0, 0], [2.0, 0, 0]]
-    with pytest.raises(xcg.SceneError, match=f"'{name}' must hold whole numbers below 2.53, but row 1 is "):
+    with pytest.raises(
+        xcg.SceneError, match=f"'{name}' must hold whole numbers below 2.53, but row 1 is "
+    ):
         xcg.scene_from_arrays(x, **{name: [3.0, value]})
     large = 2**53 + 1
     assert xcg.scene_from_arrays(x, **{name: [3, large]})[name][0, 1] == large
-    with pytest.raises(xcg.SceneError, match="but row 0 is 9007199254740992"):  # which 2^53 + 1 became
-        xcg.scene_from_table(pd.DataFrame({"id": [large], "x": 0.0, "y": 0.0, "z": 0.0, "radius": 1.0}), density=1.0)
+    with pytest.raises(
+        xcg.SceneError, match="but row 0 is 9007199254740992"
+    ):  # which 2^53 + 1 became
+        xcg.scene_from_table(
+            pd.DataFrame({"id": [large], "x": 0.0, "y": 0.0, "z": 0.0, "radius": 1.0}), density=1.0
+        )
 
 
 def test_contacts_without_forces_name_the_argument():
     x = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     with pytest.raises(
-        xcg.SceneError, match="contacts lack contact_force; pass contact_force=, or map columns by names="
+        xcg.SceneError,
+        match="contacts lack contact_force; pass contact_force=, or map columns by names=",
     ):
         xcg.scene_from_arrays(x, contact_i=[0], contact_j=[1], contact_point=x[:1])

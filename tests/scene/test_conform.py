@@ -9,8 +9,19 @@ import xcg
 from tests import steps_of_random_scenes
 from xcg import SceneError
 
-FIELDS = ["contact_stress", "kinetic_stress", "volume_fraction", "coordination_number", "wall_traction"]
-MESH = {"fields": FIELDS, "width": 0.8, "spacing": 1.25, "bounds": dict.fromkeys("xyz", (0.0, 3.75))}
+FIELDS = [
+    "contact_stress",
+    "kinetic_stress",
+    "volume_fraction",
+    "coordination_number",
+    "wall_traction",
+]
+MESH = {
+    "fields": FIELDS,
+    "width": 0.8,
+    "spacing": 1.25,
+    "bounds": dict.fromkeys("xyz", (0.0, 3.75)),
+}
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +39,16 @@ def halves(scene):
 
 SAME = {
     "reversed": lambda s: s.isel(particle=slice(None, None, -1)),
-    "shuffled": lambda s: s.isel(particle=np.random.default_rng(0).permutation(s.sizes["particle"])),
+    "shuffled": lambda s: s.isel(
+        particle=np.random.default_rng(0).permutation(s.sizes["particle"])
+    ),
     "joined": lambda s: joined(*halves(s)),
     "joined, minimal": lambda s: joined(*halves(s), data_vars="minimal"),
     "components": lambda s: s.sel(component=["z", "x", "y"]),
     "all chosen": lambda s: s.where(s.diameter > 0),
-    "padding in the middle": lambda s: s.pad(particle=(3, 0)).isel(particle=[5, 4, 0, 1, *range(6, 44), 2, 3]),
+    "padding in the middle": lambda s: s.pad(particle=(3, 0)).isel(
+        particle=[5, 4, 0, 1, *range(6, 44), 2, 3]
+    ),
     "transposed": lambda s: s.transpose("component", "contact", "particle", ...),
 }
 
@@ -52,26 +67,33 @@ def test_results_by_particle_keep_the_rows_of_the_scene(scene, how):
     chains, usual_chains = given.cg.force_chains(min_length=2), scene.cg.force_chains(min_length=2)
     assert (usual_chains.chain_count > 0).all()
     for t in range(2):
-        ids, expected = np.nan_to_num(given.particle_id.isel(time=t), nan=-1), usual.particle_id[t].values
+        ids, expected = (
+            np.nan_to_num(given.particle_id.isel(time=t), nan=-1),
+            usual.particle_id[t].values,
+        )
         np.testing.assert_array_equal(mine.particle_id[t], ids)
         row = np.array([np.flatnonzero(expected == i)[0] for i in ids[ids >= 0]])
         np.testing.assert_array_equal(mine.stress[t].values[ids >= 0], usual.stress[t].values[row])
         assert np.isnan(mine.stress[t].values[ids < 0]).all()
         for name in ("chain_id", "parent_id", "major_stress"):
-            np.testing.assert_array_equal(chains[name][t].values[ids >= 0], usual_chains[name][t].values[row])
+            np.testing.assert_array_equal(
+                chains[name][t].values[ids >= 0], usual_chains[name][t].values[row]
+            )
     upper = usual_chains.cg.select_chains(min_stress=float(usual.major_stress.median()))
     kept = chains.cg.select_chains(min_stress=float(usual.major_stress.median()))
     np.testing.assert_array_equal(kept.chain_count, upper.chain_count)
-    assert set(map(tuple, chains.cg.link_table()[["time", "particle_i", "particle_j"]].values)) == set(
-        map(tuple, usual_chains.cg.link_table()[["time", "particle_i", "particle_j"]].values)
-    )
+    assert set(
+        map(tuple, chains.cg.link_table()[["time", "particle_i", "particle_j"]].values)
+    ) == set(map(tuple, usual_chains.cg.link_table()[["time", "particle_i", "particle_j"]].values))
 
 
 def test_bodies_and_microstructure_of_shuffled_rows(scene):
     glued = scene.assign(body_id=(scene.particle_id // 2).where(scene.particle_id >= 0, -1))
     glued = glued.drop_vars("species")  # which differ within bodies
     shuffled = SAME["shuffled"](glued)
-    xr.testing.assert_allclose(shuffled.cg.group_bodies().drop_attrs(), glued.cg.group_bodies().drop_attrs())
+    xr.testing.assert_allclose(
+        shuffled.cg.group_bodies().drop_attrs(), glued.cg.group_bodies().drop_attrs()
+    )
     names = ["coordination_number", "stress", "fabric", "volume_fraction"]
     xr.testing.assert_allclose(
         shuffled.cg.microstructure(names).drop_attrs(), glued.cg.microstructure(names).drop_attrs()
@@ -82,9 +104,15 @@ def test_one_step_has_results_of_one_step(scene):
     f, one = scene.cg.coarse_grain(**MESH), scene.isel(time=1)
     assert "time" not in one.dims
     xr.testing.assert_equal(one.cg.coarse_grain(**MESH), f.isel(time=1))
-    xr.testing.assert_equal(scene.chunk(time=1).isel(time=1).cg.coarse_grain(**MESH).compute(), f.isel(time=1))
-    xr.testing.assert_equal(scene.sel(time=0.09, method="nearest").cg.coarse_grain(**MESH), f.isel(time=1))
-    xr.testing.assert_equal(scene.isel(time=1, drop=True).cg.coarse_grain(**MESH), f.isel(time=1, drop=True))
+    xr.testing.assert_equal(
+        scene.chunk(time=1).isel(time=1).cg.coarse_grain(**MESH).compute(), f.isel(time=1)
+    )
+    xr.testing.assert_equal(
+        scene.sel(time=0.09, method="nearest").cg.coarse_grain(**MESH), f.isel(time=1)
+    )
+    xr.testing.assert_equal(
+        scene.isel(time=1, drop=True).cg.coarse_grain(**MESH), f.isel(time=1, drop=True)
+    )
     chains = scene.cg.force_chains(min_length=2)
     xr.testing.assert_equal(one.cg.force_chains(min_length=2), chains.isel(time=1))
     xr.testing.assert_equal(
@@ -109,7 +137,9 @@ CHOSEN = {
     "where, dropped": lambda s: s.where((s.species == 1).compute(), drop=True),
     "marked": lambda s: s.assign(particle_id=s.particle_id.where(s.species == 1, -1)),
     "rows": lambda s: s.isel(time=[0]).isel(particle=np.flatnonzero(s.species[0] == 1)),
-    "by variable": lambda s: s.map(lambda v: v.where(s.species == 1) if "particle" in v.dims else v),
+    "by variable": lambda s: s.map(
+        lambda v: v.where(s.species == 1) if "particle" in v.dims else v
+    ),
 }
 
 
@@ -123,7 +153,9 @@ def test_chosen_particles_keep_the_contacts_with_all_others(scene, how, lazy):
     for name in ("contact_stress", "volume_fraction", "coordination_number"):
         np.testing.assert_allclose(found[name], phase[name], rtol=1e-12, atol=1e-12)
     divided = chosen.cg.coarse_grain(by="species", groups=[1], **MESH)
-    np.testing.assert_allclose(divided.contact_stress.sel(phase="1"), found.contact_stress, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        divided.contact_stress.sel(phase="1"), found.contact_stress, rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("how", CHOSEN)
@@ -132,7 +164,8 @@ def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the
     assert lazy.position.chunks is not None
     for options in ({}, {"axes": "z", "by": "species", "groups": [1]}):
         xr.testing.assert_equal(
-            lazy.cg.coarse_grain(FIELDS, **options).compute(), chosen.cg.coarse_grain(FIELDS, **options)
+            lazy.cg.coarse_grain(FIELDS, **options).compute(),
+            chosen.cg.coarse_grain(FIELDS, **options),
         )
     assert lazy.cg.explain().deposit.grid.shape == scene.cg.explain().deposit.grid.shape
     assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
@@ -145,7 +178,9 @@ def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the
 def test_diameters_changed_before_a_selection_warn(scene):
     lazy = scene.chunk(time=1)
     changed = lazy.assign(diameter=3 * lazy.diameter).where(lazy.species == 1)
-    with pytest.warns(xcg.SceneWarning, match=r"diameters from .* not in the range that was measured.*measure\(\)"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"diameters from .* not in the range that was measured.*measure\(\)"
+    ):
         changed.cg.coarse_grain("coordination_number").compute()
     changed.cg.measure().cg.coarse_grain("coordination_number").compute()
 
@@ -155,15 +190,20 @@ def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy)
     scene = scene.chunk(time=1) if lazy else scene
     one, several = scene.isel(particle=5), scene.isel(particle=[5])
     xr.testing.assert_equal(
-        one.cg.coarse_grain(**MESH, by="species").compute(), several.cg.coarse_grain(**MESH, by="species").compute()
+        one.cg.coarse_grain(**MESH, by="species").compute(),
+        several.cg.coarse_grain(**MESH, by="species").compute(),
     )
     assert one.cg.explain().kernel.width == several.cg.explain().kernel.width
     for task in ("particle_stress", "force_chains", "measure", "size_statistics"):
         got, expected = (getattr(s.cg, task)() for s in (one, several))
         assert "particle" not in got.dims
-        xr.testing.assert_equal(got.compute(), expected.isel(particle=0, missing_dims="ignore").compute())
+        xr.testing.assert_equal(
+            got.compute(), expected.isel(particle=0, missing_dims="ignore").compute()
+        )
     single, first = scene.isel(contact=0), scene.isel(contact=[0])
-    xr.testing.assert_equal(single.cg.coarse_grain(**MESH).compute(), first.cg.coarse_grain(**MESH).compute())
+    xr.testing.assert_equal(
+        single.cg.coarse_grain(**MESH).compute(), first.cg.coarse_grain(**MESH).compute()
+    )
     xr.testing.assert_equal(
         single.isel(time=0, particle=5).cg.particle_stress().compute(),
         several.isel(contact=[0]).cg.particle_stress().isel(time=0, particle=0).compute(),
@@ -181,7 +221,9 @@ def test_variables_of_the_users_own_are_selected_along(scene, lazy):
     whole = own.cg.coarse_grain(fields, width=0.8).compute()
     for how in ("transposed", "all chosen", "shuffled"):
         xr.testing.assert_equal(SAME[how](own).cg.coarse_grain(fields, width=0.8).compute(), whole)
-    one, several = (s.cg.coarse_grain(fields, width=0.8) for s in (own.isel(particle=5), own.isel(particle=[5])))
+    one, several = (
+        s.cg.coarse_grain(fields, width=0.8) for s in (own.isel(particle=5), own.isel(particle=[5]))
+    )
     xr.testing.assert_equal(one.compute(), several.compute())
 
 
@@ -190,19 +232,30 @@ def test_rows_may_be_selected_by_label(scene, lazy):
     scene = scene.chunk(time=1) if lazy else scene
     by_number = scene.swap_dims(time="step")
     f = by_number.cg.coarse_grain(**MESH)
-    xr.testing.assert_equal(f.sel(step=1).compute(), scene.cg.coarse_grain(**MESH).isel(time=1).compute())
+    xr.testing.assert_equal(
+        f.sel(step=1).compute(), scene.cg.coarse_grain(**MESH).isel(time=1).compute()
+    )
     by_id = scene.isel(time=1).set_coords("particle_id").compute().swap_dims(particle="particle_id")
-    ids, rows = [7, 3, 12], scene.particle_id.isel(time=1).compute().to_index().get_indexer([7, 3, 12])
+    ids, rows = (
+        [7, 3, 12],
+        scene.particle_id.isel(time=1).compute().to_index().get_indexer([7, 3, 12]),
+    )
     stresses = by_id.sel(particle_id=ids).cg.particle_stress()
     assert stresses.particle_id.values.tolist() == ids
     expected = scene.isel(time=1, particle=rows).cg.particle_stress()
     np.testing.assert_array_equal(stresses.stress.sel(particle_id=3), expected.stress.compute()[1])
-    assert scene.set_coords(["particle_id", "box", "position"]).cg.width_sweep([0.6, 0.8, 1.0], "density").density.any()
+    assert (
+        scene.set_coords(["particle_id", "box", "position"])
+        .cg.width_sweep([0.6, 0.8, 1.0], "density")
+        .density.any()
+    )
 
 
 def test_results_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
     """What follows from results whose steps go by their numbers, as from those of a scene that has them."""
-    steps = xr.concat([scene, scene.assign_coords(time=scene.time + 0.2, step=scene.step + 2)], "time")
+    steps = xr.concat(
+        [scene, scene.assign_coords(time=scene.time + 0.2, step=scene.step + 2)], "time"
+    )
     f = steps.cg.coarse_grain(**MESH, for_averages=True)
     g = steps.swap_dims(time="step").cg.coarse_grain(**MESH, for_averages=True)
     assert "step" in g.dims
@@ -243,7 +296,10 @@ def test_chains_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
     for table in ("chain_table", "link_table"):
         assert getattr(by_number.cg, table)().equals(getattr(fc.cg, table)())
     xr.testing.assert_equal(by_number.cg.track_chains(), fc.cg.track_chains())
-    files = [one.cg.to_csv(tmp_path / f"{name}_{{step}}.csv") for name, one in (("f", fc), ("g", by_number))]
+    files = [
+        one.cg.to_csv(tmp_path / f"{name}_{{step}}.csv")
+        for name, one in (("f", fc), ("g", by_number))
+    ]
     assert [f.read_bytes() for f in files[0]] == [g.read_bytes() for g in files[1]]
     assert str(by_number.cg) == str(fc.cg)
 
@@ -270,14 +326,18 @@ def test_mean_stress_of_chosen_particles_is_the_sum_over_their_sides(scene):
     f = chosen.cg.coarse_grain("contact_stress", axes="", width=0.8)
     np.testing.assert_allclose(f.contact_stress, total / 125, rtol=1e-12, atol=1e-14)
     stresses = chosen.cg.particle_stress()
-    np.testing.assert_allclose((stresses.stress * chosen.volume).sum("particle"), (total + total.T) / 2, atol=1e-12)
+    np.testing.assert_allclose(
+        (stresses.stress * chosen.volume).sum("particle"), (total + total.T) / 2, atol=1e-12
+    )
 
 
 WRONG = {
     "occurs twice": lambda s: joined(s.isel(particle=slice(30)), s.isel(particle=slice(20, None))),
     "components": lambda s: s.sel(component=["x", "y"]),
     r"components \['x'\]": lambda s: s.sel(component="x"),
-    "'box' differs along 'particle'": lambda s: joined(halves(s)[0], halves(s)[1].assign(box=s.box * 2)),
+    "'box' differs along 'particle'": lambda s: joined(
+        halves(s)[0], halves(s)[1].assign(box=s.box * 2)
+    ),
     r"'diameter' has the dimensions .*'component'": lambda s: s.where(s.position > 1),
     "expected whole numbers": lambda s: s.assign(species=s.species + 0.5),
 }
@@ -290,11 +350,19 @@ def test_ambiguous_selections_raise(scene, what):
 
 
 NOT_FINITE = {
-    r"'velocity' of particle 0 is \[.*nan": lambda s: s.assign(velocity=s.velocity.where(s.particle_id != 0)),
-    r"'position' of particle 7 is \[.*nan": lambda s: s.assign(position=s.position.where(s.particle_id != 7)),
-    "'mass' of particle 3 is inf": lambda s: s.assign(mass=s.mass.where(s.particle_id != 3, np.inf)),
+    r"'velocity' of particle 0 is \[.*nan": lambda s: s.assign(
+        velocity=s.velocity.where(s.particle_id != 0)
+    ),
+    r"'position' of particle 7 is \[.*nan": lambda s: s.assign(
+        position=s.position.where(s.particle_id != 7)
+    ),
+    "'mass' of particle 3 is inf": lambda s: s.assign(
+        mass=s.mass.where(s.particle_id != 3, np.inf)
+    ),
     "'contact_force' of contact row 0 is": lambda s: s.assign(contact_force=s.contact_force / 0),
-    "'contact_point' of contact row": lambda s: s.assign(contact_point=s.contact_point.where(s.contact_point > 1)),
+    "'contact_point' of contact row": lambda s: s.assign(
+        contact_point=s.contact_point.where(s.contact_point > 1)
+    ),
 }
 
 
@@ -324,31 +392,53 @@ def test_masks_that_are_too_large_raise_before_reading():
 
 def test_data_in_padding_rows_raise():
     at = {"position": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "diameter": [1.0, 1.0], "density": 2.0}
-    with pytest.raises(SceneError, match=r"row 0 has 'particle_id' -1.*'position': number particles from 0 on"):
+    with pytest.raises(
+        SceneError, match=r"row 0 has 'particle_id' -1.*'position': number particles from 0 on"
+    ):
         xcg.scene_from_arrays(**at, particle_id=[-1, 0])
     force = {"contact_force": np.ones((2, 3)), "contact_point": np.zeros((2, 3))}
-    with pytest.raises(SceneError, match=r"row 1 has 'contact_i' -1.*a wall must stand as 'contact_j'"):
+    with pytest.raises(
+        SceneError, match=r"row 1 has 'contact_i' -1.*a wall must stand as 'contact_j'"
+    ):
         xcg.scene_from_arrays(**at, contact_i=[0, -1], contact_j=[1, 0], **force)
     padded = at | {"position": [[0.0, 0.0, 0.0], [np.nan] * 3], "particle_id": [5, -1]}
     assert xcg.scene_from_arrays(**padded).sizes["particle"] == 1
-    assert xcg.scene_from_arrays(**at, contact_i=[0, -1], contact_j=[1, -1], **force).sizes["contact"] == 1
+    assert (
+        xcg.scene_from_arrays(**at, contact_i=[0, -1], contact_j=[1, -1], **force).sizes["contact"]
+        == 1
+    )
 
 
 def test_components_in_several_chunks_are_turned(scene):
-    asked = {"fields": ["velocity", "contact_stress"], "at": {"x": 1.0, "y": 1.0, "z": 1.0}, "width": 0.8, "axes": ""}
+    asked = {
+        "fields": ["velocity", "contact_stress"],
+        "at": {"x": 1.0, "y": 1.0, "z": 1.0},
+        "width": 0.8,
+        "axes": "",
+    }
     asked["frame"] = xcg.Rotated(z=(1, 1, 3))
     f = scene.chunk(component=2, particle=7).cg.coarse_grain(**asked)
-    xr.testing.assert_identical(f.compute().drop_attrs(), scene.cg.coarse_grain(**asked).drop_attrs())
+    xr.testing.assert_identical(
+        f.compute().drop_attrs(), scene.cg.coarse_grain(**asked).drop_attrs()
+    )
 
 
 def test_masked_arrays_raise():
     position, mask = np.eye(3), [False, True, False]
     masked = np.ma.masked_array(np.ones(3), mask)
-    for given in ({"diameter": masked}, {"diameter": [masked]}, {"velocity": np.ma.masked_equal(position, 1.0)}):
-        with pytest.raises(SceneError, match=rf"'{next(iter(given))}' is a masked array with \d masked values"):
+    for given in (
+        {"diameter": masked},
+        {"diameter": [masked]},
+        {"velocity": np.ma.masked_equal(position, 1.0)},
+    ):
+        with pytest.raises(
+            SceneError, match=rf"'{next(iter(given))}' is a masked array with \d masked values"
+        ):
             xcg.scene_from_arrays(position, density=1.0, **given)
     with pytest.raises(SceneError, match="'time' is a masked array"):
-        xcg.scene_from_arrays(position, diameter=np.ones(3), density=1.0, time=np.ma.masked_array([1.0], [True]))
+        xcg.scene_from_arrays(
+            position, diameter=np.ones(3), density=1.0, time=np.ma.masked_array([1.0], [True])
+        )
     ds = xcg.scene_from_arrays(position, diameter=np.ma.masked_array(np.ones(3)), density=1.0)
     assert ds.sizes["particle"] == 3
 

@@ -18,7 +18,11 @@ def off_line(seed, **options):
     """A random scene with walls whose contact points lie off the line of centres, as those of other shapes do."""
     ds = xcg.datasets.random_scene(150, seed=seed, polydispersity=3.0, **options)
     rng = np.random.default_rng(seed)
-    aside = 0.2 * rng.normal(size=ds.contact_point.shape) * [axis in ds.attrs["plane"] for axis in "xyz"]
+    aside = (
+        0.2
+        * rng.normal(size=ds.contact_point.shape)
+        * [axis in ds.attrs["plane"] for axis in "xyz"]
+    )
     return ds.assign(contact_point=ds.contact_point + aside)
 
 
@@ -33,12 +37,16 @@ def turned_about(ds, seed):
     )
 
 
-@pytest.mark.parametrize("options", [{"periodic": "xy"}, {"periodic": "x", "dimension": 2}], ids=["3D", "2D"])
+@pytest.mark.parametrize(
+    "options", [{"periodic": "xy"}, {"periodic": "x", "dimension": 2}], ids=["3D", "2D"]
+)
 def test_the_order_of_the_two_particles_does_not_matter(options):
     ds = off_line(3, **options)
     other = turned_about(ds, 4)
     everything = (
-        lambda s: s.cg.coarse_grain(["fabric", "contact_stress", "coordination_number"], spacing=0.5),
+        lambda s: s.cg.coarse_grain(
+            ["fabric", "contact_stress", "coordination_number"], spacing=0.5
+        ),
         lambda s: s.cg.microstructure(bounds={"left": {"x": (0.0, 2.0)}}),
         lambda s: s.cg.particle_stress(symmetric=False)[["stress"]],
         lambda s: s.cg.force_chains(60.0)[["chain_id", "links", "chain_particles", "chain_stress"]],
@@ -47,7 +55,9 @@ def test_the_order_of_the_two_particles_does_not_matter(options):
         one, two = compute(ds), compute(other)
         for name in one.data_vars:
             size = float(np.abs(one[name]).max())
-            np.testing.assert_allclose(two[name], one[name], rtol=1e-9, atol=1e-12 * size, err_msg=name)
+            np.testing.assert_allclose(
+                two[name], one[name], rtol=1e-9, atol=1e-12 * size, err_msg=name
+            )
 
 
 @pytest.mark.parametrize("periodic", ["", "xyz"])
@@ -60,7 +70,10 @@ def test_normals_are_along_the_centres_and_at_walls_towards_the_contact_point(pe
         towards = x[i] - (x[j] if j >= 0 else point)
         towards = towards - (period * np.rint(towards / period) if periodic else 0.0)
         normal.append(towards / np.linalg.norm(towards))
-    frame = {name: ds[name].values for name in ("particle_id", "position", "contact_i", "contact_j", "contact_point")}
+    frame = {
+        name: ds[name].values
+        for name in ("particle_id", "position", "contact_i", "contact_j", "contact_point")
+    }
     contacts = Contacts.of(frame, Lattice(np.full(3, period)))
     np.testing.assert_allclose(contacts.normal, normal, rtol=0, atol=1e-12)
     fabric = np.zeros((150, 3, 3))
@@ -100,14 +113,19 @@ MESH = 1e-5 * 30  # what sums over nodes leave of the magnitudes of all forces (
 def silo() -> xr.Dataset:
     """Grains at rest in a cylinder, with contacts between them, with its side and with its floor."""
     return xcg.open_scene(
-        DATA / "particles.dump.gz", contacts=DATA / "contacts.dump.gz", walls=WALLS, gravity=(0, 0, -GRAVITY)
+        DATA / "particles.dump.gz",
+        contacts=DATA / "contacts.dump.gz",
+        walls=WALLS,
+        gravity=(0, 0, -GRAVITY),
     ).compute()
 
 
 def integral(field: xr.DataArray) -> np.ndarray:
     """Sum over the mesh."""
     axes = [a for a in "xyz" if a in field.dims]
-    return (field.sum(axes) * np.prod([float(field[a][1] - field[a][0]) for a in axes])).to_numpy()[0]
+    return (field.sum(axes) * np.prod([float(field[a][1] - field[a][0]) for a in axes])).to_numpy()[
+        0
+    ]
 
 
 def test_walls_of_lammps_are_partners_with_names(silo):
@@ -115,7 +133,9 @@ def test_walls_of_lammps_are_partners_with_names(silo):
     for number, (count, *force) in zip((-2, -3), SUMS, strict=True):
         here = (silo.contact_j == number) & (silo.contact_i >= 0)
         assert int(here.sum()) == count
-        np.testing.assert_allclose(silo.contact_force.where(here).sum("contact")[0], force, atol=1e-7)
+        np.testing.assert_allclose(
+            silo.contact_force.where(here).sum("contact")[0], force, atol=1e-7
+        )
     point, side = silo.contact_point[0], (silo.contact_j == -2)[0].to_numpy()
     np.testing.assert_allclose(np.hypot(*point[side, :2].T), 0.025, rtol=1e-6)
 
@@ -124,7 +144,9 @@ def test_forces_of_grains_at_rest_are_balanced(silo):
     """Pairs, walls and weight add up to nothing, so that the force is that on the grain, whatever a manual says."""
     particles, rows = silo.isel(time=0), silo.contact_i[0] >= 0
     force = np.zeros((particles.sizes["particle"], 3))
-    i, j, f = (particles[name][rows].to_numpy() for name in ("contact_i", "contact_j", "contact_force"))
+    i, j, f = (
+        particles[name][rows].to_numpy() for name in ("contact_i", "contact_j", "contact_force")
+    )
     np.add.at(force, i - 1, f)
     np.add.at(force, j[j > 0] - 1, -f[j > 0])
     force[:, 2] -= GRAVITY * particles.mass
@@ -137,11 +159,17 @@ def test_wall_traction_adds_up_to_the_sums_of_lammps(silo):
     total = integral(silo.cg.coarse_grain("wall_traction", spacing=0.002).wall_traction)
     np.testing.assert_allclose(total, SUMS[:, 1:].sum(axis=0), atol=MESH)
     line = {"fields": "wall_traction", "axes": "z", "extent": {"x": 1.0, "y": 1.0}, "spacing": 5e-4}
-    line["bounds"] = {"z": (-0.01, 0.24)}  # the default mesh ends a support below the lowest centre, not wall
-    parts = [silo.cg.select_walls(wall).cg.coarse_grain(**line).wall_traction for wall in ("side", -3)]
+    line["bounds"] = {
+        "z": (-0.01, 0.24)
+    }  # the default mesh ends a support below the lowest centre, not wall
+    parts = [
+        silo.cg.select_walls(wall).cg.coarse_grain(**line).wall_traction for wall in ("side", -3)
+    ]
     for part, (_, *force) in zip(parts, SUMS, strict=True):
         np.testing.assert_allclose(integral(part), force, atol=MESH)
-    np.testing.assert_allclose(parts[0] + parts[1], silo.cg.coarse_grain(**line).wall_traction, atol=1e-9)
+    np.testing.assert_allclose(
+        parts[0] + parts[1], silo.cg.coarse_grain(**line).wall_traction, atol=1e-9
+    )
 
 
 def test_walls_stay_lazy_and_keep_their_names(tmp_path):
@@ -167,7 +195,10 @@ def particles_with_walls(folder: Path, columns: str = ARRAY) -> Path:
 
 def test_grains_with_zero_force_do_not_touch(tmp_path):
     six = [f"f_w[{k}]" for k in range(2, 8)]
-    for walls in ({"floor": "f_w[*]"}, {"floor": six}):  # the last leaves two columns, which are told
+    for walls in (
+        {"floor": "f_w[*]"},
+        {"floor": six},
+    ):  # the last leaves two columns, which are told
         ds = xcg.open_scene(particles_with_walls(tmp_path), walls=walls).compute()
         rows = ds.contact_i[0] >= 0
         np.testing.assert_array_equal(ds.contact_i[0][rows], [3])
@@ -179,13 +210,17 @@ def test_grains_with_zero_force_do_not_touch(tmp_path):
 
 def test_walls_and_pairs_are_read_together(tmp_path):
     pairs = dumps.write(tmp_path / "c.dump", dumps.pairs_text())
-    ds = xcg.open_scene(particles_with_walls(tmp_path), contacts=pairs, walls={"floor": "f_w[*]"}).compute()
+    ds = xcg.open_scene(
+        particles_with_walls(tmp_path), contacts=pairs, walls={"floor": "f_w[*]"}
+    ).compute()
     assert sorted(ds.contact_j[0][ds.contact_i[0] >= 0].to_numpy()) == [-2, 2]
 
 
 def test_unused_columns_of_walls_warn(tmp_path):
     path = particles_with_walls(tmp_path)
-    with pytest.warns(xcg.SceneWarning, match=r"f_w\[1\] to f_w\[8\] look like .* walls=\{'side': 'f_w\[\*\]'\}"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"f_w\[1\] to f_w\[8\] look like .* walls=\{'side': 'f_w\[\*\]'\}"
+    ):
         xcg.open_scene(path)
 
 
@@ -200,7 +235,11 @@ def test_unused_columns_of_walls_warn(tmp_path):
 )
 def test_wrong_columns_raise(tmp_path, walls, message):
     with pytest.raises(xcg.SceneError, match=message):
-        xcg.open_scene(particles_with_walls(tmp_path), walls=walls, names={f"f_w[{k}]": None for k in range(1, 9)})
+        xcg.open_scene(
+            particles_with_walls(tmp_path),
+            walls=walls,
+            names={f"f_w[{k}]": None for k in range(1, 9)},
+        )
 
 
 @pytest.mark.parametrize(
@@ -219,6 +258,8 @@ def test_unknown_walls_raise(silo, walls, message):
 
 def test_walls_without_names_have_numbers():
     ds = xcg.datasets.random_scene(60, seed=2)
-    assert int((xcg.select_walls(ds, -1).contact_i >= 0).sum()) == int(((ds.contact_j < 0) & (ds.contact_i >= 0)).sum())
+    assert int((xcg.select_walls(ds, -1).contact_i >= 0).sum()) == int(
+        ((ds.contact_j < 0) & (ds.contact_i >= 0)).sum()
+    )
     with pytest.raises(ValueError, match="no wall of this scene has a name"):
         xcg.select_walls(ds, "floor")

@@ -43,14 +43,19 @@ def test_a_plan_is_made_without_the_dataset():
     one, other = (xcg.datasets.random_scene(40, seed=3) for _ in range(2))
     request = Request(["stress", "velocity"], axes="z", width=1.0, spacing=0.5)
     first, second = (make_plan(describe(ds), request) for ds in (one, other))
-    assert (first.shapes, first.variables, first.extent) == (second.shapes, second.variables, second.extent)
+    assert (first.shapes, first.variables, first.extent) == (
+        second.shapes,
+        second.variables,
+        second.extent,
+    )
     assert describe(one) == describe(other)
 
 
 def test_missing_variables_are_named_with_a_remedy():
     scene = describe(xcg.datasets.random_scene(40).drop_vars(["contact_force", "mass"]))
     with pytest.raises(
-        SceneError, match=r"stress needs \['contact_force', 'mass'\]: give contacts= .* and density= to "
+        SceneError,
+        match=r"stress needs \['contact_force', 'mass'\]: give contacts= .* and density= to ",
     ):
         require_scene(scene.columns, ["contact_force", "mass"], "stress")
 
@@ -67,14 +72,23 @@ def rows(ds):
     found = dict(re.fullmatch(r"  (\S+): *(.*)", line).groups() for line in text[1:])
     html = re.sub(r"<[^>]*>", "\n", ds.cg._repr_html_())
     for part in (text[0], *found, *found.values()):
-        assert part.replace("&", "&amp;").replace("'", "&#x27;").replace("<", "&lt;").replace(">", "&gt;") in html
+        assert (
+            part.replace("&", "&amp;")
+            .replace("'", "&#x27;")
+            .replace("<", "&lt;")
+            .replace(">", "&gt;")
+            in html
+        )
     return {"title": text[0]} | found
 
 
 @pytest.fixture
 def opened(tmp_path):
     for step in (10, 20):
-        dumps.write(tmp_path / f"p.{step}.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" x ", " x "), step=step))
+        dumps.write(
+            tmp_path / f"p.{step}.dump",
+            dumps.dump_text(columns=dumps.ATOMS.replace(" x ", " x "), step=step),
+        )
     return xcg.open_scene(str(tmp_path / "p.*.dump"), units="SI", density=2.0, gravity=(0, 0, -9.81), names={"vx": None,
                           "vy": None, "vz": None})  # fmt: skip
 
@@ -96,8 +110,16 @@ def test_the_summary_of_a_scene_names_files_and_ignored_columns(opened, tmp_path
 def test_the_summary_is_kept_by_selections_and_files(opened, tmp_path, suffix):
     said = rows(opened)
     again = ENDS[suffix](opened.cg.save(tmp_path / f"scene.{suffix}"))
-    for kept in (again, opened.isel(time=0), opened.isel(particle=slice(1)), opened.where(opened.diameter > 0)):
-        assert {name: rows(kept)[name] for name in ("engine", "files", "ignored", "gravity", "units", "box")} == {
+    for kept in (
+        again,
+        opened.isel(time=0),
+        opened.isel(particle=slice(1)),
+        opened.where(opened.diameter > 0),
+    ):
+        assert {
+            name: rows(kept)[name]
+            for name in ("engine", "files", "ignored", "gravity", "units", "box")
+        } == {
             name: said[name] for name in ("engine", "files", "ignored", "gravity", "units", "box")
         }
     assert rows(again)["time"] == said["time"]
@@ -145,7 +167,9 @@ def test_a_changing_box_is_noted():
 @pytest.mark.parametrize("suffix", ENDS)
 def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
     ds = steps_of_random_scenes(3)
-    f = ds.cg.coarse_grain(["density", "velocity"], axes="xz", at={"y": 1.0}, width=0.8, spacing=1.0, by="species")
+    f = ds.cg.coarse_grain(
+        ["density", "velocity"], axes="xz", at={"y": 1.0}, width=0.8, spacing=1.0, by="species"
+    )
     again = ENDS[suffix](f.cg.save(tmp_path / f"f.{suffix}"))
     for g in (f, again):
         said = rows(g)
@@ -158,7 +182,11 @@ def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
         assert said["time"] == "0 to 0.2 s"
         assert "coarse_grain(fields=" in said["history"]
         one = rows(g.isel(time=1, phase=0).sel(x=2.2, method="nearest"))
-        assert (one["title"], one["fixed"], one["phase"]) == ("result of one step on 5 z nodes", "x = 2, y = 1", "bulk")
+        assert (one["title"], one["fixed"], one["phase"]) == (
+            "result of one step on 5 z nodes",
+            "x = 2, y = 1",
+            "bulk",
+        )
         mean = rows(g.compute().cg.time_average())
         assert mean["averaged"] == "over 3 steps"
         assert "time" not in mean
@@ -170,7 +198,13 @@ def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
 
 def test_all_results_and_other_datasets_have_a_summary():
     ds = steps_of_random_scenes(2)
-    for task in ("particle_stress", "microstructure", "slice_temperature", "size_statistics", "force_chains"):
+    for task in (
+        "particle_stress",
+        "microstructure",
+        "slice_temperature",
+        "size_statistics",
+        "force_chains",
+    ):
         result = getattr(ds.cg, task)()
         for g in (result, result.isel(time=0)):
             assert len(repr(g.cg).splitlines()) > 2

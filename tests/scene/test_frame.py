@@ -38,7 +38,10 @@ def turned(ds):
 @pytest.mark.parametrize("change", [lambda ds: moved(ds, -100), lambda ds: moved(ds, 0.8), turned])
 def test_bounds_follow_positions_in_memory(ds, change):
     options = {"width": 0.3, "spacing": 0.1}
-    as_it_was, f = ds.cg.coarse_grain("density", **options), change(ds).cg.coarse_grain("density", **options)
+    as_it_was, f = (
+        ds.cg.coarse_grain("density", **options),
+        change(ds).cg.coarse_grain("density", **options),
+    )
     mass = ds.mass.sum("particle").values
     np.testing.assert_allclose(mass_in(as_it_was)[[0, -1]], mass[[0, -1]], rtol=2e-3)
     np.testing.assert_allclose(mass_in(f)[[0, -1]], mass[[0, -1]], rtol=2e-3)
@@ -55,7 +58,9 @@ def test_changed_lazy_positions_need_bounds_or_measure(ds):
 
 def test_a_box_does_not_follow_lazy_positions_that_were_changed(ds):
     """Along open axes it gave the mesh, far from all grains; along periodic ones images are in it."""
-    lazy = ds.chunk(time=1).assign(box=(("time", "component", "bound"), np.tile([-1.0, 5.0], (ds.sizes["time"], 3, 1))))
+    lazy = ds.chunk(time=1).assign(
+        box=(("time", "component", "bound"), np.tile([-1.0, 5.0], (ds.sizes["time"], 3, 1)))
+    )
     with pytest.raises(ValueError, match=r"axis 'x' has no bounds.*measure\(\)"):
         moved(lazy, -100).cg.coarse_grain("density")
     f = moved(lazy.assign_attrs(periodic="xyz"), -100).cg.coarse_grain("density")
@@ -65,7 +70,9 @@ def test_a_box_does_not_follow_lazy_positions_that_were_changed(ds):
 def test_replaced_positions_with_old_attributes_warn(ds):
     """`copy(data=...)` keeps all marks: the mesh is the old one, and the sums are not zero in silence."""
     lazy = ds.chunk(time=1)
-    f = lazy.assign(position=lazy.position.copy(data=lazy.position.data - 100)).cg.coarse_grain("density")
+    f = lazy.assign(position=lazy.position.copy(data=lazy.position.data - 100)).cg.coarse_grain(
+        "density"
+    )
     with pytest.warns(xcg.SceneWarning, match="no grain reaches any node"):
         assert float(f.density.sum()) == 0.0
 
@@ -79,7 +86,10 @@ def test_replaced_positions_with_old_attributes_warn(ds):
 )  # fmt: skip
 def test_selections_keep_the_mesh_of_the_series(ds, select):
     lazy = ds.chunk(time=1)
-    whole, part = (x.cg.coarse_grain("density", axes="x", extent={"y": 1, "z": 1}) for x in (lazy, select(lazy)))
+    whole, part = (
+        x.cg.coarse_grain("density", axes="x", extent={"y": 1, "z": 1})
+        for x in (lazy, select(lazy))
+    )
     assert part.x.equals(whole.x)
 
 
@@ -98,17 +108,25 @@ def test_width_follows_diameters(ds):
         3 * ds.isel(time=[0, -1]).cg.measure().cg.explain("density").kernel.width
     )
     lazy = ds.chunk(time=1).assign(diameter=3 * ds.chunk(time=1).diameter)
-    with pytest.raises(ValueError, match=r"'d43', which the scene does not hold, or no longer, as diameters"):
+    with pytest.raises(
+        ValueError, match=r"'d43', which the scene does not hold, or no longer, as diameters"
+    ):
         lazy.cg.explain("density")
     assert lazy.cg.explain("density", width=1.0).kernel.width == 1.0
-    assert lazy.cg.measure().cg.explain("density").kernel.width > 2 * ds.cg.explain("density").kernel.width
+    assert (
+        lazy.cg.measure().cg.explain("density").kernel.width
+        > 2 * ds.cg.explain("density").kernel.width
+    )
 
 
 def test_measures_are_kept_in_files(ds, tmp_path):
     ds.to_netcdf(tmp_path / "ds.nc")
     for chunks in ({"time": 1}, None):
         with xr.open_dataset(tmp_path / "ds.nc", chunks=chunks) as again:
-            assert again.cg.explain("density").deposit.grid.shape == ds.cg.explain("density").deposit.grid.shape
+            assert (
+                again.cg.explain("density").deposit.grid.shape
+                == ds.cg.explain("density").deposit.grid.shape
+            )
 
 
 def test_changed_groups_need_measure(ds):
@@ -124,7 +142,9 @@ def test_messages_about_changed_positions_read_no_data(ds):
         raise AssertionError(msg)
 
     lazy = ds.chunk(time=1)
-    unread = lazy.assign(position=(lazy.position.dims, da.map_blocks(refuse, lazy.position.data, dtype=float)))
+    unread = lazy.assign(
+        position=(lazy.position.dims, da.map_blocks(refuse, lazy.position.data, dtype=float))
+    )
     with pytest.raises(ValueError, match="as positions were changed"):
         unread.cg.explain("density")
 
@@ -135,11 +155,17 @@ def test_sizes_stay_where_only_places_were_changed(ds):
     middle = ds.isel(time=[0, -1]).cg.measure().cg.explain("density").kernel.width
     assert abs(middle / width - 1) > 1e-3  # sizes of the first and last step are not those of all
     for scene in (ds, ds.chunk(time=1), ds.isel(time=[1]), moved(ds, -0.8)):
-        assert scene.cg.explain("density", axes="", at=dict.fromkeys(AXES, 0.0)).kernel.width == width
-        f = scene.cg.coarse_grain("density", axes="x", at={"y": 0.0, "z": 0.0}, frame=frames[0], bounds={"x": (0, 1)})
+        assert (
+            scene.cg.explain("density", axes="", at=dict.fromkeys(AXES, 0.0)).kernel.width == width
+        )
+        f = scene.cg.coarse_grain(
+            "density", axes="x", at={"y": 0.0, "z": 0.0}, frame=frames[0], bounds={"x": (0, 1)}
+        )
         assert f.attrs["width"] == width
         assert f.attrs["size_diameter"] == ds.attrs["d43"]
-        f = scene.cg.coarse_grain("density", axes="r", at={"z": 0.0}, frame=frames[1], bounds={"r": (0, 1)})
+        f = scene.cg.coarse_grain(
+            "density", axes="r", at={"z": 0.0}, frame=frames[1], bounds={"r": (0, 1)}
+        )
         assert f.attrs["width"] == width
 
 

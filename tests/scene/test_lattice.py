@@ -89,14 +89,21 @@ def test_the_shortest_image_is_the_shortest_of_all(tilt, angles, seed):
     turns = (found - vectors) @ np.linalg.inv(cell)
     np.testing.assert_allclose(turns, np.rint(turns), atol=1e-9)  # an image
     images = found[:, None] + NUMBERS @ lattice.basis  # any that is shorter would be among these
-    assert (np.linalg.norm(found, axis=1) <= np.linalg.norm(images, axis=2).min(axis=1) + 1e-9).all()
+    assert (
+        np.linalg.norm(found, axis=1) <= np.linalg.norm(images, axis=2).min(axis=1) + 1e-9
+    ).all()
     np.testing.assert_allclose(abs(np.linalg.det(lattice.basis)), LENGTHS.prod(), rtol=1e-9)
     to = lattice.shortest(vectors, vectors[::-1]) - vectors[::-1]
     np.testing.assert_allclose(to, lattice.shortest(vectors - vectors[::-1]), atol=1e-9)
 
 
 @settings(deadline=None, max_examples=50)
-@given(tilt=tilts, angles=turns, seed=st.integers(0, 1000), periodic=st.sampled_from(["x", "xy", "xyz", "yz"]))
+@given(
+    tilt=tilts,
+    angles=turns,
+    seed=st.integers(0, 1000),
+    periodic=st.sampled_from(["x", "xy", "xyz", "yz"]),
+)
 def test_all_images_in_a_region_are_found(tilt, angles, seed, periodic):
     rng = np.random.default_rng(seed)
     turn = turned(angles)
@@ -105,10 +112,15 @@ def test_all_images_in_a_region_are_found(tilt, angles, seed, periodic):
     position = rng.uniform(-8, 8, (15, 3))
     low, high = np.array([-3.0, -6.0, -2.0]), np.array([4.0, 3.0, 5.0])
     row, shift, drift = lattice.images(position, low, high)
-    found = sorted(zip(row.tolist(), map(tuple, np.round(position[row] + shift, 6).tolist()), strict=True))
+    found = sorted(
+        zip(row.tolist(), map(tuple, np.round(position[row] + shift, 6).tolist()), strict=True)
+    )
     expected = []
     # enough of the shortest vectors to lead everywhere from everywhere
-    reach = [range(-n, n + 1) for n in np.ceil(40 * np.linalg.norm(np.linalg.pinv(lattice.basis), axis=0)).astype(int)]
+    reach = [
+        range(-n, n + 1)
+        for n in np.ceil(40 * np.linalg.norm(np.linalg.pinv(lattice.basis), axis=0)).astype(int)
+    ]
     for n in product(*reach):
         image = position + np.array(n) @ lattice.basis
         for k in np.flatnonzero(((low <= image) & (image <= high)).all(axis=1)):
@@ -121,7 +133,9 @@ def test_vectors_of_any_basis_of_a_lattice_are_as_short():
     cell = cell_of((0.4, -0.3, 0.2))
     other = np.array([[1, 0, 0], [7, 1, 0], [-3, 12, 1]]) @ cell
     one, two = lattice_of(cell), lattice_of(other, "xyz")
-    np.testing.assert_allclose(np.linalg.norm(one.basis, axis=1), np.linalg.norm(two.basis, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(one.basis, axis=1), np.linalg.norm(two.basis, axis=1), rtol=1e-12
+    )
 
 
 # --- the same scene in another box -----------------------------------------------------------------------
@@ -138,11 +152,18 @@ def test_fields_equal_those_of_another_basis_and_other_images(tilt, axes):
     bases = np.array([[1, 0, 0], [3, 1, 0], [-2, -1, 1]])
     again = given | {
         "position": given["position"] + rng.integers(-3, 4, (60, 3)) @ cell,
-        "contact_point": given["contact_point"] + rng.integers(-3, 4, (len(given["contact_i"]), 3)) @ cell,
+        "contact_point": given["contact_point"]
+        + rng.integers(-3, 4, (len(given["contact_i"]), 3)) @ cell,
     }
     one = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
     two = xcg.scene_from_arrays(**again, box=BOX, lattice=bases @ cell)
-    options = {"axes": axes, "width": 1.2, "spacing": 0.8, "by": "species", "bounds": {a: BOX[a] for a in axes}}
+    options = {
+        "axes": axes,
+        "width": 1.2,
+        "spacing": 0.8,
+        "by": "species",
+        "bounds": {a: BOX[a] for a in axes},
+    }
     assert_equal(one.cg.coarse_grain(**options), two.cg.coarse_grain(**options), 1e-9)
 
 
@@ -164,7 +185,9 @@ def test_sums_over_images_one_by_one():
     cell = cell_of(TILTS[0])
     given = packing(4, cell)
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
-    f = ds.cg.coarse_grain(["density", "momentum_density", "contact_stress"], width=0.8, spacing=2.0, rtol=0)
+    f = ds.cg.coarse_grain(
+        ["density", "momentum_density", "contact_stress"], width=0.8, spacing=2.0, rtol=0
+    )
     kernel = BruteKernel("lucy", 0.8)
     for node in np.ndindex(f.density.shape[1:]):
         r = np.array([f[a].values[k] for a, k in zip("xyz", node, strict=True)])
@@ -173,7 +196,9 @@ def test_sums_over_images_one_by_one():
         weight = np.where(distance < kernel.c, kernel(np.minimum(distance, kernel.c)), 0.0)
         weight = (ds.mass.values[0][:, None] * weight).sum(axis=1)
         np.testing.assert_allclose(f.density.values[0][node], weight.sum(), rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(f.momentum_density.values[0][node], weight @ given["velocity"], atol=1e-12)
+        np.testing.assert_allclose(
+            f.momentum_density.values[0][node], weight @ given["velocity"], atol=1e-12
+        )
 
 
 def test_the_integral_of_stress_is_the_virial_and_of_density_the_mass():
@@ -215,9 +240,16 @@ def sheared(tilt, rate=RATE, noise=0.0, seed=7, count=400):
     velocity = np.zeros((count, 3))
     velocity[:, 0] = RATE * (position[:, 1] - LOW[1])
     velocity += noise * rng.standard_normal((count, 3))
-    scene = {"position": position, "velocity": velocity, "diameter": np.full(count, 0.5), "density": 1.0}
+    scene = {
+        "position": position,
+        "velocity": velocity,
+        "diameter": np.full(count, 0.5),
+        "density": 1.0,
+    }
     shear = {} if rate is None else {"xy": rate}
-    return xcg.scene_from_arrays(**scene, box=BOX, periodic="xyz", lattice={"xy": tilt}, shear_rate=shear)
+    return xcg.scene_from_arrays(
+        **scene, box=BOX, periodic="xyz", lattice={"xy": tilt}, shear_rate=shear
+    )
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1.7, -2.5])
@@ -237,7 +269,9 @@ def test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges(t
     # images that do not move spoil both next to the edges
     wrong = sheared(tilt, None).cg.coarse_grain(fields, **options)
     edge = wrong.isel(y=0)
-    assert np.abs(edge.velocity_gradient.sel(component="x", direction="y") - RATE).max() > 0.5 * RATE
+    assert (
+        np.abs(edge.velocity_gradient.sel(component="x", direction="y") - RATE).max() > 0.5 * RATE
+    )
     assert np.nanmax(edge.granular_temperature) > 0.01 * (RATE * LENGTHS[1]) ** 2
 
 
@@ -271,17 +305,31 @@ def test_rates_follow_from_the_tilt_of_steps_and_flips_do_not_count():
     expected = np.zeros((8, 3, 3))
     expected[:, 1, 0] = 0.8
     np.testing.assert_allclose(ds.lattice_velocity, expected, atol=1e-12)
-    both = {"xy": tilt, "xz": np.linspace(0, 0.7, 8), "yz": np.array([1.8, 1.9, -2.0, -1.9, -1.8, -1.7, -1.6, -1.5])}
+    both = {
+        "xy": tilt,
+        "xz": np.linspace(0, 0.7, 8),
+        "yz": np.array([1.8, 1.9, -2.0, -1.9, -1.8, -1.7, -1.6, -1.5]),
+    }
     both["xz"][2:] -= tilt[2:]  # c is flipped by b
-    ds = xcg.scene_from_arrays(position, time=time, box=BOX, periodic="xyz", lattice=both, diameter=np.ones((8, 1)))
+    ds = xcg.scene_from_arrays(
+        position, time=time, box=BOX, periodic="xyz", lattice=both, diameter=np.ones((8, 1))
+    )
     expected[:2, 2, :2], expected[2:, 2, :2] = [0.2, 0.2], [0.2 - 0.8, 0.2]
     np.testing.assert_allclose(ds.lattice_velocity, expected, atol=1e-12)
     still = xcg.scene_from_arrays(
-        position, time=time, box=BOX, periodic="xyz", lattice={"xy": tilt}, shear_rate={}, diameter=np.ones((8, 1))
+        position,
+        time=time,
+        box=BOX,
+        periodic="xyz",
+        lattice={"xy": tilt},
+        shear_rate={},
+        diameter=np.ones((8, 1)),
     )
     assert "lattice_velocity" not in still
     with pytest.warns(SceneWarning, match="give shear_rate="):
-        xcg.scene_from_arrays(position[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 2.4, 4.8]})
+        xcg.scene_from_arrays(
+            position[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 2.4, 4.8]}
+        )
 
 
 @pytest.mark.parametrize(
@@ -312,7 +360,14 @@ def test_all_contacts_across_tilted_edges_are_found(tilt):
     known["position"] = known["position"] + np.random.default_rng(1).integers(-2, 3, (60, 3)) @ cell
     ds = xcg.scene_from_arrays(**known, box=BOX, lattice=cell).cg.find_contacts()
     table = ds.isel(time=0)
-    found = sorted(zip(table.contact_i.values, table.contact_j.values, np.round(table.overlap.values, 9), strict=True))
+    found = sorted(
+        zip(
+            table.contact_i.values,
+            table.contact_j.values,
+            np.round(table.overlap.values, 9),
+            strict=True,
+        )
+    )
     i, j = given["contact_i"], given["contact_j"]
     centre = given["position"][i] - given["contact_point"]
     overlap = given["diameter"][i] - 2 * np.linalg.norm(lattice_of(cell).shortest(centre), axis=1)
@@ -324,25 +379,39 @@ def test_all_contacts_across_tilted_edges_are_found(tilt):
 def test_microstructure_and_chains_equal_those_of_another_basis():
     cell = cell_of(TILTS[0])
     given = packing(9, cell)
-    again = given | {"position": given["position"] + np.random.default_rng(2).integers(-2, 3, (60, 3)) @ cell}
+    again = given | {
+        "position": given["position"] + np.random.default_rng(2).integers(-2, 3, (60, 3)) @ cell
+    }
     one = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
-    two = xcg.scene_from_arrays(**again, box=BOX, lattice=np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]]) @ cell)
+    two = xcg.scene_from_arrays(
+        **again, box=BOX, lattice=np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]]) @ cell
+    )
     regions = {"low": {"z": (0.5, 3.0)}, "over": {"z": (5.0, 8.0), "y": (2.0, 4.0)}}
-    assert_equal(one.cg.microstructure(bounds=regions["low"]), two.cg.microstructure(bounds=regions["low"]))
+    assert_equal(
+        one.cg.microstructure(bounds=regions["low"]), two.cg.microstructure(bounds=regions["low"])
+    )
     counts = one.cg.microstructure(["volume_fraction"], bounds=regions)
     assert np.isfinite(counts.volume_fraction).all()
     chains = [ds.cg.force_chains(60, region=xcg.Sphere((0.0, 0.0, 0.0), 2.5)) for ds in (one, two)]
     np.testing.assert_array_equal(chains[0].chain_id, chains[1].chain_id)
     for ds, fc in zip((one, two), chains, strict=True):
         assert (fc.lattice == ds.lattice).all()
-    slices = [ds.cg.slice_temperature("z", width=1.5, method=m) for ds in (one, two) for m in ("bins", "planes")]
+    slices = [
+        ds.cg.slice_temperature("z", width=1.5, method=m)
+        for ds in (one, two)
+        for m in ("bins", "planes")
+    ]
     assert_equal(slices[0], slices[2])
     assert_equal(slices[1], slices[3])
 
 
 def test_displacements_are_relative_to_a_box_that_is_sheared_and_flips():
     rng = np.random.default_rng(11)
-    share, tilts, time = rng.random((300, 3)), [2.3, -2.3, -1.9], [0.0, 0.5, 1.0]  # 2.3, 2.7 - 5, 3.1 - 5
+    share, tilts, time = (
+        rng.random((300, 3)),
+        [2.3, -2.3, -1.9],
+        [0.0, 0.5, 1.0],
+    )  # 2.3, 2.7 - 5, 3.1 - 5
     cells = [cell_of((tilt, 0.4, 0.0)) for tilt in (2.3, 2.7, 3.1)]
     position = [LOW + share @ cell + rng.integers(-1, 2, (300, 3)) @ cell for cell in cells]
     ds = xcg.scene_from_arrays(
@@ -376,10 +445,18 @@ def test_bodies_across_a_sheared_edge_have_the_velocity_of_one_place():
     position[high] = position[low] + [0.1, -0.4, 0.0] + lattice_of(cell_of((1.7, 0, 0))).cell[1]
     velocity[high] = [RATE * (position[high, 1] - LOW[1]), 0, 0]
     assert np.isfinite(lattice.shortest(position)).all()
-    one = ds.assign(position=(ds.position.dims, position[None]), velocity=(ds.velocity.dims, velocity[None]))
-    bodies = one.assign(body_id=(("time", "particle"), body[None])).cg.group_bodies("body_id").isel(time=0)
+    one = ds.assign(
+        position=(ds.position.dims, position[None]), velocity=(ds.velocity.dims, velocity[None])
+    )
+    bodies = (
+        one.assign(body_id=(("time", "particle"), body[None]))
+        .cg.group_bodies("body_id")
+        .isel(time=0)
+    )
     at = int(np.flatnonzero(bodies.particle_id.values == 3)[0])
-    np.testing.assert_allclose(bodies.velocity[at, 0], RATE * (bodies.position[at, 1] - LOW[1]), atol=1e-12)
+    np.testing.assert_allclose(
+        bodies.velocity[at, 0], RATE * (bodies.position[at, 1] - LOW[1]), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("periodic", ["xyz", "xz", ""])
@@ -394,7 +471,10 @@ def test_images_of_straight_boxes_nearer_than_a_length(periodic, length):
 
 @pytest.mark.parametrize(
     ("tilt", "axes", "said"),
-    [({"xy": 1.0}, "xz", "along y are shifted along x,"), ({"xy": 1.0}, "x", "along y are shifted along x,")],
+    [
+        ({"xy": 1.0}, "xz", "along y are shifted along x,"),
+        ({"xy": 1.0}, "x", "along y are shifted along x,"),
+    ],
 )
 def test_the_axes_of_a_tilt_are_named(tilt, axes, said):
     ds = xcg.scene_from_arrays(

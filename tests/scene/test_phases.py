@@ -18,7 +18,9 @@ def scene(diameter, density=2500.0, **options):
     n = len(diameter)
     density = np.broadcast_to(np.asarray(density, float), (n,)).copy()
     position = np.random.default_rng(1).uniform(0, 1, (n, 3))
-    return xcg.scene_from_arrays(position, diameter=diameter, density=density, velocity=np.zeros((n, 3)), **options)
+    return xcg.scene_from_arrays(
+        position, diameter=diameter, density=density, velocity=np.zeros((n, 3)), **options
+    )
 
 
 def phases(ds, **options):
@@ -36,7 +38,15 @@ def phases(ds, **options):
         np.random.default_rng(5).lognormal(-6, 0.6, 1000),
         np.full(300, 0.003) * (1 + 1e-7 * RNG.normal(size=300)),
     ],
-    ids=["monodisperse", "narrow normal", "normal", "uniform", "lognormal", "wide lognormal", "single precision"],
+    ids=[
+        "monodisperse",
+        "narrow normal",
+        "normal",
+        "uniform",
+        "lognormal",
+        "wide lognormal",
+        "single precision",
+    ],
 )
 def test_one_distribution_is_one_phase(diameter):
     ds = scene(diameter).cg.find_phases()
@@ -50,7 +60,9 @@ def test_one_distribution_is_one_phase(diameter):
 @pytest.mark.parametrize("share", [0.5, 0.02])
 def test_two_sizes_are_two_phases(noise, share):
     large = np.random.default_rng(2).random(1500) < share
-    diameter = np.where(large, 0.004, 0.002) * (1 + noise * np.random.default_rng(3).normal(size=1500))
+    diameter = np.where(large, 0.004, 0.002) * (
+        1 + noise * np.random.default_rng(3).normal(size=1500)
+    )
     ds = scene(diameter).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + large)
     np.testing.assert_allclose(ds.attrs["phase_diameter"], [0.002, 0.004], rtol=0.01)
@@ -59,7 +71,9 @@ def test_two_sizes_are_two_phases(noise, share):
 def test_sizes_five_standard_deviations_apart_are_two_phases():
     normal = np.random.default_rng(6).normal(size=(2, 1000))
     for apart, expected in ((3, [1]), (5, [1, 2])):
-        assert phases(scene(0.003 + 1e-4 * np.concatenate([normal[0], apart + normal[1]]))) == expected
+        assert (
+            phases(scene(0.003 + 1e-4 * np.concatenate([normal[0], apart + normal[1]]))) == expected
+        )
 
 
 def test_same_size_other_density_and_three_phases():
@@ -89,16 +103,22 @@ def test_grains_that_enter_and_leave_keep_their_phase():
     xr.testing.assert_equal(lazy.phase.compute(), found.phase)
     f = lazy.cg.coarse_grain("density", by="phase", width=0.2, bounds=dict.fromkeys("xyz", (0, 1)))
     assert f.phase.values.tolist() == ["bulk", "1", "2"]
-    np.testing.assert_allclose(f.density.sel(phase="bulk"), f.density.sel(phase=["1", "2"]).sum("phase"))
+    np.testing.assert_allclose(
+        f.density.sel(phase="bulk"), f.density.sel(phase=["1", "2"]).sum("phase")
+    )
 
 
 def test_an_edge_beyond_all_diameters_warns():
     ds = scene(np.array([0.001, 0.002, 0.004]))
     for edge in (0.0005, 4.0):
-        with pytest.warns(xcg.SceneWarning, match=r"outside the diameters that were measured, 0\.001 to 0\.004"):
+        with pytest.warns(
+            xcg.SceneWarning, match=r"outside the diameters that were measured, 0\.001 to 0\.004"
+        ):
             phase = ds.cg.assign_phases(edges=[edge]).phase
         assert len(np.unique(phase)) == 1
-    assert len(np.unique(ds.cg.assign_phases(edges=[0.004]).phase)) == 2  # an edge belongs to the phase above
+    assert (
+        len(np.unique(ds.cg.assign_phases(edges=[0.004]).phase)) == 2
+    )  # an edge belongs to the phase above
 
 
 def test_phases_by_edges_and_by_type():
@@ -134,9 +154,13 @@ def test_plot_of_clusters_and_scores():
     assert [t.get_text() for t in left.get_legend().get_texts()] == ["1", "2"]
     assert right.get_ylabel() == "mean silhouette"
     assert left.get_xlabel() == "diameter [m]"
-    assert left.get_ylabel().replace("\n", " ") == "density of the particle's material [kg m$^{-3}$]"
+    assert (
+        left.get_ylabel().replace("\n", " ") == "density of the particle's material [kg m$^{-3}$]"
+    )
     assert right.lines[0].get_xydata()[0].tolist() == [2.0, 1.0]
-    with pytest.raises(ValueError, match="step=1: expected the position of a step, a whole number from -1 to 0"):
+    with pytest.raises(
+        ValueError, match="step=1: expected the position of a step, a whole number from -1 to 0"
+    ):
         scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(step=1)
     plt.close(figure)
 
@@ -164,7 +188,9 @@ def test_stress_by_pairs_adds_up_and_is_right_for_one_pair():
         contact_i=[0], contact_j=[1], contact_force=[[-2.0, 0, 0]],
     )  # fmt: skip
     at = {"x": 0.25, "y": 0.3, "z": 0.0}
-    got = one.cg.coarse_grain("density", by="species", by_pair=True, axes="", at=at, width=0.75).contact_stress_by_pair
+    got = one.cg.coarse_grain(
+        "density", by="species", by_pair=True, axes="", at=at, width=0.75
+    ).contact_stress_by_pair
     kernel, r = BruteKernel("lucy", 0.75), np.array([0.25, 0.3, 0.0])
     point = np.array([0.5, 0, 0])
     sides = {
@@ -198,7 +224,9 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
     kernel = BruteKernel("lucy", 0.8, ds.attrs["dimension"], len(axes)) if axes else None
     frame = {name: ds[name].to_numpy()[0] for name in ds.data_vars}
     species = frame["species"]
-    grains, contacts = (weights(ds, kernel, f, frame[name], extent) for name in ("position", "contact_point"))
+    grains, contacts = (
+        weights(ds, kernel, f, frame[name], extent) for name in ("position", "contact_point")
+    )
     i, j = frame["contact_i"], frame["contact_j"]
     phases = {"bulk": (1, 2), "1": (1,), "2": (2,)}
     of = dict(zip(frame["particle_id"].tolist(), species.tolist(), strict=True))
@@ -215,9 +243,17 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
             for one, two, sign in ((side_i, side_j, 1.0), (side_j, side_i, -1.0)):
                 acts = np.isin(one.astype(str), [str(m) for m in members]) & (two == partner)
                 force += sign * (contacts[:, acts] @ frame["contact_force"][acts])
-            close(g.interphase_force.sel(other_phase=other), force, float(abs(f.interphase_force).max()))
+            close(
+                g.interphase_force.sel(other_phase=other),
+                force,
+                float(abs(f.interphase_force).max()),
+            )
         flux = rho[:, own] @ frame["velocity"][own] - rho[:, own].sum(1)[:, None] * velocity
-        close(g.segregation_flux, np.where(rho.sum(1)[:, None] > 0, flux, 0.0), float(abs(rho).sum(1).max()))
+        close(
+            g.segregation_flux,
+            np.where(rho.sum(1)[:, None] > 0, flux, 0.0),
+            float(abs(rho).sum(1).max()),
+        )
         phi, total = volume[:, own].sum(1), volume.sum(1)
         close(g.void_fraction, 1 - phi, 1.0)
         with np.errstate(invalid="ignore"):
@@ -225,7 +261,9 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
 
 
 def close(found, expected, scale):
-    np.testing.assert_allclose(found.to_numpy()[0].reshape(expected.shape), expected, rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(
+        found.to_numpy()[0].reshape(expected.shape), expected, rtol=0, atol=1e-12 * scale
+    )
 
 
 def test_forces_between_phases_have_the_kernel_of_the_phase_they_act_on():
@@ -233,14 +271,21 @@ def test_forces_between_phases_have_the_kernel_of_the_phase_they_act_on():
     place = {"spacing": 0.4, "axes": "z", "bounds": {"z": (0.0, 4.0)}, "by": "species"}
     own = ds.cg.coarse_grain("interphase_force", width={1: 0.4, 2: 0.9}, **place)
     for phase, width in (("1", 0.4), ("2", 0.9)):
-        same = ds.cg.coarse_grain("interphase_force", width=width, **place).interphase_force.sel(phase=phase)
-        np.testing.assert_allclose(own.interphase_force.sel(phase=phase), same, atol=1e-12 * float(abs(same).max()))
+        same = ds.cg.coarse_grain("interphase_force", width=width, **place).interphase_force.sel(
+            phase=phase
+        )
+        np.testing.assert_allclose(
+            own.interphase_force.sel(phase=phase), same, atol=1e-12 * float(abs(same).max())
+        )
 
 
 def test_segregation_flux_keeps_its_digits_in_a_fast_frame():
     ds = xcg.datasets.random_scene(150, seed=7)
     fast = ds.assign(velocity=ds.velocity + 1e6)
-    one, other = (d.cg.coarse_grain("segregation_flux", by="species", width=0.8).segregation_flux for d in (ds, fast))
+    one, other = (
+        d.cg.coarse_grain("segregation_flux", by="species", width=0.8).segregation_flux
+        for d in (ds, fast)
+    )
     np.testing.assert_allclose(other, one, atol=1e-8 * float(abs(one).max()))
 
 
@@ -251,10 +296,14 @@ def test_pairs_of_phases_need_phases():
 
 def test_averages_of_concentrations_are_ratios_of_averages():
     ds = steps_of_random_scenes(4)
-    f = ds.cg.coarse_grain(["concentration", "volume_fraction", "void_fraction"], by="species", width=0.8)
+    f = ds.cg.coarse_grain(
+        ["concentration", "volume_fraction", "void_fraction"], by="species", width=0.8
+    )
     mean, phi = f.cg.time_average(), f.volume_fraction.mean("time")
     bulk = phi.sel(phase="bulk", drop=True)
-    xr.testing.assert_allclose(mean.concentration, (phi / bulk.where(bulk > 0)).transpose(*mean.concentration.dims))
+    xr.testing.assert_allclose(
+        mean.concentration, (phi / bulk.where(bulk > 0)).transpose(*mean.concentration.dims)
+    )
     xr.testing.assert_allclose(mean.void_fraction, 1 - phi)
     with pytest.raises(ValueError, match="choose phases after it"):
         f.sel(phase=[1]).cg.time_average()
@@ -270,7 +319,9 @@ def test_size_statistics_of_each_step():
     steps = [np.array([1.0, 2.0, 2.0]), np.array([3.0]), np.array([1.0, 1.0, 1.0, 4.0])]
     density = [np.array([1000.0, 1.0, 1.0]), np.array([1.0]), np.full(4, 1.0)]
     mass = [rho * d**3 for rho, d in zip(density, steps, strict=True)]
-    ds = xcg.scene_from_arrays([np.arange(3.0 * len(d)).reshape(-1, 3) for d in steps], diameter=steps, mass=mass)
+    ds = xcg.scene_from_arrays(
+        [np.arange(3.0 * len(d)).reshape(-1, 3) for d in steps], diameter=steps, mass=mass
+    )
     lazy = ds.chunk(time=1, particle=2).cg.size_statistics()
     assert lazy.d43.chunks is not None
     for s in (ds.cg.size_statistics(), lazy.compute()):
@@ -288,10 +339,20 @@ def test_size_statistics_of_each_step():
 
 def test_phases_are_found_by_number_and_by_text(tmp_path):
     ds = steps_of_random_scenes(2)
-    f = ds.cg.coarse_grain(["density", "velocity", "contact_stress_by_pair"], axes="z", by="species", by_pair=True)
+    f = ds.cg.coarse_grain(
+        ["density", "velocity", "contact_stress_by_pair"], axes="z", by="species", by_pair=True
+    )
     mean = f[["density", "velocity"]].cg.time_average()
     packing = ds.cg.microstructure("coordination_number", by="species")
-    for g in (f, mean, f.isel(phase=[0, 2, 1]), f * 2.0, f.chunk(phase=1), pickle.loads(pickle.dumps(f)), packing):
+    for g in (
+        f,
+        mean,
+        f.isel(phase=[0, 2, 1]),
+        f * 2.0,
+        f.chunk(phase=1),
+        pickle.loads(pickle.dumps(f)),
+        packing,
+    ):
         for number in (2, np.int64(2)):
             xr.testing.assert_identical(g.sel(phase=number), g.sel(phase="2"))
         xr.testing.assert_identical(g.sel(phase=[2, 1]), g.sel(phase=["2", "1"]))
@@ -307,7 +368,9 @@ def test_phases_are_found_by_number_and_by_text(tmp_path):
         again = reopen(f.cg.save(tmp_path / f"f.{suffix}"))
         xr.testing.assert_equal(again, f)
         assert again.phase.values.tolist() == ["bulk", "1", "2"]
-        xr.testing.assert_equal((f - again).sel(phase=1), f.sel(phase=1) - again.sel(phase="1"))  # they align
+        xr.testing.assert_equal(
+            (f - again).sel(phase=1), f.sel(phase=1) - again.sel(phase="1")
+        )  # they align
         total = again.isel(phase=[2, 1]) + f
         xr.testing.assert_equal(total.sel(phase=["1", "2"]), f.sel(phase=[1, 2]) * 2.0)
 

@@ -21,7 +21,9 @@ def ds():
 
 def several(ds, steps=3):
     """The scene, several times over."""
-    return xr.concat([ds.assign_coords(time=[float(t)]) for t in range(steps)], "time", data_vars="all")
+    return xr.concat(
+        [ds.assign_coords(time=[float(t)]) for t in range(steps)], "time", data_vars="all"
+    )
 
 
 def only(said):
@@ -57,7 +59,9 @@ def test_a_mesh_that_no_grain_reaches_warns(lazy):
     ds = xcg.scene_from_arrays(position, diameter=np.full((4, 30), 0.1), density=1.0)
     ds = ds.chunk(time=1) if lazy else ds
     with pytest.warns(xcg.SceneWarning) as said:
-        f = ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (1000.0, 1001.0)), width=0.1).compute()
+        f = ds.cg.coarse_grain(
+            "density", bounds=dict.fromkeys("xyz", (1000.0, 1001.0)), width=0.1
+        ).compute()
     text = only(said)
     assert "no grain reaches any node" in text
     assert "x from 1000 to 1001" in text
@@ -69,7 +73,9 @@ def test_a_mesh_that_no_grain_reaches_warns(lazy):
 
 
 def test_a_step_without_grains_does_not_warn():
-    ds = xcg.scene_from_arrays([np.zeros((0, 3)), np.ones((2, 3))], diameter=[np.zeros(0), np.ones(2)], density=1.0)
+    ds = xcg.scene_from_arrays(
+        [np.zeros((0, 3)), np.ones((2, 3))], diameter=[np.zeros(0), np.ones(2)], density=1.0
+    )
     ds.cg.coarse_grain("density")
 
 
@@ -82,7 +88,9 @@ def test_grains_beyond_the_mesh_warn():
         ds.cg.coarse_grain("density")
     assert "step 1: grains lie at z from 0 to 5" in only(said)
     ds.cg.measure().cg.coarse_grain("density")  # no warning
-    ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (-1.0, 1.0)))  # nor where the mesh is the user's
+    ds.cg.coarse_grain(
+        "density", bounds=dict.fromkeys("xyz", (-1.0, 1.0))
+    )  # nor where the mesh is the user's
 
 
 # --- contacts --------------------------------------------------------------------------------------------
@@ -102,7 +110,10 @@ def test_attractive_contacts_warn(ds, call, lazy):
 
 
 def test_repulsive_contacts_do_not_warn(ds):
-    for scene in (ds, ds.assign(contact_i=ds.contact_j, contact_j=ds.contact_i, contact_force=-ds.contact_force)):
+    for scene in (
+        ds,
+        ds.assign(contact_i=ds.contact_j, contact_j=ds.contact_i, contact_force=-ds.contact_force),
+    ):
         scene.cg.coarse_grain(CONTACT_FIELDS)
 
 
@@ -121,11 +132,15 @@ def test_contacts_across_an_open_box_warn(ds):
 
 
 def test_ends_of_contacts_that_are_not_the_positions_warn(ds):
-    frame = {name: ds[name].values[0] for name in ("particle_id", "position", "contact_i", "contact_j")}
+    frame = {
+        name: ds[name].values[0] for name in ("particle_id", "position", "contact_i", "contact_j")
+    }
     period = np.full(3, 4.0)
     branch = frame["position"][frame["contact_i"]] - frame["position"][frame["contact_j"]]
     check_ends(frame | {"wrapped_branch": branch}, frame, Lattice(period), "step 0")
-    check_ends(frame | {"wrapped_branch": minimum_image(branch, period)}, frame, Lattice(period), "step 0")
+    check_ends(
+        frame | {"wrapped_branch": minimum_image(branch, period)}, frame, Lattice(period), "step 0"
+    )
     with pytest.warns(xcg.SceneWarning, match="ends of .* are not the positions"):
         check_ends(frame | {"wrapped_branch": branch[:, ::-1]}, frame, Lattice(period), "step 0")
 
@@ -157,7 +172,8 @@ def test_a_plane_outside_a_periodic_box_warns(ds):
 
 
 @pytest.mark.parametrize(
-    "name", ["diametr", "diameters", "velocty", "velocities", "contact_forces", "periodc", "spieces"]
+    "name",
+    ["diametr", "diameters", "velocty", "velocities", "contact_forces", "periodc", "spieces"],
 )
 def test_a_misspelt_variable_raises(name):
     with pytest.raises(xcg.SceneError, match=f"'{name}' is neither .*did you mean"):
@@ -165,12 +181,16 @@ def test_a_misspelt_variable_raises(name):
 
 
 def test_radius_suggests_twice_as_diameter():
-    with pytest.raises(xcg.SceneError, match=r"'radius' is neither .*; did you mean diameter = 2 radius\?"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'radius' is neither .*; did you mean diameter = 2 radius\?"
+    ):
         xcg.scene_from_arrays(np.zeros((2, 3)), radius=np.ones(2))
 
 
 def test_times_are_given_for_each_step():
-    with pytest.raises(xcg.SceneError, match=r"'timestep' is neither .*; did you mean time=, an array"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'timestep' is neither .*; did you mean time=, an array"
+    ):
         xcg.scene_from_arrays(np.zeros((2, 3)), timestep=0.1)
 
 
@@ -180,18 +200,26 @@ def test_a_variable_of_particles_has_a_row_for_each():
 
 
 def test_contacts_as_one_table_raise():
-    with pytest.raises(xcg.SceneError, match=r"'contacts' is neither .*; did you mean contact_i=, contact_j="):
+    with pytest.raises(
+        xcg.SceneError, match=r"'contacts' is neither .*; did you mean contact_i=, contact_j="
+    ):
         xcg.scene_from_arrays(np.zeros((2, 3)), contacts={})
 
 
 def test_wrong_shapes_raise_with_a_remedy():
-    with pytest.raises(xcg.SceneError, match=r"add a column of zeros for z and give dimension=2\)$"):
+    with pytest.raises(
+        xcg.SceneError, match=r"add a column of zeros for z and give dimension=2\)$"
+    ):
         xcg.scene_from_arrays(np.zeros((5, 2)))
-    with pytest.raises(xcg.SceneError, match=r"'diameter' has shape \(\): .*numpy\.full\(n, 0\.1\)"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'diameter' has shape \(\): .*numpy\.full\(n, 0\.1\)"
+    ):
         xcg.scene_from_arrays(np.zeros((5, 3)), diameter=0.1)
 
 
-@pytest.mark.parametrize("name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"])
+@pytest.mark.parametrize(
+    "name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"]
+)
 def test_own_variables_are_accepted(name):
     assert name in xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
 
@@ -220,9 +248,14 @@ def test_units_that_contradict_the_header_warn(tmp_path, system, units, fits):
 def test_contacts_of_another_box_warn(tmp_path):
     units = "ITEM: UNITS\nsi\n"
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(before=units))
-    same = dumps.write(tmp_path / "c.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("-1 9", "-1 8")))
+    same = dumps.write(
+        tmp_path / "c.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("-1 9", "-1 8"))
+    )
     xcg.open_scene(particles, contacts=same)  # along an axis that is not periodic
-    other = dumps.write(tmp_path / "d.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("0 10", "0 20", 1)))
+    other = dumps.write(
+        tmp_path / "d.dump",
+        dumps.pairs_text(before=units, box=dumps.BOX.replace("0 10", "0 20", 1)),
+    )
     with pytest.warns(xcg.SceneWarning) as said:
         xcg.open_scene(particles, contacts=other)
     assert "d.dump (step 0) is [0.0, 20.0] along 'x'" in only(said)
@@ -242,11 +275,17 @@ def test_unused_columns_of_walls_or_forces_warn(tmp_path):
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(rows, f"{dumps.ATOMS} f_wall[1]"))
     with pytest.warns(xcg.SceneWarning) as said:
         xcg.open_scene(particles)
-    assert "p.dump (step 0): columns f_wall[1] look like forces or contacts with walls" in only(said)
+    assert "p.dump (step 0): columns f_wall[1] look like forces or contacts with walls" in only(
+        said
+    )
     xcg.open_scene(particles, names={"f_wall[1]": None})
     assert "at_wall" in xcg.open_scene(particles, names={"f_wall[1]": "at_wall"})
-    contacts = dumps.write(tmp_path / "c.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0 3"], f"{dumps.PAIRS} force_x"))
-    with pytest.warns(xcg.SceneWarning, match=r"c\.dump.* columns force_x look like .*'contact_force_x'"):
+    contacts = dumps.write(
+        tmp_path / "c.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0 3"], f"{dumps.PAIRS} force_x")
+    )
+    with pytest.warns(
+        xcg.SceneWarning, match=r"c\.dump.* columns force_x look like .*'contact_force_x'"
+    ):
         xcg.open_scene(particles, contacts=contacts, names={"f_wall[1]": None})
 
 
@@ -300,7 +339,9 @@ def test_normal_forces_without_branches_warn(tmp_path):
 def test_whole_forces_do_not_warn(tmp_path):
     dropped = WHOLE | {f"c_2[{k}]": None for k in (7, 8, 9)}
     opened(tmp_path, 2.0, dropped).compute()  # said not to be wanted
-    parts = {column: slot.replace("contact_force", "normal_force") for column, slot in WHOLE.items()}
+    parts = {
+        column: slot.replace("contact_force", "normal_force") for column, slot in WHOLE.items()
+    }
     both = parts | {f"c_2[{7 + k}]": f"tangential_force_{a}" for k, a in enumerate("xyz")}
     force = opened(tmp_path, 2.0, both).contact_force.values[0]
     np.testing.assert_allclose(force[0], [7 * 0.3 - 2 * 0.1, 7 * 0.1 + 2 * 0.3, 0.0], rtol=1e-5)
@@ -316,7 +357,10 @@ def test_unnamed_columns_raise_with_a_table_of_names(tmp_path):
     text = " ".join(str(raised.value).split())
     assert "no ids of both partners among the columns c_1[1] c_1[2] c_2[1]" in text
     assert "which become patom1 patom2 contact_i, contact_j dx dy dz contact_branch_x" in text
-    assert "fx fy fz normal_force_x, normal_force_y, normal_force_z p1 p2 p3 tangential_force_x" in text
+    assert (
+        "fx fy fz normal_force_x, normal_force_y, normal_force_z p1 p2 p3 tangential_force_x"
+        in text
+    )
     with pytest.raises(xcg.SceneError) as raised:  # not where columns have names
         opened(tmp_path, 2.0, {}, columns=" ".join("abcdefghijk"))
     assert "patom1" not in str(raised.value)
@@ -340,7 +384,9 @@ def test_discs_read_as_spheres_warn():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.uniform(0, 9, (50, 2)), np.zeros(50)])
     d = rng.uniform(0.8, 1.2, 50)
-    with pytest.warns(xcg.SceneWarning, match="as those of discs, .* give shape='disc' and thickness=") as said:
+    with pytest.warns(
+        xcg.SceneWarning, match="as those of discs, .* give shape='disc' and thickness="
+    ) as said:
         xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2)
     only(said)
     with pytest.warns(xcg.SceneWarning, match="as those of discs, .* and dimension=2$") as said:
@@ -348,7 +394,9 @@ def test_discs_read_as_spheres_warn():
     only(said)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2, shape="disc", thickness=1.0)
+        xcg.scene_from_arrays(
+            position, diameter=d, mass=2.0 * d**2, dimension=2, shape="disc", thickness=1.0
+        )
         xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**3, dimension=2)
         xcg.scene_from_arrays(position, diameter=np.ones(50), mass=np.ones(50), dimension=2)
         xcg.datasets.open("shear_cell_0.1")

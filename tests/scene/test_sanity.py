@@ -40,7 +40,11 @@ def mirrored(contacts, scale=1.0, shift=0.0):
 
 def both(one, other, seed=None):
     joined = {name: np.concatenate([one[name], other[name]]) for name in CONTACTS}
-    order = slice(None) if seed is None else np.random.default_rng(seed).permutation(len(joined["contact_i"]))
+    order = (
+        slice(None)
+        if seed is None
+        else np.random.default_rng(seed).permutation(len(joined["contact_i"]))
+    )
     return {name: values[order] for name, values in joined.items()}
 
 
@@ -86,7 +90,11 @@ def test_different_contacts_of_a_pair_all_count():
     ids = {"contact_i": [0] * 4, "contact_j": [1] * 4}
     ds = xcg.scene_from_arrays(**bodies, **ids, contact_force=force, contact_point=corner)
     assert ds.sizes["contact"] == 4
-    mirrored_too = {"contact_i": [0] * 4 + [1] * 4, "contact_j": [1] * 4 + [0] * 4, "contact_point": [*corner, *corner]}
+    mirrored_too = {
+        "contact_i": [0] * 4 + [1] * 4,
+        "contact_j": [1] * 4 + [0] * 4,
+        "contact_point": [*corner, *corner],
+    }
     ds = xcg.scene_from_arrays(**bodies, **mirrored_too, contact_force=[*force, *-force])
     assert ds.sizes["contact"] == 4
     np.testing.assert_allclose(np.sort(ds.contact_point[0], axis=0), np.sort(corner, axis=0))
@@ -104,13 +112,22 @@ def test_different_contacts_of_a_pair_all_count():
 
 def test_both_sides_with_the_same_force_raise():
     bodies = {"position": [[0.0, 0, 0], [0.9, 0, 0]], "diameter": [1.0, 1.0], "density": 1.0}
-    with pytest.raises(SceneError, match="contact rows 0 and 1 list one contact from both sides with the same force"):
-        xcg.scene_from_arrays(**bodies, contact_i=[0, 1], contact_j=[1, 0], contact_force=[[-1.0, 0, 0]] * 2)
+    with pytest.raises(
+        SceneError,
+        match="contact rows 0 and 1 list one contact from both sides with the same force",
+    ):
+        xcg.scene_from_arrays(
+            **bodies, contact_i=[0, 1], contact_j=[1, 0], contact_force=[[-1.0, 0, 0]] * 2
+        )
 
 
 def test_walls_and_unknown_partners_are_kept():
     bodies = {"position": [[0.0, 0, 0.5], [3.0, 0, 0.5]], "diameter": [1.0, 1.0], "density": 1.0}
-    wall = {"contact_i": [0, 0, 0, 1, 7], "contact_j": [-1, -1, -2, -1, 8], "contact_force": [[0, 0, 1.0]] * 5}
+    wall = {
+        "contact_i": [0, 0, 0, 1, 7],
+        "contact_j": [-1, -1, -2, -1, 8],
+        "contact_force": [[0, 0, 1.0]] * 5,
+    }
     point = [[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0], [3.0, 0, 0], [0, 0, 0]]
     ds = xcg.scene_from_arrays(**bodies, **wall, contact_point=point, allow_unknown=True)
     assert ds.contact_i.values.tolist() == [[0, 0, 1, 7]]
@@ -152,19 +169,30 @@ def test_many_rows_of_one_pair_are_bounded_work():
 def test_dumps_that_list_both_sides_count_once(tmp_path):
     particles = dumps.write(tmp_path / "p.0.dump", dumps.dump_text())
     once = dumps.write(tmp_path / "once.0.dump", dumps.pairs_text())
-    twice = dumps.write(tmp_path / "twice.0.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0", "2 1 9 0 0 0 -1 0"]))
+    twice = dumps.write(
+        tmp_path / "twice.0.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0", "2 1 9 0 0 0 -1 0"])
+    )
     copied = dumps.write(tmp_path / "copied.0.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0"] * 2))
-    usual = xcg.open_scene(particles, contacts=once).cg.coarse_grain("contact_stress", axes="x", width=1.0).compute()
+    usual = (
+        xcg.open_scene(particles, contacts=once)
+        .cg.coarse_grain("contact_stress", axes="x", width=1.0)
+        .compute()
+    )
     assert abs(usual.contact_stress).max() > 0.01
     for contacts in (twice, copied):
-        f = xcg.open_scene(particles, contacts=contacts).cg.coarse_grain("contact_stress", axes="x", width=1.0)
+        f = xcg.open_scene(particles, contacts=contacts).cg.coarse_grain(
+            "contact_stress", axes="x", width=1.0
+        )
         np.testing.assert_array_equal(f.contact_stress, usual.contact_stress)
 
 
 def test_copied_rows_of_fstat_files_count_once(tmp_path):
     grains = [f"{x} 0 0 0 0 0 0.5 0 0 0 0 0 0 0" for x in (0.5, 1.4)]
     (tmp_path / "a.data").write_text("\n".join(["2 0 -1 -1 -1 3 3 3", *grains, ""]))
-    row, mirror = "0 0 1 0.95 0 0 0.1 0 5 0 -1 0 0 0 0 0\n", "0 1 0 0.95 0 0 0.1 0 5 0 1 0 0 0 0 0\n"
+    row, mirror = (
+        "0 0 1 0.95 0 0 0.1 0 5 0 -1 0 0 0 0 0\n",
+        "0 1 0 0.95 0 0 0.1 0 5 0 1 0 0 0 0 0\n",
+    )
     stresses = []
     for k, rows in enumerate([[row], [row, row], [row, mirror, row, mirror]]):
         contacts = tmp_path / f"{k}.fstat"
@@ -193,7 +221,10 @@ def listed(packing):
 
 
 def with_contacts(packing, contacts, **options):
-    options = {"dimension": int(packing.attrs["dimension"]), "thickness": packing.attrs.get("thickness")} | options
+    options = {
+        "dimension": int(packing.attrs["dimension"]),
+        "thickness": packing.attrs.get("thickness"),
+    } | options
     edges = np.stack([packing.attrs["box_lower"], packing.attrs["box_upper"]], axis=1)
     return xcg.scene_from_arrays(
         packing.position.values[0], velocity=packing.velocity.values[0], diameter=packing.diameter.values[0],
@@ -206,7 +237,9 @@ def from_both_sides(contacts, eps, rng):
     """List each contact again from the other side, its force off by up to a share `eps` in a direction of its own."""
     force = contacts["contact_force"]
     push = rng.normal(size=force.shape)
-    push *= np.linalg.norm(force, axis=1, keepdims=True) / np.linalg.norm(push, axis=1, keepdims=True)
+    push *= np.linalg.norm(force, axis=1, keepdims=True) / np.linalg.norm(
+        push, axis=1, keepdims=True
+    )
     other = {
         "contact_i": contacts["contact_j"],
         "contact_j": contacts["contact_i"],
@@ -214,13 +247,15 @@ def from_both_sides(contacts, eps, rng):
         "contact_point": contacts["contact_point"],
     }
     order = rng.permutation(2 * len(force))
-    return {name: np.concatenate([contacts[name], other[name]])[order] for name in CONTACTS}, 0.5 * (
-        force - other["contact_force"]
-    )
+    return {
+        name: np.concatenate([contacts[name], other[name]])[order] for name in CONTACTS
+    }, 0.5 * (force - other["contact_force"])
 
 
 def sums(packing):
-    f = packing.cg.coarse_grain(["contact_stress", "contact_number_density", "coordination_number"], axes="")
+    f = packing.cg.coarse_grain(
+        ["contact_stress", "contact_number_density", "coordination_number"], axes=""
+    )
     return {name: f[name].values for name in f.data_vars}
 
 
@@ -235,14 +270,18 @@ def test_stress_and_counts_equal_those_of_the_mean_of_both_sides(packing, eps):
         a, b = sums(found), sums(once)
     rounding = 1e-4 if eps <= 1e-4 else 1e-12  # up to which one of the rows is taken as it is
     for name in a:
-        np.testing.assert_allclose(a[name], b[name], rtol=0.0, atol=2 * rounding * abs(b[name]).max())
+        np.testing.assert_allclose(
+            a[name], b[name], rtol=0.0, atol=2 * rounding * abs(b[name]).max()
+        )
 
 
 @pytest.mark.parametrize("eps", [0.4, 0.5, 1.0])
 def test_rows_with_forces_that_are_far_from_opposite_stay_two(packing, eps):
     contacts = listed(packing)
     both, _ = from_both_sides(contacts, eps, np.random.default_rng(2))
-    with pytest.warns(SceneWarning, match=r"contacts are listed from both sides with forces that differ by more"):
+    with pytest.warns(
+        SceneWarning, match=r"contacts are listed from both sides with forces that differ by more"
+    ):
         found = with_contacts(packing, both)
     assert (found.contact_i.values >= 0).sum() == 2 * len(contacts["contact_i"])
     with_contacts(packing, both, sides="separate")  # without a warning
@@ -251,7 +290,8 @@ def test_rows_with_forces_that_are_far_from_opposite_stay_two(packing, eps):
 def test_messages_about_unlike_sides_name_both_forces():
     force = np.array([[2.0, 0, 0], [-3.0, 0, 0]])
     with pytest.warns(
-        SceneWarning, match=r"1 contacts .* \[2\. 0\. 0\.\] on particle 0 and \[-3\. +0\. +0\.\] on particle 1"
+        SceneWarning,
+        match=r"1 contacts .* \[2\. 0\. 0\.\] on particle 0 and \[-3\. +0\. +0\.\] on particle 1",
     ):
         xcg.scene_from_arrays(
             [[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, contact_i=[0, 1], contact_j=[1, 0],
@@ -265,7 +305,9 @@ def test_the_warning_has_the_number_and_the_mismatch(packing):
     mirrored = both["contact_i"] > both["contact_j"]
     rows = np.flatnonzero(mirrored)[:4]
     both["contact_force"][rows] *= np.array([1.01, 1.03, 1.05, 1.07])[:, None]
-    with pytest.warns(SceneWarning, match=r"4 contacts are listed from both sides .* 0\.038 .* 0\.065 at most"):
+    with pytest.warns(
+        SceneWarning, match=r"4 contacts are listed from both sides .* 0\.038 .* 0\.065 at most"
+    ):
         with_contacts(packing, both)
 
 
@@ -277,10 +319,16 @@ def test_the_argument_sides_decides(sides, count):
     }  # fmt: skip
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        ds = xcg.scene_from_arrays([[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, sides=sides, **given)
+        ds = xcg.scene_from_arrays(
+            [[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, sides=sides, **given
+        )
     assert len(told) == (sides != "separate")
     assert ds.sizes["contact"] == count
-    expected = {"mean": [-10.5, 1.1, 0.0], "first": [-10.0, 1.0, 0.0], "separate": [-10.0, 1.0, 0.0]}[sides]
+    expected = {
+        "mean": [-10.5, 1.1, 0.0],
+        "first": [-10.0, 1.0, 0.0],
+        "separate": [-10.0, 1.0, 0.0],
+    }[sides]
     np.testing.assert_allclose(ds.contact_force.values[0, 0], expected, rtol=1e-14)
     assert np.isclose(ds.contact_point.values[0, 0, 0], 0.51 if sides == "mean" else 0.5)
     words = {"mean": "the mean of both", "first": "the first row", "separate": "are two"}
@@ -328,7 +376,9 @@ def test_two_contacts_of_a_pair_listed_from_both_sides_stay_two():
             contact_force=np.concatenate([force, -1.05 * force]), contact_point=np.concatenate([points, points]),
         )  # fmt: skip
     assert ds.sizes["contact"] == 2
-    np.testing.assert_allclose(sorted(ds.contact_force.values[0, :, 0]), [-10.2 * 1.025, -10.0 * 1.025], rtol=1e-12)
+    np.testing.assert_allclose(
+        sorted(ds.contact_force.values[0, :, 0]), [-10.2 * 1.025, -10.0 * 1.025], rtol=1e-12
+    )
     assert len(np.unique(ds.contact_point.values[0, :, 1])) == 2
 
 
@@ -342,7 +392,9 @@ def test_two_contacts_whose_sides_alternate_by_the_size_of_the_force(order):
     }  # fmt: skip
     given = {name: values[order] for name, values in given.items()}
     with pytest.warns(SceneWarning, match="2 contacts are listed from both sides"):
-        ds = xcg.scene_from_arrays([[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, **given)
+        ds = xcg.scene_from_arrays(
+            [[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, **given
+        )
     assert ds.sizes["contact"] == 2
     np.testing.assert_allclose(np.abs(ds.contact_force.values[0, :, 0]), 10.25, rtol=1e-14)
 
@@ -354,14 +406,21 @@ def test_the_mean_of_points_on_both_sides_of_a_periodic_edge():
     }  # fmt: skip
     with pytest.warns(SceneWarning, match="1 contacts? "):
         ds = xcg.scene_from_arrays(
-            [[0.5, 1, 1], [3.6, 1, 1]], diameter=[1.0, 1.0], density=1.0, box=[[0, 4.0]] * 3, periodic="xyz", **given
+            [[0.5, 1, 1], [3.6, 1, 1]],
+            diameter=[1.0, 1.0],
+            density=1.0,
+            box=[[0, 4.0]] * 3,
+            periodic="xyz",
+            **given,
         )
     assert ds.sizes["contact"] == 1
     assert abs((float(ds.contact_point[0, 0, 0]) + 2) % 4 - 2) < 1e-12
     np.testing.assert_allclose(ds.contact_force.values[0, 0], [11.0, 0, 0])
 
 
-def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_choice(tmp_path, packing):
+def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_choice(
+    tmp_path, packing
+):
     """Forces longer by a share eps differ by eps / (1 + eps) of the larger: 0.23 at 0.3, 0.29 at 0.4."""
     contacts = listed(packing)
     for eps, count in ((0.3, 1), (0.4, 2)):
@@ -380,18 +439,31 @@ def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_ch
 
 
 def test_unknown_sides_raise():
-    with pytest.raises(SceneError, match="sides='both': expected one of 'mean', 'first', 'separate'"):
+    with pytest.raises(
+        SceneError, match="sides='both': expected one of 'mean', 'first', 'separate'"
+    ):
         xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0], density=1.0, sides="both")
 
 
 def test_open_scene_takes_sides(tmp_path, packing):
     contacts = listed(packing)
     both, mean = from_both_sides(contacts, 0.01, np.random.default_rng(5))
-    grains = np.column_stack([packing.particle_id.values[0], packing.position.values[0], packing.diameter.values[0]])
-    np.savetxt(tmp_path / "grains.csv", grains, delimiter=",", header="id,x,y,z,diameter", comments="", fmt="%.17g")
+    grains = np.column_stack(
+        [packing.particle_id.values[0], packing.position.values[0], packing.diameter.values[0]]
+    )
+    np.savetxt(
+        tmp_path / "grains.csv",
+        grains,
+        delimiter=",",
+        header="id,x,y,z,diameter",
+        comments="",
+        fmt="%.17g",
+    )
     table = np.column_stack([both[name] for name in CONTACTS])
     header = "contact_i,contact_j,fx,fy,fz,contact_point_x,contact_point_y,contact_point_z"
-    np.savetxt(tmp_path / "contacts.csv", table, delimiter=",", header=header, comments="", fmt="%.17g")
+    np.savetxt(
+        tmp_path / "contacts.csv", table, delimiter=",", header=header, comments="", fmt="%.17g"
+    )
     edges = np.stack([packing.attrs["box_lower"], packing.attrs["box_upper"]], axis=1)
     options = {
         "density": 2500.0,
@@ -402,7 +474,10 @@ def test_open_scene_takes_sides(tmp_path, packing):
     }
     for sides, count in (("mean", 1), ("separate", 2)):
         ds = xcg.open_scene(
-            str(tmp_path / "grains.csv"), contacts=str(tmp_path / "contacts.csv"), sides=sides, **options
+            str(tmp_path / "grains.csv"),
+            contacts=str(tmp_path / "contacts.csv"),
+            sides=sides,
+            **options,
         )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SceneWarning)

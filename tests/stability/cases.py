@@ -23,7 +23,9 @@ class Case:
 
 def _relative(values, truth, scale=None):
     truth = np.asarray(truth, float)
-    return float(np.nanmax(np.abs(np.asarray(values, float) - truth)) / (scale or np.nanmax(np.abs(truth))))
+    return float(
+        np.nanmax(np.abs(np.asarray(values, float) - truth)) / (scale or np.nanmax(np.abs(truth)))
+    )
 
 
 def _point(r):
@@ -36,7 +38,9 @@ def part_of_the_box():
     truth = float(ds.mass.sum()) / 6**3
     whole = ds.cg.coarse_grain("density", axes="", width=0.75)
     inside = (ds.position.sel(component=["x", "y"]) < 3.0).all("component")
-    smeared = ds.isel(particle=inside.values[0]).cg.coarse_grain("density", axes="xyz", width=0.75, spacing=0.25)
+    smeared = ds.isel(particle=inside.values[0]).cg.coarse_grain(
+        "density", axes="xyz", width=0.75, spacing=0.25
+    )
     window = smeared.density.sel(x=slice(0, 2.99), y=slice(0, 2.99)).mean()
     return Case(
         "average over part of the box", "kernels at the window's edge reach out, and none reach in",
@@ -49,12 +53,23 @@ def few_grains():
     """Temperature at nodes that see one to four grains; the truth is unknown, so any number is wrong by 100 %."""
     rng = np.random.default_rng(1)
     ds = xcg.scene_from_arrays(
-        rng.uniform(-0.3, 0.3, (4, 3)), velocity=rng.normal(size=(4, 3)), diameter=np.ones(4), density=1.0
+        rng.uniform(-0.3, 0.3, (4, 3)),
+        velocity=rng.normal(size=(4, 3)),
+        diameter=np.ones(4),
+        density=1.0,
     )
-    f = ds.cg.coarse_grain(["granular_temperature", "velocity_gradient", "sample_count"], axes="", at=_point([0, 0, 0]))
+    f = ds.cg.coarse_grain(
+        ["granular_temperature", "velocity_gradient", "sample_count"], axes="", at=_point([0, 0, 0])
+    )
     g = f.velocity_gradient.values[0]
-    told = np.isnan(f.granular_temperature.item()) and f.sample_count.item() == 4 and np.isfinite(g).all()
-    pair = ds.isel(particle=slice(0, 2)).cg.coarse_grain("velocity_gradient", axes="", at=_point([0, 0, 0]))
+    told = (
+        np.isnan(f.granular_temperature.item())
+        and f.sample_count.item() == 4
+        and np.isfinite(g).all()
+    )
+    pair = ds.isel(particle=slice(0, 2)).cg.coarse_grain(
+        "velocity_gradient", axes="", at=_point([0, 0, 0])
+    )
     told = told and np.isnan(pair.velocity_gradient.values).all()
     return Case(
         "few grains in the support", "a fit through four grains leaves T = 0; through two, a singular matrix",
@@ -66,12 +81,18 @@ def few_grains():
 def temperature_at_the_default_width():
     """Mean temperature of independent velocities, where a node sees some 16 grains."""
     ds = xcg.datasets.dense_packing(4000)
-    ds = ds.assign(velocity=(ds.velocity.dims, np.random.default_rng(1).normal(size=ds.velocity.shape)))
-    f = ds.cg.coarse_grain(["granular_temperature", "fluctuation_density", "fluctuation_stress", "density"])
+    ds = ds.assign(
+        velocity=(ds.velocity.dims, np.random.default_rng(1).normal(size=ds.velocity.shape))
+    )
+    f = ds.cg.coarse_grain(
+        ["granular_temperature", "fluctuation_density", "fluctuation_stress", "density"]
+    )
     known = f.granular_temperature.notnull()
     free = f.fluctuation_density.where(known, 0.0)
     ours = (f.granular_temperature.fillna(0.0) * free).sum() / free.sum()
-    left = sum(f.fluctuation_stress.sel(component=a, direction=a).where(known, 0.0) for a in "xyz") / 3
+    left = (
+        sum(f.fluctuation_stress.sel(component=a, direction=a).where(known, 0.0) for a in "xyz") / 3
+    )
     truth = float((ds.velocity**2).mean())
     return Case(
         "temperature at a width of 0.75 d", "the fitted V and gradient contain part of the fluctuations",
@@ -86,7 +107,9 @@ def fast_frame():
     fast = ds.assign(velocity=ds.velocity + 1e6)
     at = _point([2.5, 2.5, 2.5])
     slow = ds.cg.coarse_grain("kinetic_stress", axes="", at=at, width=1.0).kinetic_stress.values[0]
-    ours = fast.cg.coarse_grain("kinetic_stress", axes="", at=at, width=1.0).kinetic_stress.values[0]
+    ours = fast.cg.coarse_grain("kinetic_stress", axes="", at=at, width=1.0).kinetic_stress.values[
+        0
+    ]
     kernel = BruteKernel("lucy", 1.0)
     x, v, m = ds.position.values[0], fast.velocity.values[0], ds.mass.values[0]
     dx = x - 2.5
@@ -105,14 +128,22 @@ def far_origin():
     """Stress of a scene a million diameters from the origin."""
     ds = xcg.datasets.random_scene(200, seed=3, periodic="")
     shift = 2.0**20
-    moved = ds.assign(position=ds.position + shift, contact_point=ds.contact_point + shift, box=ds.box + shift)
+    moved = ds.assign(
+        position=ds.position + shift, contact_point=ds.contact_point + shift, box=ds.box + shift
+    )
     # what is left of the coordinates: the same scene with the digits that the shift cut off
-    back = moved.assign(position=moved.position - shift, contact_point=moved.contact_point - shift, box=ds.box)
+    back = moved.assign(
+        position=moved.position - shift, contact_point=moved.contact_point - shift, box=ds.box
+    )
     at = np.array([2.5, 2.5, 2.5])
     near = back.cg.coarse_grain("density", axes="", at=_point(at), width=0.8).density.item()
-    ours = moved.cg.coarse_grain("density", axes="", at=_point(at + shift), width=0.8).density.item()
+    ours = moved.cg.coarse_grain(
+        "density", axes="", at=_point(at + shift), width=0.8
+    ).density.item()
     x, r = moved.position.values[0], at + shift
-    squared = np.maximum((x**2).sum(axis=1) - 2 * x @ r + r @ r, 0)  # the expanded square of fast distance matrices
+    squared = np.maximum(
+        (x**2).sum(axis=1) - 2 * x @ r + r @ r, 0
+    )  # the expanded square of fast distance matrices
     naive = moved.mass.values[0] @ BruteKernel("lucy", 0.8)(np.sqrt(squared))
     return Case(
         "coordinates 1e6 diameters from the origin", "|x - r|^2 expanded into x^2 - 2 x r + r^2 keeps no digits",
@@ -171,14 +202,20 @@ def contact_across_the_edge():
 def jumping_kernel():
     """Velocity gradient of a uniform shear, seen through a Heaviside."""
     ds = xcg.datasets.random_scene(400, seed=6, periodic="")
-    ds["velocity"] = ds.position.sel(component=["y", "y", "y"]).drop_vars("component") * np.array([1.0, 0, 0])
+    ds["velocity"] = ds.position.sel(component=["y", "y", "y"]).drop_vars("component") * np.array(
+        [1.0, 0, 0]
+    )
     at, h = np.array([2.5, 2.5, 2.5]), 1e-3
     options = {"kernel": "heaviside", "width": 1.2, "axes": ""}
-    ours = ds.cg.coarse_grain("velocity_gradient", at=_point(at), **options).velocity_gradient.values[0, 0, 1]
+    ours = ds.cg.coarse_grain(
+        "velocity_gradient", at=_point(at), **options
+    ).velocity_gradient.values[0, 0, 1]
     worst = 0.0
     for y in np.linspace(2, 3, 41):
         v = [
-            ds.cg.coarse_grain("velocity", at=_point([2.5, y + s, 2.5]), **options).velocity.values[0, 0]
+            ds.cg.coarse_grain("velocity", at=_point([2.5, y + s, 2.5]), **options).velocity.values[
+                0, 0
+            ]
             for s in (-h, h)
         ]
         worst = max(worst, abs((v[1] - v[0]) / (2 * h) - 1.0))
@@ -239,9 +276,21 @@ def degenerate_rows():
         contact_normal=[[1.0, 0, 0], [-1.0, 0, 0]],
     )  # fmt: skip
     f = ds.cg.coarse_grain(axes="", at=_point([0, 0, 0]), width=0.75)
-    finite = [name for name in f if name not in ("inertial_number", "friction_coefficient") and f[name].notnull().all()]
-    missing = {str(n) for n in f} - set(map(str, finite)) - {"inertial_number", "friction_coefficient"}
-    expected = {"granular_temperature", "fluctuation_stress", "velocity_gradient", "shear_rate_tensor", "shear_rate"}
+    finite = [
+        name
+        for name in f
+        if name not in ("inertial_number", "friction_coefficient") and f[name].notnull().all()
+    ]
+    missing = (
+        {str(n) for n in f} - set(map(str, finite)) - {"inertial_number", "friction_coefficient"}
+    )
+    expected = {
+        "granular_temperature",
+        "fluctuation_stress",
+        "velocity_gradient",
+        "shear_rate_tensor",
+        "shear_rate",
+    }
     try:
         xcg.scene_from_arrays([[np.nan, 0, 0]], diameter=[1.0], density=1.0)
     except xcg.SceneError as error:

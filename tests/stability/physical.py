@@ -44,7 +44,9 @@ def width_above_a_band():
     f = s.isel(width=0).sel(component="x").mean("time")
     size = _rms(f.velocity)
     marked = s.velocity_too_wide.isel(width=0)
-    inside = marked.sel(z=slice(4.5, 7.5)).any("z").all() and not marked.sel(z=slice(2.5, 3.5)).any()
+    inside = (
+        marked.sel(z=slice(4.5, 7.5)).any("z").all() and not marked.sel(z=slice(2.5, 3.5)).any()
+    )
     return Limit(
         "width above the thickness of a shear band (0.5 d under 1.5 d)", "the band is as wide as the kernel",
         "`velocity_bias`, too small, and `velocity_too_wide` around the band alone",

@@ -21,11 +21,18 @@ STEPS = 5
 
 @pytest.fixture(scope="module")
 def client():
-    settings = {"distributed.admin.system-monitor.gil.enabled": False, "distributed.worker.memory.terminate": False}
+    settings = {
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.terminate": False,
+    }
     with (
         dask.config.set(settings),
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=2, processes=True, dashboard_address=":0", memory_limit=None
+            n_workers=2,
+            threads_per_worker=2,
+            processes=True,
+            dashboard_address=":0",
+            memory_limit=None,
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -35,7 +42,9 @@ def client():
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A lazy scene of files."""
-    return xcg.open_scene(**series.write_vtp_series(tmp_path_factory.mktemp("files"), 60, STEPS, base=3))
+    return xcg.open_scene(
+        **series.write_vtp_series(tmp_path_factory.mktemp("files"), 60, STEPS, base=3)
+    )
 
 
 def here(ds: xr.Dataset) -> xr.Dataset:
@@ -45,12 +54,18 @@ def here(ds: xr.Dataset) -> xr.Dataset:
 def test_fields_under_a_cluster_have_equal_bits(client, scene):
     assert dask.base.get_scheduler() == client.get
     assert_same_bits(here(scene), scene.compute())
-    for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "kernel": "gaussian", "rtol": 1e-3}):
+    for options in (
+        {},
+        {"axes": "z", "by": "species"},
+        {"axes": "xz", "kernel": "gaussian", "rtol": 1e-3},
+    ):
         f = scene.cg.coarse_grain(**options)
         assert_same_bits(here(f), f.compute())
 
 
-@pytest.mark.parametrize("work", ["force_chains", "microstructure", "particle_stress", "find_contacts"])
+@pytest.mark.parametrize(
+    "work", ["force_chains", "microstructure", "particle_stress", "find_contacts"]
+)
 def test_other_functions_under_a_cluster_have_equal_bits(client, scene, work):
     result = getattr(scene.cg, work)()
     assert_same_bits(here(result), result.compute())
@@ -63,7 +78,9 @@ def test_kernels_of_users_reach_workers(client):
 
 
 def test_fields_of_users_reach_workers(client):
-    xcg.register_field("twist", lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., 0] ** 3, fields="stress")
+    xcg.register_field(
+        "twist", lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., 0] ** 3, fields="stress"
+    )
     f = steps_of_random_scenes(2).chunk(time=1).cg.coarse_grain(["stress", "twist"], width=0.8)
     assert_same_bits(here(f), f.compute())
 

@@ -43,12 +43,16 @@ def test_a_garbled_body_is_raised_or_skipped(folder, name, chunks):
     with pytest.raises(xcg.SceneError, match=rf"{name} \(step 20\): row \d has 'oops'"):
         ds.cg.coarse_grain(["density", "stress"], axes="z").compute()
     f = ds.cg.coarse_grain(["density", "stress"], axes="z", on_error="skip")
-    with pytest.warns(SkippedStep, match=rf"step 20 is skipped: .*{name} \(step 20\): row \d has 'oops'") as said:
+    with pytest.warns(
+        SkippedStep, match=rf"step 20 is skipped: .*{name} \(step 20\): row \d has 'oops'"
+    ) as said:
         f = f.compute()
     assert len(said) == 1
     assert f.skipped.values.tolist() == [False, False, True, False, False]
     assert np.isnan(f.density.isel(time=2)).all()
-    xr.testing.assert_equal(f.isel(time=[0, 1, 3, 4]).drop_vars("skipped"), whole.isel(time=[0, 1, 3, 4]))
+    xr.testing.assert_equal(
+        f.isel(time=[0, 1, 3, 4]).drop_vars("skipped"), whole.isel(time=[0, 1, 3, 4])
+    )
 
 
 def test_fields_of_particles_do_not_read_damaged_contacts(folder):
@@ -99,10 +103,18 @@ def test_steps_with_the_number_of_a_skipped_one_stay(lazy):
     """As in scenes of two runs that were joined, whose steps have the same numbers."""
     one = xcg.datasets.random_scene(20, seed=1)
     steps = [one.assign_coords(time=[float(k)]) for k in range(4)]
-    ds = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
-    ds = ds.assign_coords(step=("time", [0, 1, 1, 0])).assign(position=ds.position.where(ds.time != 1))
+    ds = xr.concat(
+        steps, "time", data_vars="all", coords="minimal", compat="override", join="override"
+    )
+    ds = ds.assign_coords(step=("time", [0, 1, 1, 0])).assign(
+        position=ds.position.where(ds.time != 1)
+    )
     with pytest.warns(SkippedStep):
-        f = (ds.chunk(time=4) if lazy else ds).cg.coarse_grain("density", width=1.0, on_error="skip").compute()
+        f = (
+            (ds.chunk(time=4) if lazy else ds)
+            .cg.coarse_grain("density", width=1.0, on_error="skip")
+            .compute()
+        )
     assert f.skipped.values.tolist() == [False, True, False, False]
     np.testing.assert_array_equal(f.density[2], f.density[0])
     assert f.density[0].sum() > 0
@@ -136,8 +148,12 @@ def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
 
     ds = opened(folder) if lazy else opened(folder).load()
     results = {"a": ((), "float64"), "b": ((), "int64")}
-    with pytest.warns(SkippedStep, match=r"step 20 is skipped: \S"):  # and why, also where the error says nothing
-        out = dask.compute(map_over_time(ds, ["position", "step"], faulty, results, "faulty", "skip"))[0]
+    with pytest.warns(
+        SkippedStep, match=r"step 20 is skipped: \S"
+    ):  # and why, also where the error says nothing
+        out = dask.compute(
+            map_over_time(ds, ["position", "step"], faulty, results, "faulty", "skip")
+        )[0]
     a, b, skipped = out["a"], out["b"], out["skipped"]
     np.testing.assert_array_equal(a, [1, 1, np.nan, 1, 1])
     np.testing.assert_array_equal(b, [1, 1, -1, 1, 1])
@@ -195,7 +211,10 @@ SHOWN = "\\x1b]0;title\\x07\\x9b31m\\u202e"
 
 
 def test_messages_escape_control_characters(folder):
-    dumps.write(folder / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" x ", f" {CODES} "), step=10))
+    dumps.write(
+        folder / "p.10.dump",
+        dumps.dump_text(columns=dumps.ATOMS.replace(" x ", f" {CODES} "), step=10),
+    )
     with pytest.raises(xcg.SceneError) as error:
         xcg.open_scene(folder / "p.10.dump")
     with pytest.warns(xcg.SceneWarning) as said:
@@ -222,7 +241,9 @@ def test_errors_and_warnings_pickle():
 # --- files that cannot be opened -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("damage", ["", "ITEM: TIMESTEP\n", "ITEM: TIMESTEP\nx\n", "\x00\x01\x02", "ITEM: ATOMS"])
+@pytest.mark.parametrize(
+    "damage", ["", "ITEM: TIMESTEP\n", "ITEM: TIMESTEP\nx\n", "\x00\x01\x02", "ITEM: ATOMS"]
+)
 @pytest.mark.parametrize("step", STEPS[::2])
 def test_a_file_without_a_header_is_named_or_left_out(folder, damage, step):
     (folder / f"p.{step}.dump").write_text(damage)
@@ -301,7 +322,11 @@ def test_a_truncated_file_of_many_steps_raises_or_is_cut(tmp_path, keep, packed)
             with pytest.raises(xcg.SceneError, match=r"many\.dump"):
                 xcg.open_scene(path, on_error="skip")
             return
-        f = xcg.open_scene(path, on_error="skip").cg.coarse_grain("density", axes="z", on_error="skip").compute()
+        f = (
+            xcg.open_scene(path, on_error="skip")
+            .cg.coarse_grain("density", axes="z", on_error="skip")
+            .compute()
+        )
     good = f.sel(time=~f.skipped)
     assert good.step.values.tolist() == list(range(good.sizes["time"]))
     assert good.sizes["time"] == whole
@@ -318,7 +343,9 @@ def test_one_garbled_step_among_many_is_skipped(tmp_path):
 
 def test_damaged_vtp_files_are_skipped(tmp_path):
     for k in range(4):
-        write_particles(tmp_path / f"P_{k}.vtp", time=k / 10, Density=np.ones(3), Velocity=np.zeros((3, 3)))
+        write_particles(
+            tmp_path / f"P_{k}.vtp", time=k / 10, Density=np.ones(3), Velocity=np.zeros((3, 3))
+        )
         write_contacts(tmp_path / f"F_{k}.vtp", [1], [2], [[1, 0, 0]], time=k / 10)
     whole = (tmp_path / "P_1.vtp").read_bytes()
     (tmp_path / "P_1.vtp").write_bytes(whole[: len(whole) // 2])
@@ -361,7 +388,9 @@ def test_grains_far_away_take_no_memory_and_change_no_field():
     far = np.concatenate([near, [[1e6, 1e6, 1e6], [-1e6, 1e7, 1e5]]])
     options = {"bounds": dict.fromkeys("xyz", (0.0, 5.0)), "width": 0.5}
     few, more = (
-        xcg.scene_from_arrays(x, diameter=np.ones(len(x)), density=2.0).cg.coarse_grain("density", **options)
+        xcg.scene_from_arrays(x, diameter=np.ones(len(x)), density=2.0).cg.coarse_grain(
+            "density", **options
+        )
         for x in (near, far)
     )
     xr.testing.assert_allclose(more.density, few.density, rtol=1e-12)
@@ -386,5 +415,7 @@ def test_a_box_far_smaller_than_the_widest_kernel_raises():
     ds.box.values[:, 0] = (0, 0.1)
     wide = {"bounds": dict.fromkeys("xyz", (0, 1)), "spacing": 0.5, "by": "species"}
     ds.cg.coarse_grain("density", width={1: 0.3, 2: 0.4}, **wide)
-    with pytest.raises(xcg.SceneError, match=r"along 'x' the period is 0\.1 m, and the reach 200 m"):
+    with pytest.raises(
+        xcg.SceneError, match=r"along 'x' the period is 0\.1 m, and the reach 200 m"
+    ):
         ds.cg.coarse_grain("density", width={1: 0.3, 2: 50.0}, **wide)

@@ -43,7 +43,9 @@ def test_mapping_yields_the_steps_of_the_series():
 
 def test_tasks_take_the_finest_chunks_of_their_variables():
     ds = steps_of_random_scenes(4)
-    mixed = ds.chunk(time=4).assign(velocity=ds.velocity.chunk(time=(1, 3)), mass=ds.mass.chunk(time=(1, 1, 2)))
+    mixed = ds.chunk(time=4).assign(
+        velocity=ds.velocity.chunk(time=(1, 3)), mass=ds.mass.chunk(time=(1, 1, 2))
+    )
     f = mixed.cg.coarse_grain(["velocity"], width=1.0, axes="z")
     assert f.velocity.chunks[0] == (1, 1, 2)
     xr.testing.assert_equal(f.compute(), ds.cg.coarse_grain(["velocity"], width=1.0, axes="z"))
@@ -117,10 +119,15 @@ def test_a_finished_run_shows_no_progress(capsys):
 
 def test_saving_reports_progress(tmp_path, capsys):
     ds = xcg.datasets.random_scene(30)
-    series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)
+    series = xr.concat(
+        [ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all"
+    ).chunk(time=1)
     series.cg.save(tmp_path / "quiet.nc")
     assert capsys.readouterr().err == ""  # neither a terminal nor asked for
-    for what, name in ((series, "told.nc"), (series.cg.coarse_grain("density", axes="xz"), "told.pvd")):
+    for what, name in (
+        (series, "told.nc"),
+        (series.cg.coarse_grain("density", axes="xz"), "told.pvd"),
+    ):
         what.cg.save(tmp_path / name, progress=True)
         assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == [
             "1 of 4", "2 of 4", "3 of 4", "4 of 4",
@@ -156,7 +163,9 @@ def test_progress_is_a_bar_in_terminals_and_lines_elsewhere(terminal, monkeypatc
         assert re.search(r"\[#{30}\] 100 of 100 steps, .* steps/s, 00:00 left\n$", stream.text)
     else:
         lines = stream.text.splitlines()
-        assert [line.split(",")[0] for line in lines] == [f"{n} of 100 steps" for n in range(20, 101, 10)]
+        assert [line.split(",")[0] for line in lines] == [
+            f"{n} of 100 steps" for n in range(20, 101, 10)
+        ]
         assert re.fullmatch(r"20 of 100 steps, .* steps/s, \d\d:\d\d left", lines[0])
         assert "\r" not in stream.text
     stream.text = ""
@@ -168,7 +177,10 @@ def test_progress_is_a_bar_in_terminals_and_lines_elsewhere(terminal, monkeypatc
 def test_tasks_count_the_steps_that_are_left():
     """Of 10 steps 4 were done: three tasks stand for the other six, whatever other tasks there are."""
     seen = []
-    with tqdm(total=10, initial=4, file=Stream(False)) as bar, count_tasks(bar, lambda key: key.startswith("write")):
+    with (
+        tqdm(total=10, initial=4, file=Stream(False)) as bar,
+        count_tasks(bar, lambda key: key.startswith("write")),
+    ):
         tasks = {"other": (lambda: None,)}
         for name, before in (("write 1", "other"), ("write 2", "write 1"), ("write 3", "write 2")):
             tasks[name] = (lambda _: seen.append(bar.n), before)

@@ -21,7 +21,9 @@ FEW, MANY = 4, 32
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     # memory follows the chunk, which is several of such small steps where none is given
-    return xcg.open_scene(**series.write_vtp_series(tmp_path_factory.mktemp("files"), 2000, MANY), chunks=1)
+    return xcg.open_scene(
+        **series.write_vtp_series(tmp_path_factory.mktemp("files"), 2000, MANY), chunks=1
+    )
 
 
 def peak(work) -> int:
@@ -48,12 +50,16 @@ def test_memory_does_not_grow_with_the_series(scene, tmp_path, suffix, what, mon
         xcg.save(ds, tmp_path / f"{steps}{suffix}")
 
     step = scene.nbytes / MANY
-    monkeypatch.setattr("xcg.writers.formats._TOGETHER", step)  # else short steps share files, and wait for one another
+    monkeypatch.setattr(
+        "xcg.writers.formats._TOGETHER", step
+    )  # else short steps share files, and wait for one another
     with dask.config.set(scheduler="threads", num_workers=2):
         save(2)  # whatever is compiled and imported once
         few, many = peak(lambda: save(FEW)), peak(lambda: save(MANY))
     assert few > step  # the measurement sees the arrays
-    assert many < few + 4 * step, f"{(many - few) / step:.1f} more steps in memory for {MANY - FEW} more in the series"
+    assert many < few + 4 * step, (
+        f"{(many - few) / step:.1f} more steps in memory for {MANY - FEW} more in the series"
+    )
 
 
 def test_a_graph_holds_no_data(scene):
@@ -72,7 +78,16 @@ def packing():
 @pytest.mark.parametrize("shuffled", [False, True], ids=["sorted", "shuffled"])
 def test_a_scene_is_built_in_little_more_memory_than_it_takes(packing, shuffled, monkeypatch):
     monkeypatch.setattr("xcg.scene.complete._BLOCK", 256)  # contact points are derived in blocks
-    names = ["particle_id", "position", "velocity", "diameter", "species", "contact_i", "contact_j", "contact_force"]
+    names = [
+        "particle_id",
+        "position",
+        "velocity",
+        "diameter",
+        "species",
+        "contact_i",
+        "contact_j",
+        "contact_force",
+    ]
     given = {name: packing[name].to_numpy()[0] for name in names}
     if shuffled:
         rows = np.random.default_rng(0).permutation(packing.sizes["particle"])

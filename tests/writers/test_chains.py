@@ -19,7 +19,9 @@ BIAXIAL = ROOT / "examples" / "data" / "lammps_biaxial2d"
 @pytest.fixture(scope="module")
 def sheared():
     """Open the chains of a sheared layer, periodic along x."""
-    scene = xcg.open_scene(BIAXIAL / "particles.*.gz", contacts=BIAXIAL / "contacts.*.gz", periodic="x", frozen=2)
+    scene = xcg.open_scene(
+        BIAXIAL / "particles.*.gz", contacts=BIAXIAL / "contacts.*.gz", periodic="x", frozen=2
+    )
     return scene.cg.force_chains(threshold="mean").compute()
 
 
@@ -31,7 +33,10 @@ def read_vtp(path):
 
 
 def arrays(data):
-    return {data.GetArrayName(k): vtk_to_numpy(data.GetArray(k)).copy() for k in range(data.GetNumberOfArrays())}
+    return {
+        data.GetArrayName(k): vtk_to_numpy(data.GetArray(k)).copy()
+        for k in range(data.GetNumberOfArrays())
+    }
 
 
 def content(poly):
@@ -50,11 +55,21 @@ def test_csv_has_the_columns_of_force_chain_finder(tmp_path):
     ours, shipped = read_fcf(path), read_fcf(reference)
     for name in ("LiggghtsId", "chainId", "linkNodes"):
         assert [r[name] for r in ours] == [r[name] for r in shipped]
-    for name, tolerance in (("X", 1e-5), ("Y", 1e-5), ("Z", 1e-5), ("radius", 1e-6), ("minorStress", 5e-6)):
-        np.testing.assert_allclose([float(r[name]) for r in ours], [float(r[name]) for r in shipped], rtol=tolerance)
+    for name, tolerance in (
+        ("X", 1e-5),
+        ("Y", 1e-5),
+        ("Z", 1e-5),
+        ("radius", 1e-6),
+        ("minorStress", 5e-6),
+    ):
+        np.testing.assert_allclose(
+            [float(r[name]) for r in ours], [float(r[name]) for r in shipped], rtol=tolerance
+        )
     # theirs are in no order, ours rise; of complex pairs they write the real part, we nothing
     names = [f"PrincipleStress{k}" for k in range(3)]
-    values, other = (np.sort([[float(r[name]) for name in names] for r in rows]) for rows in (ours, shipped))
+    values, other = (
+        np.sort([[float(r[name]) for name in names] for r in rows]) for rows in (ours, shipped)
+    )
     real = np.isfinite(values).all(axis=1)
     assert 0.9 < real.mean() < 1
     np.testing.assert_allclose(values[real], other[real], rtol=1e-3, atol=20)
@@ -116,7 +131,9 @@ def test_components_in_any_order_make_the_same_files(tmp_path, sheared):
         )
         for one, other in zip(*paths, strict=True):
             assert one.read_bytes() == other.read_bytes()
-    xr.testing.assert_equal(turned.cg.chain_table().to_xarray(), sheared.cg.chain_table().to_xarray())
+    xr.testing.assert_equal(
+        turned.cg.chain_table().to_xarray(), sheared.cg.chain_table().to_xarray()
+    )
     with pytest.raises(xcg.SceneError, match="holds the components"):
         sheared.sel(component=["x", "y"]).cg.to_csv(tmp_path / "some_{step}.csv")
 
@@ -132,7 +149,9 @@ def test_links_across_the_boundary_end_at_an_image(tmp_path, sheared):
     assert (point_data["image"] == 0).sum() == members
 
 
-def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_second(tmp_path, sheared):
+def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_second(
+    tmp_path, sheared
+):
     one = sheared.isel(time=[0])
     (path,) = one.cg.to_vtp(tmp_path / "f.vtp")
     points, ends, point_data, line_data = content(read_vtp(path))
@@ -147,7 +166,9 @@ def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_sec
         np.testing.assert_array_equal(points[a], place[i])
         away = place[j] - place[i]
         turns = np.rint(away[0] / period)
-        np.testing.assert_allclose(points[b] - points[a], away - [turns * period, 0, 0], rtol=0, atol=1e-12 * period)
+        np.testing.assert_allclose(
+            points[b] - points[a], away - [turns * period, 0, 0], rtol=0, atol=1e-12 * period
+        )
         assert point_data["image"][b] == abs(turns)
         crossing += turns != 0
     assert crossing > 2
@@ -168,7 +189,11 @@ def test_files_without_chains_are_valid(tmp_path):
 
 def test_existing_files_are_kept(tmp_path):
     fc = fork().cg.force_chains()
-    for write, name in ((fc.cg.to_csv, "f.csv"), (fc.cg.to_vtp, "f.vtp"), (fc.cg.to_vtkhdf, "f.vtkhdf")):
+    for write, name in (
+        (fc.cg.to_csv, "f.csv"),
+        (fc.cg.to_vtp, "f.vtp"),
+        (fc.cg.to_vtkhdf, "f.vtkhdf"),
+    ):
         write(tmp_path / name)
         with pytest.raises(FileExistsError, match="overwrite=True"):
             write(tmp_path / name)
@@ -191,8 +216,21 @@ def run(*arguments):
 
 
 def test_the_command_writes_chains(tmp_path, sheared):
-    files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x", "--frozen", "2"]
-    names = {"--csv": "f_{step}.csv", "--vtp": "f_{step}.vtp", "--vtkhdf": "f.vtkhdf", "--netcdf": "f.nc"}
+    files = [
+        BIAXIAL / "particles.*.gz",
+        "--contacts",
+        BIAXIAL / "contacts.*.gz",
+        "--periodic",
+        "x",
+        "--frozen",
+        "2",
+    ]
+    names = {
+        "--csv": "f_{step}.csv",
+        "--vtp": "f_{step}.vtp",
+        "--vtkhdf": "f.vtkhdf",
+        "--netcdf": "f.nc",
+    }
     outputs = [word for option, name in names.items() for word in (option, tmp_path / name)]
     done = run(*files, "--threshold", "mean", *outputs)
     assert done.exit_code == 0, done.output
@@ -210,11 +248,15 @@ def test_no_chain_is_written_where_a_name_is_taken(tmp_path, sheared):
     with pytest.raises(FileExistsError, match=rf"f_{steps[-1]}\.vtp exists"):
         sheared.cg.to_vtp(tmp_path / "f_{step}.vtp")
     same = sheared.assign_coords(step=("time", [7] * len(steps)))
-    with pytest.raises(ValueError, match=r"f_7\.csv is the name of several steps, whose numbers are equal"):
+    with pytest.raises(
+        ValueError, match=r"f_7\.csv is the name of several steps, whose numbers are equal"
+    ):
         same.cg.to_csv(tmp_path / "f_{step}.csv", overwrite=True)
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
     names = {"--netcdf": "f.nc", "--csv": "f_{step}.csv", "--vtp": "f_{step}.vtp"}
-    done = run(*files, *(word for option, name in names.items() for word in (option, tmp_path / name)))
+    done = run(
+        *files, *(word for option, name in names.items() for word in (option, tmp_path / name))
+    )
     assert done.exit_code == 1
     assert "pass --overwrite" in done.output
     assert "median" not in done.output  # nothing is computed

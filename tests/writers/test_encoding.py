@@ -43,7 +43,9 @@ def test_bits_are_rounded_to_nearest_even(drop):
     numbers, special = np.arange(200, dtype="uint32"), np.uint32(0xF0000000)
     bits = np.append(numbers, [special, special + np.uint32(7)])
     round_bits(bits, np.uint32(drop), special)
-    assert bits[:200].tolist() == [round(n / 2**drop) * 2**drop for n in range(200)]  # Python's ties go to even, too
+    assert bits[:200].tolist() == [
+        round(n / 2**drop) * 2**drop for n in range(200)
+    ]  # Python's ties go to even, too
     assert bits[200:].tolist() == [special, special + 7]
 
 
@@ -75,7 +77,9 @@ def test_bytes_are_shuffled_as_hdf5_does(dtype):
 
 @pytest.mark.parametrize("lazy", [False, True])
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
-@pytest.mark.parametrize("options", [{"compression": 1}, {"compression": 9}, {"digits": 4}, {"dtype": "float32"}])
+@pytest.mark.parametrize(
+    "options", [{"compression": 1}, {"compression": 9}, {"digits": 4}, {"dtype": "float32"}]
+)
 def test_values_read_back_equal_the_rounded_ones(tmp_path, suffix, lazy, options):
     ds = steps_of_random_scenes(5)
     f = (ds.chunk(time=2) if lazy else ds).cg.coarse_grain(["density", "velocity", "stress"])
@@ -161,7 +165,10 @@ def test_the_command_line_takes_digits_and_compression(tmp_path):
     )
     done = CliRunner().invoke(group, ["run", "--quiet", str(job)])
     assert done.exit_code == 0, done.output
-    assert "3 significant digits" in xr.open_dataset(tmp_path / "out" / "fields.nc").density.attrs["precision"]
+    assert (
+        "3 significant digits"
+        in xr.open_dataset(tmp_path / "out" / "fields.nc").density.attrs["precision"]
+    )
     job.write_text(job.read_text().replace("digits = 3", "digits = 99"))
     done = CliRunner().invoke(group, ["run", "--quiet", str(job)])
     assert done.exit_code == 1
@@ -196,7 +203,9 @@ def test_a_folder_in_place_of_a_file_raises_before_computing(tmp_path):
     f = xcg.datasets.random_scene(50, seed=1).chunk(time=1).cg.coarse_grain("density", axes="z")
     for name in ("f.nc", "f.h5", "f.vtkhdf"):
         (tmp_path / name).mkdir()
-        lazy = f.assign(density=f.density.copy(data=f.density.data.map_blocks(fail, meta=np.empty((0, 0)))))
+        lazy = f.assign(
+            density=f.density.copy(data=f.density.data.map_blocks(fail, meta=np.empty((0, 0))))
+        )
         with pytest.raises(IsADirectoryError, match=f"{name} is a folder, .* choose another name"):
             lazy.cg.save(tmp_path / name, overwrite=True)
         assert not list((tmp_path / name).iterdir())
@@ -204,6 +213,8 @@ def test_a_folder_in_place_of_a_file_raises_before_computing(tmp_path):
 
 def test_scenes_saved_as_images_raise(tmp_path):
     for name in ("s.vtkhdf", "s.pvd"):
-        with pytest.raises(ValueError, match="particles and contacts are no dimensions of an image"):
+        with pytest.raises(
+            ValueError, match="particles and contacts are no dimensions of an image"
+        ):
             xcg.datasets.random_scene(50, seed=1).cg.save(tmp_path / name)
     assert not list(tmp_path.iterdir())

@@ -24,7 +24,9 @@ def read(path):
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
 @pytest.mark.parametrize("by", [None, "species"])
 def test_images_hold_the_fields(tmp_path, axes, by):
-    f = steps_of_random_scenes(3).cg.coarse_grain(["density", "velocity", "stress"], axes=axes, spacing=1.0, by=by)
+    f = steps_of_random_scenes(3).cg.coarse_grain(
+        ["density", "velocity", "stress"], axes=axes, spacing=1.0, by=by
+    )
     f.cg.save(tmp_path / "f.pvd")
     listed = read_collection(str(tmp_path / "f.pvd"))
     assert [time for _, time in listed] == f.time.values.tolist()
@@ -35,10 +37,16 @@ def test_images_hold_the_fields(tmp_path, axes, by):
             assert image.GetDimensions()[k] == len(nodes)
             if len(nodes) > 1:
                 np.testing.assert_allclose(
-                    image.GetOrigin()[k] + image.GetSpacing()[k] * np.arange(len(nodes)), nodes, atol=1e-12
+                    image.GetOrigin()[k] + image.GetSpacing()[k] * np.arange(len(nodes)),
+                    nodes,
+                    atol=1e-12,
                 )
         step = f.isel(time=t) if by is None else f.isel(time=t).sel(phase="bulk")
-        for name, tail in (("density", ()), ("velocity", ("component",)), ("stress", ("component", "direction"))):
+        for name, tail in (
+            ("density", ()),
+            ("velocity", ("component",)),
+            ("stress", ("component", "direction")),
+        ):
             array = image.GetPointData().GetArray(name)
             expected = step[name].transpose(*sorted(axes, reverse=True), *tail).values
             np.testing.assert_array_equal(vtk_to_numpy(array).reshape(expected.shape), expected)
@@ -56,7 +64,9 @@ def test_existing_files_are_kept(tmp_path):
     with pytest.raises(FileExistsError, match=r"f_0000\.vti"):
         f.cg.save(tmp_path / "f.pvd")
     f.cg.save(tmp_path / "f.pvd", overwrite=True, dtype="float32")
-    assert vtk_to_numpy(read(tmp_path / "f_0000.vti").GetPointData().GetArray("density")).dtype == "f4"
+    assert (
+        vtk_to_numpy(read(tmp_path / "f_0000.vti").GetPointData().GetArray("density")).dtype == "f4"
+    )
 
 
 def test_fields_that_are_no_image_raise(tmp_path):
@@ -73,8 +83,15 @@ def test_a_shorter_series_replaces_a_longer_one(tmp_path):
     other.write_text("mine")
     f.cg.save(tmp_path / "f.pvd")
     f.isel(time=[0, 3]).cg.save(tmp_path / "f.pvd", overwrite=True)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.pvd", "f_0000.vti", "f_0001.vti", other.name]
-    assert [time for _, time in read_collection(str(tmp_path / "f.pvd"))] == f.time.values[[0, 3]].tolist()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "f.pvd",
+        "f_0000.vti",
+        "f_0001.vti",
+        other.name,
+    ]
+    assert [time for _, time in read_collection(str(tmp_path / "f.pvd"))] == f.time.values[
+        [0, 3]
+    ].tolist()
 
 
 def test_a_series_that_cannot_be_finished_leaves_the_old_one(tmp_path, monkeypatch):
@@ -100,14 +117,18 @@ def test_folders_are_not_replaced_by_files(tmp_path):
     fields = xcg.datasets.random_scene(20).cg.coarse_grain("density")
     for name in ("f.pvd", "g_0000.vti"):
         (tmp_path / name).mkdir()
-        with pytest.raises(IsADirectoryError, match=f"{name} is a folder, and a file is not put in its place"):
+        with pytest.raises(
+            IsADirectoryError, match=f"{name} is a folder, and a file is not put in its place"
+        ):
             fields.cg.save(tmp_path / f"{name[0]}.pvd", overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.pvd", "g_0000.vti"]
 
 
 # --- meshes of other codes -------------------------------------------------------------------------------
 
-CORNERS = 1.0 + np.array([[x, y, z] for z in (0, 3) for x, y in ((0, 0), (2, 0), (2, 1.5), (0, 1.5))])
+CORNERS = 1.0 + np.array(
+    [[x, y, z] for z in (0, 3) for x, y in ((0, 0), (2, 0), (2, 1.5), (0, 1.5))]
+)
 
 
 def write_mesh(path):
@@ -119,7 +140,11 @@ def write_mesh(path):
     grid.SetPoints(points)
     grid.InsertNextCell(vtk.VTK_HEXAHEDRON, 8, range(8))
     grid.InsertNextCell(vtk.VTK_TETRA, 4, [4, 5, 6, 8])
-    writer = vtk.vtkXMLUnstructuredGridWriter() if path.suffix == ".vtu" else vtk.vtkUnstructuredGridWriter()
+    writer = (
+        vtk.vtkXMLUnstructuredGridWriter()
+        if path.suffix == ".vtu"
+        else vtk.vtkUnstructuredGridWriter()
+    )
     writer.SetFileName(str(path))
     writer.SetInputData(grid)
     writer.Write()
@@ -157,7 +182,11 @@ def test_points_and_centres_equal_those_of_the_file(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".stl", ".vtp", ".vti"])
 def test_points_of_surfaces_and_images(tmp_path, suffix):
     source = vtk.vtkImageData() if suffix == ".vti" else vtk.vtkCubeSource()
-    writers = {".stl": vtk.vtkSTLWriter, ".vtp": vtk.vtkXMLPolyDataWriter, ".vti": vtk.vtkXMLImageDataWriter}
+    writers = {
+        ".stl": vtk.vtkSTLWriter,
+        ".vtp": vtk.vtkXMLPolyDataWriter,
+        ".vti": vtk.vtkXMLImageDataWriter,
+    }
     writer = writers[suffix]()
     if suffix == ".vti":
         source.SetDimensions(3, 2, 2)
@@ -184,7 +213,9 @@ def test_points_of_surfaces_and_images(tmp_path, suffix):
 def test_fields_go_back_onto_the_mesh(scene, mesh, tmp_path, centers, lazy):
     names = ["density", "velocity", "contact_stress"]
     ds = scene.chunk({"time": 1}) if lazy else scene
-    f = ds.cg.coarse_grain(names, by="species", groups=[1, 2], at=xcg.mesh_points(mesh, centers=centers))
+    f = ds.cg.coarse_grain(
+        names, by="species", groups=[1, 2], at=xcg.mesh_points(mesh, centers=centers)
+    )
     assert f.cg.to_vtu(mesh, tmp_path / "out.vtu") == tmp_path / "out.vtu"
     grid = read_mesh(tmp_path / "out.vtu")
     assert (grid.GetNumberOfPoints(), grid.GetNumberOfCells()) == (9, 2)
@@ -201,21 +232,29 @@ def test_fields_go_back_onto_the_mesh(scene, mesh, tmp_path, centers, lazy):
 def test_components_in_any_order_make_the_same_file(scene, mesh, tmp_path):
     f = scene.cg.coarse_grain(["velocity", "contact_stress"], at=xcg.mesh_points(mesh))
     f.cg.to_vtu(mesh, tmp_path / "as_it_is.vtu")
-    f.sel(component=["z", "x", "y"], direction=["y", "z", "x"]).cg.to_vtu(mesh, tmp_path / "turned.vtu")
+    f.sel(component=["z", "x", "y"], direction=["y", "z", "x"]).cg.to_vtu(
+        mesh, tmp_path / "turned.vtu"
+    )
     assert (tmp_path / "as_it_is.vtu").read_bytes() == (tmp_path / "turned.vtu").read_bytes()
-    with pytest.raises(ValueError, match=r"'component' of .*'velocity'\] holds \['x', 'y'\], expected x, y and z"):
+    with pytest.raises(
+        ValueError, match=r"'component' of .*'velocity'\] holds \['x', 'y'\], expected x, y and z"
+    ):
         f.sel(component=["x", "y"]).cg.to_vtu(mesh, tmp_path / "some.vtu")
 
 
 def test_several_steps_are_a_series(scene, mesh, tmp_path):
-    ds = xr.concat([scene, scene.assign(position=scene.position + 1).assign_coords(time=[2.5])], "time")
+    ds = xr.concat(
+        [scene, scene.assign(position=scene.position + 1).assign_coords(time=[2.5])], "time"
+    )
     f = ds.cg.coarse_grain("density", at=xcg.mesh_points(mesh))
     assert f.cg.to_vtu(mesh, tmp_path / "out.vtu") == tmp_path / "out.pvd"
     text = (tmp_path / "out.pvd").read_text()
     assert f'timestep="{float(f.time[0])!r}" part="0" file="out_0000.vtu"' in text
     assert 'timestep="2.5" part="0" file="out_0001.vtu"' in text
     for t in (0, 1):
-        found = vtk_to_numpy(read_mesh(tmp_path / f"out_000{t}.vtu").GetPointData().GetArray("density"))
+        found = vtk_to_numpy(
+            read_mesh(tmp_path / f"out_000{t}.vtu").GetPointData().GetArray("density")
+        )
         np.testing.assert_array_equal(found, f.density[t])
     with pytest.raises(FileExistsError):
         f.cg.to_vtu(mesh, tmp_path / "out.vtu")
@@ -244,7 +283,9 @@ def test_a_series_needs_times(scene, mesh, tmp_path, change, message):
 def test_fields_of_another_mesh_raise(scene, mesh, tmp_path):
     at = xcg.mesh_points(mesh)
     f = scene.cg.coarse_grain("density", at=at)
-    with pytest.raises(ValueError, match=r"mesh\.vtu has 9 points and 2 cells, and the fields have 8 along 'point'"):
+    with pytest.raises(
+        ValueError, match=r"mesh\.vtu has 9 points and 2 cells, and the fields have 8 along 'point'"
+    ):
         f.isel(point=slice(8)).cg.to_vtu(mesh, tmp_path / "out.vtu")
     with pytest.raises(ValueError, match=r"point [0-9] is at x = .* in another order"):
         f.isel(point=slice(None, None, -1)).cg.to_vtu(mesh, tmp_path / "out.vtu")

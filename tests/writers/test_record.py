@@ -168,7 +168,10 @@ def test_a_step_of_another_shape_raises(path, change, message):
 
 
 def test_a_second_recorder_raises(path):
-    with xcg.record(path, "density"), pytest.raises(FileExistsError, match="is being written by another run"):
+    with (
+        xcg.record(path, "density"),
+        pytest.raises(FileExistsError, match="is being written by another run"),
+    ):
         xcg.record(path, "density")
     xcg.record(path, "density").close()
 
@@ -218,7 +221,9 @@ def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
         with opened(path) as found:
             count = found.sizes["time"]
             assert count in (last + 1, last + 2)  # the last one may be there, and its line not
-            np.testing.assert_array_equal(found.a, np.broadcast_to(np.arange(1.0, count + 1)[:, None], found.a.shape))
+            np.testing.assert_array_equal(
+                found.a, np.broadcast_to(np.arange(1.0, count + 1)[:, None], found.a.shape)
+            )
             np.testing.assert_array_equal(found.step, np.arange(count))
         first = count
 
@@ -233,7 +238,13 @@ def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
 def test_a_record_is_continued_with_the_same_options_only(tmp_path, later, message):
     ds = xcg.datasets.simple_cubic(4)
     ds = ds.assign(species=ds.particle_id * 0 + 1).assign_attrs(species_values=[1])
-    given = {"axes": "z", "width": 1.0, "fields": "density", "spacing": 0.5, "extent": {"x": 2.0, "y": 2.0}}
+    given = {
+        "axes": "z",
+        "width": 1.0,
+        "fields": "density",
+        "spacing": 0.5,
+        "extent": {"x": 2.0, "y": 2.0},
+    }
     with xcg.record(tmp_path / "live.nc", **given) as live:
         live.append(ds)
     raises = pytest.raises(xcg.SceneError, match=message) if message else nullcontext()
@@ -265,7 +276,13 @@ def test_times_are_not_rounded_to_digits(path):
 
 def test_bounds_that_the_spacing_does_not_divide_are_continued(tmp_path):
     ds = xcg.datasets.simple_cubic(4)
-    given = {"fields": "density", "axes": "z", "width": 1.0, "bounds": {"z": (0, 1)}, "spacing": 0.4}
+    given = {
+        "fields": "density",
+        "axes": "z",
+        "width": 1.0,
+        "bounds": {"z": (0, 1)},
+        "spacing": 0.4,
+    }
     for k in range(2):
         with xcg.record(tmp_path / "live.nc", **given) as live:
             live.append(ds.assign_coords(time=ds.time + k))
@@ -273,7 +290,10 @@ def test_bounds_that_the_spacing_does_not_divide_are_continued(tmp_path):
 
 
 def test_unknown_arguments_are_named(tmp_path):
-    with pytest.raises(TypeError, match=r"record\(\) got an unexpected keyword argument 'axez'; did you mean 'axes'"):
+    with pytest.raises(
+        TypeError,
+        match=r"record\(\) got an unexpected keyword argument 'axez'; did you mean 'axes'",
+    ):
         xcg.record(tmp_path / "a.nc", "density", axez="z")
 
 

@@ -39,7 +39,9 @@ def assert_same_bits(one: xr.Dataset, other: xr.Dataset) -> None:
         assert variable.dims == there.dims, name
         if variable.dtype.kind in "fi":
             assert variable.dtype == there.dtype, name
-            assert variable.to_numpy().tobytes() == np.ascontiguousarray(there.to_numpy()).tobytes(), name
+            assert (
+                variable.to_numpy().tobytes() == np.ascontiguousarray(there.to_numpy()).tobytes()
+            ), name
         else:
             assert variable.to_numpy().tolist() == there.to_numpy().tolist(), name
 
@@ -58,7 +60,9 @@ def test_a_saved_scene_reads_back_equal(tmp_path, suffix, lazy):
     assert {name: np.asarray(v).tolist() for name, v in ds.attrs.items()} == {
         name: np.asarray(v).tolist() for name, v in again.attrs.items()
     }
-    assert again["position"].chunks[0] == ((1, 1, 1, 1) if suffix == ".nc" else (4,))  # short steps share a file
+    assert again["position"].chunks[0] == (
+        (1, 1, 1, 1) if suffix == ".nc" else (4,)
+    )  # short steps share a file
     assert sorted(path.name for path in tmp_path.iterdir()) == [saved.name]
 
 
@@ -76,7 +80,11 @@ def test_functions_give_the_same_bits_on_a_saved_scene(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
     assert repr(again.cg) == repr(ds.cg)
-    for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "at": {"y": 1.0}, "width": "0.5 d32"}):
+    for options in (
+        {},
+        {"axes": "z", "by": "species"},
+        {"axes": "xz", "at": {"y": 1.0}, "width": "0.5 d32"},
+    ):
         assert_same_bits(ds.cg.coarse_grain(**options), again.cg.coarse_grain(**options).compute())
     assert_same_bits(ds.cg.force_chains(), again.cg.force_chains().compute())
     assert_same_bits(ds.cg.find_contacts(), again.compute().cg.find_contacts())
@@ -85,12 +93,17 @@ def test_functions_give_the_same_bits_on_a_saved_scene(tmp_path, suffix):
 def test_real_output_is_saved_and_read_back(tmp_path, suffix):
     folder = real_data("mfix_chute")
     ds = xcg.open_scene(
-        folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)}
+        folder / "P_FB1_0004.vtp",
+        contacts=folder / "FC_0004.vtp",
+        periodic="xz",
+        box={"x": (0, 0.04), "z": (0, 0.02)},
     )
     again = reopen(xcg.save(ds, tmp_path / f"scene{suffix}"))
     assert_same_bits(ds, again)
     assert np.isinf(again["box"].sel(component="y")).all()
-    assert_same_bits(ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute())
+    assert_same_bits(
+        ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute()
+    )
 
 
 def test_scenes_without_contacts_are_saved(tmp_path, suffix):
@@ -165,12 +178,16 @@ def test_a_folder_of_other_things_is_not_replaced(tmp_path):
     assert (other / "thesis.tex").read_text() == "years of work"
 
 
-@pytest.mark.parametrize("options", [{}, {"dtype": "float32", "compression": 0}, {"digits": 3, "compression": 0}])
+@pytest.mark.parametrize(
+    "options", [{}, {"dtype": "float32", "compression": 0}, {"digits": 3, "compression": 0}]
+)
 @pytest.mark.parametrize("lazy", [False, True])
 def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     """The same files with the same bytes, also where a chunk is blank, or reaches beyond the last step."""
     monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 2)
-    f = steps_of_random_scenes(5).cg.coarse_grain(["density", "granular_temperature", "stress"], axes="z")
+    f = steps_of_random_scenes(5).cg.coarse_grain(
+        ["density", "granular_temperature", "stress"], axes="z"
+    )
     f["density"][:4] = np.nan
     f["count"] = ("time", "z"), np.zeros((5, f.sizes["z"]), int)
     f["count"][4, 0] = 7
@@ -179,12 +196,17 @@ def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     other = shutil.copytree(saved, tmp_path / "other.zarr")
     one, two = zarr.open_group(saved, mode="r"), zarr.open_group(other, mode="r+")
     for name in f.data_vars:
-        assert np.allclose(one[name], f[name], rtol=1e-3 if options else 0.0, atol=0.0, equal_nan=True), name
+        assert np.allclose(
+            one[name], f[name], rtol=1e-3 if options else 0.0, atol=0.0, equal_nan=True
+        ), name
         for chunk in Path(other, name).glob("c.*"):
             chunk.unlink()
         for first in range(0, 5, 2):
             two[name][first : first + 2] = one[name][first : first + 2]
-    files = [{str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()} for top in (saved, other)]
+    files = [
+        {str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()}
+        for top in (saved, other)
+    ]
     assert files[0] == files[1]
     chunks = {name: sum(file.startswith(f"{name}/c.") for file in files[0]) for name in f.data_vars}
     assert chunks["stress"] > chunks["density"] == chunks["count"] == 1
@@ -220,7 +242,10 @@ xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
 def test_a_full_disk_is_named_with_the_folder(tmp_path):
     path = tmp_path / "f.zarr"
     said = r"f\.zarr: the disk is full \(.* MB free\), and nothing was left behind; make room"
-    with pytest.raises(OSError, match=said), whole_folder(path, overwrite=False, part=tmp_path / "part"):
+    with (
+        pytest.raises(OSError, match=said),
+        whole_folder(path, overwrite=False, part=tmp_path / "part"),
+    ):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert not list(tmp_path.iterdir())
 
@@ -258,7 +283,9 @@ def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
         return block
 
     lazy = ds["velocity"].chunk(time=1)
-    late = ds.assign(velocity=lazy.copy(data=lazy.data.map_blocks(meanwhile, meta=np.empty((0, 0, 0)))))
+    late = ds.assign(
+        velocity=lazy.copy(data=lazy.data.map_blocks(meanwhile, meta=np.empty((0, 0, 0))))
+    )
     with pytest.raises(FileExistsError, match=r"scene\.zarr exists"):
         xcg.save(late, path)
     assert_same_bits(other, xr.open_zarr(path, consolidated=False))
@@ -269,7 +296,9 @@ def test_a_second_writer_of_a_store_raises(tmp_path):
     ds, path = xcg.datasets.simple_cubic(2), tmp_path / "scene.zarr"
     with whole_folder(path, overwrite=False, part=tmp_path / "part") as part:
         part.mkdir()
-        with pytest.raises(FileExistsError, match=rf"being written by another run \(process {os.getpid()}\)"):
+        with pytest.raises(
+            FileExistsError, match=rf"being written by another run \(process {os.getpid()}\)"
+        ):
             xcg.save(ds, path, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
 
@@ -297,13 +326,19 @@ def test_a_store_that_cannot_take_its_place_leaves_the_old_one(tmp_path, monkeyp
 def test_results_are_stored_without_warnings_about_text(tmp_path):
     """Labels have no fixed length in Zarr, so that other programs can read them."""
     ds = steps_of_random_scenes(2)
-    results = [ds.cg.coarse_grain(["stress"], by="species"), ds.cg.microstructure(), ds.cg.slice_temperature()]
+    results = [
+        ds.cg.coarse_grain(["stress"], by="species"),
+        ds.cg.microstructure(),
+        ds.cg.slice_temperature(),
+    ]
     for k, f in enumerate(results):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             f.to_zarr(tmp_path / f"{k}.zarr", consolidated=False)
         again = xr.open_zarr(tmp_path / f"{k}.zarr", consolidated=False)
-        assert again["component"].values.tolist() == ["x", "y", "z"] if "component" in f.dims else True
+        assert (
+            again["component"].values.tolist() == ["x", "y", "z"] if "component" in f.dims else True
+        )
         assert_same_bits(f, again)
 
 
@@ -317,7 +352,8 @@ def test_suffixes_choose_the_format(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("chunks", "expected"), [(None, None), (2, (2, 2, 1)), (-1, (5,)), ({"time": (1, 4)}, (1, 4)), ("auto", (5,))]
+    ("chunks", "expected"),
+    [(None, None), (2, (2, 2, 1)), (-1, (5,)), ({"time": (1, 4)}, (1, 4)), ("auto", (5,))],
 )
 def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
     ds = steps_of_random_scenes(5)
@@ -337,7 +373,8 @@ def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr("xcg.readers.lazy._TASK", 1e-9)
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
     monkeypatch.setattr(
-        "xcg.readers.lazy._TASK", 3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact"))
+        "xcg.readers.lazy._TASK",
+        3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact")),
     )
     assert xcg.open_scene(saved).chunks["time"] == (4, 3)
 
@@ -350,11 +387,15 @@ def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
 )  # fmt: skip
 def test_options_of_readers_raise_for_saved_scenes(tmp_path, suffix, given, named):
     saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
-    with pytest.raises(xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="):
+    with pytest.raises(
+        xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="
+    ):
         xcg.open_scene(saved, **given)
 
 
-@pytest.mark.parametrize("name", ["scene.nc4", "scene.h5", "scene.HDF5", "a scene [1] é.nc", "a scene [1] é.zarr"])
+@pytest.mark.parametrize(
+    "name", ["scene.nc4", "scene.h5", "scene.HDF5", "a scene [1] é.nc", "a scene [1] é.zarr"]
+)
 def test_saved_scenes_open_under_any_name(tmp_path, name):
     ds = steps_of_random_scenes(2)
     saved = ds.cg.save(tmp_path / ("saved.zarr" if name.endswith("zarr") else "saved.nc"))
@@ -370,7 +411,9 @@ def test_a_pattern_opens_one_saved_scene(tmp_path, suffix):
     saved = [ds.cg.save(tmp_path / f"scene{n}{suffix}") for n in (1, 2)]
     assert_same_bits(ds, xcg.open_scene(tmp_path / f"scene1*{suffix}"))
     for several in (saved, tmp_path / f"scene*{suffix}"):
-        with pytest.raises(xcg.SceneError, match=r"scene1.* is a scene that xcg saved, .* open the 2"):
+        with pytest.raises(
+            xcg.SceneError, match=r"scene1.* is a scene that xcg saved, .* open the 2"
+        ):
             xcg.open_scene(several)
 
 
@@ -397,7 +440,10 @@ def test_coordinates_and_boxes_of_saved_scenes_are_in_memory(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     ds = ds.assign_coords(tag=("particle", np.arange(ds.sizes["particle"])))
     again = xcg.open_scene(ds.cg.save(tmp_path / f"scene{suffix}"))
-    assert {name for name, values in again.variables.items() if values.chunks is None} == {*again.coords, "box"}
+    assert {name for name, values in again.variables.items() if values.chunks is None} == {
+        *again.coords,
+        "box",
+    }
     assert_same_bits(ds, again)
 
 
@@ -415,7 +461,11 @@ def test_wrong_on_error_raises_for_saved_scenes(tmp_path, suffix):
     ids=["dates", "spans", "texts", "objects"],
 )  # fmt: skip
 def test_nan_and_infinity_read_back_equal(tmp_path, suffix, lazy, values):
-    ds = steps_of_random_scenes(2).assign(extra=("time", values)).assign_coords(when=("time", values))
+    ds = (
+        steps_of_random_scenes(2)
+        .assign(extra=("time", values))
+        .assign_coords(when=("time", values))
+    )
     saved = (ds.chunk(time=1) if lazy else ds).cg.save(tmp_path / f"scene{suffix}")
     again = xcg.open_scene(saved)
     for name in ("extra", "when"):
@@ -424,8 +474,12 @@ def test_nan_and_infinity_read_back_equal(tmp_path, suffix, lazy, values):
 
 
 def test_files_that_are_no_scene_raise(tmp_path, suffix):
-    fields = steps_of_random_scenes(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
-    with pytest.raises(xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"):
+    fields = (
+        steps_of_random_scenes(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
+    )
+    with pytest.raises(
+        xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"
+    ):
         xcg.open_scene(fields)
     broken = tmp_path / f"broken{suffix}"
     if suffix == ".zarr":
@@ -446,7 +500,9 @@ def test_commands_accept_saved_scenes(tmp_path, suffix):
     assert chains.exit_code == 0, chains.output
     assert len(list(tmp_path.glob("c_*.csv"))) == 2
     job = tmp_path / "job.toml"
-    job.write_text(f'[scene]\nparticles = "scene{suffix}"\n[fields]\nfields = ["stress"]\n[output]\nfolder = "out"\n')
+    job.write_text(
+        f'[scene]\nparticles = "scene{suffix}"\n[fields]\nfields = ["stress"]\n[output]\nfolder = "out"\n'
+    )
     done = CliRunner().invoke(group, ["run", str(job)])
     assert done.exit_code == 0, done.output
     with xr.open_dataset(tmp_path / "out" / "fields.nc") as found:
@@ -462,11 +518,24 @@ def test_commands_accept_saved_scenes(tmp_path, suffix):
 def test_convert_writes_a_scene(tmp_path, suffix):
     particles, contacts = write_series(tmp_path)
     target = tmp_path / f"scene{suffix}"
-    command = ["convert", particles, "-c", contacts, "-o", str(target), "--periodic", "x", "--timestep", "0.5"]
+    command = [
+        "convert",
+        particles,
+        "-c",
+        contacts,
+        "-o",
+        str(target),
+        "--periodic",
+        "x",
+        "--timestep",
+        "0.5",
+    ]
     done = CliRunner().invoke(group, command)
     assert done.exit_code == 0, done.output
     assert "3 steps" in done.output
-    assert_same_bits(xcg.open_scene(particles, contacts=contacts, periodic="x", timestep=0.5), reopen(target))
+    assert_same_bits(
+        xcg.open_scene(particles, contacts=contacts, periodic="x", timestep=0.5), reopen(target)
+    )
     again = CliRunner().invoke(group, command)
     assert again.exit_code == 1
     assert "exists" in again.output
@@ -499,12 +568,16 @@ def test_labels_are_characters_of_fixed_length(tmp_path):
         again = xr.open_dataset(tmp_path / f"f_{t}.nc")
         xr.testing.assert_identical(again.load(), whole.isel(time=[t]))
         again.cg.save(tmp_path / "again.nc", overwrite=True)
-        xr.testing.assert_identical(xr.open_dataset(tmp_path / "again.nc").load(), whole.isel(time=[t]))
+        xr.testing.assert_identical(
+            xr.open_dataset(tmp_path / "again.nc").load(), whole.isel(time=[t])
+        )
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 def test_a_series_without_steps_is_saved(tmp_path, suffix):
     f = xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z").isel(time=slice(0, 0))
     f.cg.save(tmp_path / f"f{suffix}")
-    with xr.open_dataset(tmp_path / f"f{suffix}", engine="zarr" if suffix == ".zarr" else None) as again:
+    with xr.open_dataset(
+        tmp_path / f"f{suffix}", engine="zarr" if suffix == ".zarr" else None
+    ) as again:
         assert again.sizes == f.sizes

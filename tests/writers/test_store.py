@@ -34,14 +34,17 @@ def fields(fail_at=None, seen=None, **options):
             raise RuntimeError("stopped")
         return values
 
-    data = f.density.data.map_blocks(note, dtype="f8", meta=np.empty((0, 0, 0)), name=f"noted-{f.density.data.name}")
+    data = f.density.data.map_blocks(
+        note, dtype="f8", meta=np.empty((0, 0, 0)), name=f"noted-{f.density.data.name}"
+    )
     return f.assign(density=f.density.copy(data=data))
 
 
 def assert_same_bits(one: Path, other: Path):
     if one.suffix == ".zarr":
         files = [
-            {str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()} for top in (one, other)
+            {str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()}
+            for top in (one, other)
         ]
         for held in files:  # the history tells the time
             held.pop("zarr.json")
@@ -49,7 +52,9 @@ def assert_same_bits(one: Path, other: Path):
         return
     arrays = {}
     with h5py.File(one) as file:
-        file.visititems(lambda name, a: arrays.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, a: arrays.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None
+        )
     with h5py.File(other) as file:
         assert arrays
         for name, values in arrays.items():
@@ -114,11 +119,15 @@ with dask.config.set(scheduler="sync"):
         (".zarr", "log", 2, 1), (".zarr", "chunk", 8, 0),
     ],
 )  # fmt: skip
-def test_a_killed_process_keeps_finished_steps(tmp_path, suffix, where, kills, compression, monkeypatch):
+def test_a_killed_process_keeps_finished_steps(
+    tmp_path, suffix, where, kills, compression, monkeypatch
+):
     monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 1)
     path = tmp_path / f"f{suffix}"
     command = [sys.executable, "-c", KILLED, str(path), str(kills), where, str(compression)]
-    done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120, check=False)
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120, check=False
+    )
     assert done.returncode == 9
     assert not path.exists()
     xcg.save(fields(), path, resume=True, compression=compression)
@@ -131,7 +140,9 @@ def test_resuming_with_another_call_raises(tmp_path, suffix):
     path = tmp_path / f"f{suffix}"
     with dask.config.set(scheduler="sync"), pytest.raises(RuntimeError, match="stopped"):
         xcg.save(fields(fail_at=3), path, resume=True)
-    with pytest.raises(xcg.SceneError, match=r"another scene or call .*encoding: .*digits=4.* instead of"):
+    with pytest.raises(
+        xcg.SceneError, match=r"another scene or call .*encoding: .*digits=4.* instead of"
+    ):
         xcg.save(fields(fail_at=3), path, resume=True, digits=4)
     with pytest.raises(xcg.SceneError, match=r"values of 'velocity'"):
         xcg.save(fields(kernel="gaussian"), path, resume=True)
@@ -144,7 +155,9 @@ def test_resuming_with_another_call_raises(tmp_path, suffix):
 def test_resume_writes_eager_results_and_refuses_other_formats(tmp_path):
     f = fields().compute()
     for suffix in SUFFIXES:
-        assert_same_bits(xcg.save(f, tmp_path / f"a{suffix}", resume=True), xcg.save(f, tmp_path / f"b{suffix}"))
+        assert_same_bits(
+            xcg.save(f, tmp_path / f"a{suffix}", resume=True), xcg.save(f, tmp_path / f"b{suffix}")
+        )
     with pytest.raises(ValueError, match=r"resume=True continues"):
         xcg.save(f, tmp_path / "f.pvd", resume=True)
 

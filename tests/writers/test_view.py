@@ -47,7 +47,9 @@ def test_an_image_has_each_number_at_its_node(fields):
         for name in ("density", "velocity", "stress", "sample_count"):
             np.testing.assert_array_equal(image[name][k], there[name].values.ravel())
     sheared = image["stress"].reshape(-1, 3, 3)[:, 0, 2]
-    np.testing.assert_array_equal(sheared.sum(), step.stress.sel(component="x", direction="z").values.ravel("F").sum())
+    np.testing.assert_array_equal(
+        sheared.sum(), step.stress.sel(component="x", direction="z").values.ravel("F").sum()
+    )
 
 
 def test_meshes_hold_units_and_time(fields):
@@ -75,8 +77,12 @@ def test_meshes_of_steps_phases_and_planes():
 
 
 def test_nan_is_not_drawn(plotter):
-    ds = xcg.scene_from_arrays(np.full((1, 3), 2.0), diameter=[1.0], density=1.0, velocity=[[1.0, 2.0, 3.0]])
-    f = ds.cg.coarse_grain("velocity", width=0.8, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 4.0)))
+    ds = xcg.scene_from_arrays(
+        np.full((1, 3), 2.0), diameter=[1.0], density=1.0, velocity=[[1.0, 2.0, 3.0]]
+    )
+    f = ds.cg.coarse_grain(
+        "velocity", width=0.8, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 4.0))
+    )
     image = f.cg.to_pyvista()
     unknown = np.isnan(image["velocity"]).any(axis=1)
     assert unknown.any()
@@ -88,15 +94,21 @@ def test_nan_is_not_drawn(plotter):
 
 
 def test_rings_uneven_axes_and_points_raise(scene):
-    ring = scene.cg.coarse_grain("density", frame=xcg.Cylindrical((2.5, 2.5, 0)), axes="rz", width=0.8)
-    with pytest.raises(ValueError, match=r"on a cylinder, and an image has x, y and z: draw them with f\.cg\.plot"):
+    ring = scene.cg.coarse_grain(
+        "density", frame=xcg.Cylindrical((2.5, 2.5, 0)), axes="rz", width=0.8
+    )
+    with pytest.raises(
+        ValueError, match=r"on a cylinder, and an image has x, y and z: draw them with f\.cg\.plot"
+    ):
         ring.cg.to_pyvista()
     f = scene.cg.coarse_grain("density", axes="z", width=0.8)
     with pytest.raises(ValueError, match="'z' is not evenly spaced"):
         f.isel(z=[0, 1, 3]).cg.to_pyvista()
     along = xr.DataArray(np.linspace(0, 4, 5), dims="s")
     with pytest.raises(ValueError, match="Fields at points are no image"):
-        scene.cg.coarse_grain("density", at={"x": along, "y": along, "z": along}, width=0.8).cg.to_pyvista()
+        scene.cg.coarse_grain(
+            "density", at={"x": along, "y": along, "z": along}, width=0.8
+        ).cg.to_pyvista()
     with pytest.raises(ValueError, match="time=4: expected the position of a step"):
         f.cg.to_pyvista(4)
 
@@ -129,7 +141,10 @@ def test_lines_lead_from_grains_to_their_contact_points(scene):
     period = np.array([5.0, 5.0, np.inf])
     for k in range(lines.n_lines):
         ids = lines.cell_data["contact_i"][k], lines.cell_data["contact_j"][k]
-        grain = [np.abs(step.position.values[step.particle_id.values == n] - start[k]).max(initial=0) for n in ids]
+        grain = [
+            np.abs(step.position.values[step.particle_id.values == n] - start[k]).max(initial=0)
+            for n in ids
+        ]
         assert min(g for g, n in zip(grain, ids, strict=True) if n >= 0) < 1e-6
         away = end[k] - lines.cell_data["contact_point"][k]
         away -= np.where(np.isfinite(period), 5.0 * np.rint(away / 5.0), 0.0)
@@ -196,7 +211,9 @@ def colours(plotter):
     [
         lambda ds, f, p: f.cg.view(plotter=p),
         lambda ds, f, p: f.cg.view("stress", component="x", direction="z", plotter=p),
-        lambda ds, f, p: f.isel(y=3).cg.view("velocity", component="z", clim=(0, 1), cmap="magma", plotter=p),
+        lambda ds, f, p: f.isel(y=3).cg.view(
+            "velocity", component="z", clim=(0, 1), cmap="magma", plotter=p
+        ),
         lambda ds, f, p: ds.cg.view(plotter=p),
         lambda ds, f, p: ds.cg.view("diameter", contacts=True, plotter=p),
         lambda ds, f, p: ds.cg.view(chains=ds.cg.force_chains(), plotter=p),
@@ -220,13 +237,17 @@ def test_wrong_views_raise(scene, fields, plotter, monkeypatch):
         scene.cg.view("weight", plotter=plotter)
     with pytest.raises(ValueError, match=r"'component': 'q'.*'velocity' has no part of this name"):
         fields.cg.view("velocity", component="q", plotter=plotter)
-    with pytest.raises(ValueError, match=r"two axes or three, and 'density' has 1: use f\.cg\.plot"):
+    with pytest.raises(
+        ValueError, match=r"two axes or three, and 'density' has 1: use f\.cg\.plot"
+    ):
         fields.isel(x=0, y=0).cg.view("density", plotter=plotter)
     with pytest.raises(ValueError, match=r"no contacts; ds\.cg\.find_contacts\(\) finds them"):
         scene.drop_dims("contact").cg.view(contacts=True, plotter=plotter)
     for ds in (scene, scene.cg.force_chains()):
         for part in ({"component": "x"}, {"phase": 1}):
-            with pytest.raises(ValueError, match=f"{next(iter(part))}= chooses a part of a field of a result"):
+            with pytest.raises(
+                ValueError, match=f"{next(iter(part))}= chooses a part of a field of a result"
+            ):
                 ds.cg.view(plotter=plotter, **part)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     for draw in (scene.cg.view, fields.cg.to_pyvista):

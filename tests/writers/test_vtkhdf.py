@@ -20,7 +20,9 @@ def result(axes="xyz", steps=3, shape=SHAPE) -> xr.Dataset:
     """Fields that tell every node, step, component and direction apart."""
     coords = {a: ORIGIN[a] + SPACING[a] * np.arange(shape[a]) for a in axes}
     coords |= {"component": list(AXES), "direction": list(AXES), "time": 0.5 * np.arange(steps)}
-    ramp = {dim: xr.DataArray(np.arange(float(len(values))), dims=dim) for dim, values in coords.items()}
+    ramp = {
+        dim: xr.DataArray(np.arange(float(len(values))), dims=dim) for dim, values in coords.items()
+    }
     scalar = 1000.0 * ramp["time"]
     for axis, factor in zip(AXES, (1, 10, 100), strict=True):
         scalar = scalar + factor * ramp.get(axis, 0.0)
@@ -31,7 +33,9 @@ def result(axes="xyz", steps=3, shape=SHAPE) -> xr.Dataset:
         "stress": velocity + 0.01 * ramp["direction"],
         "sample_count": scalar.astype("int64"),
     }
-    ds = xr.Dataset(data, coords, {"kernel": "lucy", "width": 0.5, "axes": ["x", "z"], "nothing": None})
+    ds = xr.Dataset(
+        data, coords, {"kernel": "lucy", "width": 0.5, "axes": ["x", "z"], "nothing": None}
+    )
     ds["stress"].attrs = {"units": "Pa", "long_name": "stress σ"}
     return ds
 
@@ -58,12 +62,16 @@ def read(path):
         arrays = {}
         for index in range(data.GetNumberOfArrays()):
             values = vtk_to_numpy(data.GetArray(index)).copy()
-            arrays[data.GetArrayName(index)] = values.reshape(*image.GetDimensions()[::-1], *values.shape[1:])
+            arrays[data.GetArrayName(index)] = values.reshape(
+                *image.GetDimensions()[::-1], *values.shape[1:]
+            )
         steps.append(arrays)
     return times, (image.GetDimensions(), image.GetOrigin(), image.GetSpacing()), steps
 
 
-def assert_read_equal(path, ds: xr.Dataset, names=("density", "velocity", "stress", "sample_count")) -> None:
+def assert_read_equal(
+    path, ds: xr.Dataset, names=("density", "velocity", "stress", "sample_count")
+) -> None:
     times, _, steps = read(path)
     full = ds.expand_dims([dim for dim in ("time", *AXES) if dim not in ds.dims])
     assert len(steps) == full.sizes["time"]
@@ -76,7 +84,8 @@ def assert_read_equal(path, ds: xr.Dataset, names=("density", "velocity", "stres
             components = there.shape[3:]
             assert components == (3,) * len(components)
             np.testing.assert_array_equal(
-                arrays[name], there.reshape(*there.shape[:3], *[3 ** len(components)] * bool(components))
+                arrays[name],
+                there.reshape(*there.shape[:3], *[3 ** len(components)] * bool(components)),
             )
 
 
@@ -102,7 +111,9 @@ def test_axes_with_one_node(tmp_path, axis):
 
 def test_dimensions_in_any_order(tmp_path):
     ds = result()
-    path = to_vtkhdf(ds.transpose("direction", "z", "component", "x", "time", "y"), tmp_path / "f.vtkhdf")
+    path = to_vtkhdf(
+        ds.transpose("direction", "z", "component", "x", "time", "y"), tmp_path / "f.vtkhdf"
+    )
     assert_read_equal(path, ds)
 
 
@@ -135,7 +146,9 @@ def test_fixed_axes_give_the_origin(tmp_path):
 
 def test_phases_become_arrays(tmp_path):
     ds = result()
-    phases = xr.concat([ds + 0.5 * k for k in range(3)], xr.IndexVariable("phase", ["bulk", "1", "a/b"]))
+    phases = xr.concat(
+        [ds + 0.5 * k for k in range(3)], xr.IndexVariable("phase", ["bulk", "1", "a/b"])
+    )
     phases["count"] = ds["sample_count"]
     path = to_vtkhdf(phases.chunk(time=1), tmp_path / "f.vtkhdf")
     _, _, steps = read(path)
@@ -150,7 +163,10 @@ def test_fields_without_some_dimensions_are_repeated(tmp_path):
     ds = result()
     ds["mass"] = ds["density"].isel(x=0, y=0, z=0, drop=True).chunk()
     ds["weight"] = xr.DataArray(da.full(5, 2.0), dims="z")
-    filled = ds.assign(mass=ds["mass"].broadcast_like(ds["density"]), weight=ds["weight"].broadcast_like(ds["density"]))
+    filled = ds.assign(
+        mass=ds["mass"].broadcast_like(ds["density"]),
+        weight=ds["weight"].broadcast_like(ds["density"]),
+    )
     assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), filled, list(ds.data_vars))
 
 
@@ -161,7 +177,9 @@ def test_values_that_are_not_finite_stay(tmp_path):
     assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), ds, ["density"])
 
 
-@pytest.mark.parametrize("dtype", ["int64", "int32", "uint8", "bool", "float32", "float16", "float64"])
+@pytest.mark.parametrize(
+    "dtype", ["int64", "int32", "uint8", "bool", "float32", "float16", "float64"]
+)
 def test_types_of_numbers_are_kept(tmp_path, dtype):
     ds = (result()[["density"]] % 2).astype(dtype)
     path = to_vtkhdf(ds, tmp_path / "f.vtkhdf")
@@ -172,7 +190,10 @@ def test_types_of_numbers_are_kept(tmp_path, dtype):
 
 def test_attributes_are_kept(tmp_path):
     with h5py.File(to_vtkhdf(result(), tmp_path / "f.vtkhdf")) as file:
-        assert dict(file["VTKHDF/PointData/stress"].attrs) == {"units": "Pa", "long_name": "stress σ"}
+        assert dict(file["VTKHDF/PointData/stress"].attrs) == {
+            "units": "Pa",
+            "long_name": "stress σ",
+        }
         assert file["xcg"].attrs["kernel"] == "lucy"
         assert file["xcg"].attrs["width"] == 0.5
         assert list(file["xcg"].attrs["axes"]) == ["x", "z"]
@@ -197,7 +218,9 @@ def test_compression_is_a_choice(tmp_path):
         {"density": (("time", "x", "y", "z"), np.zeros((1, 40, 40, 40)))},
         {"time": [0.0], **{a: np.arange(40.0) for a in "xyz"}},
     )
-    plain, small = (to_vtkhdf(ds, tmp_path / f"{level}.vtkhdf", compression=level) for level in (0, 1))
+    plain, small = (
+        to_vtkhdf(ds, tmp_path / f"{level}.vtkhdf", compression=level) for level in (0, 1)
+    )
     assert small.stat().st_size < 0.2 * plain.stat().st_size
     assert_read_equal(plain, ds, ["density"])
     assert_read_equal(small, ds, ["density"])
@@ -220,7 +243,9 @@ def test_each_chunk_is_computed_once_with_all_its_variables(tmp_path):
         return dask.get(graph, keys, **kwargs)
 
     ds = result(steps=6)[["density"]]
-    parsed = da.map_blocks(parse, da.from_array(ds["density"].data, (2, -1, -1, -1)), meta=np.empty((0,) * 4))
+    parsed = da.map_blocks(
+        parse, da.from_array(ds["density"].data, (2, -1, -1, -1)), meta=np.empty((0,) * 4)
+    )
     ds["density"] = (ds["density"].dims, parsed)
     ds["twice"] = (ds["density"].dims, (2 * parsed).rechunk((3, -1, -1, -1)))
     ds["velocity"] = ds["density"] + 1
@@ -306,7 +331,9 @@ def test_phases_that_clash_with_variables_raise(tmp_path):
 def test_large_fields_take_hardly_any_memory_beyond_their_end(tmp_path):
     """Chunks of 4 MB are even slabs, as the last one is stored whole."""
     edges = {"x": (0.0, 5.9), "y": (0.0, 5.7), "z": (0.0, 5.7)}
-    f = xcg.datasets.random_scene(5, seed=1).cg.coarse_grain("contact_stress", width=0.5, spacing=0.1, bounds=edges)
+    f = xcg.datasets.random_scene(5, seed=1).cg.coarse_grain(
+        "contact_stress", width=0.5, spacing=0.1, bounds=edges
+    )
     f.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
     with h5py.File(tmp_path / "f.vtkhdf") as file:
         stored = file["VTKHDF/PointData/contact_stress"]

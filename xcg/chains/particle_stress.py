@@ -34,8 +34,12 @@ ROUNDING = 1e-12
 RESULTS: dict[str, Variable] = {
     "particle_id": VARIABLES["particle_id"],
     "stress": Variable(("particle", "component", "direction"), "Pa", "stress of the particle"),
-    "principal_stress": Variable(("particle", "principal"), "Pa", "principal stresses, most compressive first"),
-    "principal_direction": Variable(("particle", "principal", "component"), "1", "principal directions"),
+    "principal_stress": Variable(
+        ("particle", "principal"), "Pa", "principal stresses, most compressive first"
+    ),
+    "principal_direction": Variable(
+        ("particle", "principal", "component"), "1", "principal directions"
+    ),
     "major_stress": Variable(("particle",), "Pa", "most compressive principal stress"),
     "major_direction": Variable(("particle", "component"), "1", "direction of the major stress"),
 }
@@ -74,7 +78,9 @@ class StressRule:
         scene = describe(ds)
         thickness = scene.layer_depth if disc else None
         if disc and thickness is None:
-            raise SceneError("volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out")
+            raise SceneError(
+                "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
+            )
         given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
         spheres = given if {"diameter", "overlap"} <= set(given) else ()
         return cls(scene.setup.periodic, symmetric, thickness, spheres)
@@ -87,8 +93,14 @@ class StressRule:
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
-        contacts = Contacts.of(frame, lattice, source, threads_for(len(frame["particle_id"]), threads))
-        return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
+        contacts = Contacts.of(
+            frame, lattice, source, threads_for(len(frame["particle_id"]), threads)
+        )
+        return (
+            contacts.with_overlaps(frame["diameter"], frame["overlap"])
+            if self.spheres
+            else contacts
+        )
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Volume of each particle (m3)."""
@@ -107,7 +119,10 @@ class StressRule:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
         values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
-        volumes, axes_of = self.volumes(frame, lattice, source), principal if self.symmetric else principal_of_any
+        volumes, axes_of = (
+            self.volumes(frame, lattice, source),
+            principal if self.symmetric else principal_of_any,
+        )
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
@@ -133,7 +148,11 @@ def carries(result: Mapping[str, NDArray]) -> NDArray:
 
 @takes_scene
 def particle_stress(
-    ds: xr.Dataset, *, symmetric: bool = True, volume: Volumes = "particle", on_error: OnError = "raise"
+    ds: xr.Dataset,
+    *,
+    symmetric: bool = True,
+    volume: Volumes = "particle",
+    on_error: OnError = "raise",
 ) -> xr.Dataset:
     """Stress tensor of each particle from its contacts, with principal stresses and directions.
 
@@ -188,7 +207,12 @@ def particle_stress(
     names = [*rule.variables, *(name for name in OF_STEP if name in ds)]
     threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
-        ds, names, partial(_compute, rule, threads), results_of(RESULTS, ds.sizes), "particle-stress", on_error
+        ds,
+        names,
+        partial(_compute, rule, threads),
+        results_of(RESULTS, ds.sizes),
+        "particle-stress",
+        on_error,
     )
     return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
 

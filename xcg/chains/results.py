@@ -47,15 +47,23 @@ CHAINS: dict[str, Variable] = {
     "chain_links": Variable(("chain",), "1", "links of the chain", "int64"),
     "chain_branchings": Variable(("chain",), "1", "branching points of the chain", "int64"),
     "chain_stress": Variable(("chain",), "Pa", "mean major stress of the chain's particles"),
-    "chain_orientation": Variable(("chain", "component"), "1", "axis of the chain's largest extent"),
+    "chain_orientation": Variable(
+        ("chain", "component"), "1", "axis of the chain's largest extent"
+    ),
     "chain_normal": Variable(("chain", "component"), "1", "normal of the chain's best-fit plane"),
 }
 MEMBERS: dict[str, Variable] = {
     "chain_id": Variable(("particle",), "1", "chain of the particle, -1 for none", "int64"),
-    "parent_id": Variable(("particle",), "1", "id of the particle it was reached from, -1 for a seed", "int64"),
+    "parent_id": Variable(
+        ("particle",), "1", "id of the particle it was reached from, -1 for a seed", "int64"
+    ),
     "links": Variable(("particle",), "1", "links of the particle", "int64"),
-    "branching": Variable(("particle",), "1", "1 where the particle has more than two links", "int64"),
-    "link_chain": Variable(("contact",), "1", "chain that the contact is a link of, -1 for none", "int64"),
+    "branching": Variable(
+        ("particle",), "1", "1 where the particle has more than two links", "int64"
+    ),
+    "link_chain": Variable(
+        ("contact",), "1", "chain that the contact is a link of, -1 for none", "int64"
+    ),
 }
 RESULTS: dict[str, Variable] = (
     {name: VARIABLES[name] for name in COPIED}
@@ -76,7 +84,9 @@ def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDA
     """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
     count = len(lengths)
     found: dict[str, NDArray | float] = {"chain_count": count}
-    found |= {name: compute(lengths) if count else np.nan for name, (_, compute) in _OF_LENGTHS.items()}
+    found |= {
+        name: compute(lengths) if count else np.nan for name, (_, compute) in _OF_LENGTHS.items()
+    }
     found["length_share"] = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
     return found
 
@@ -109,10 +119,16 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
     fc = with_time(fc)
     words = {"time": "steps", "particle": "particles", "contact": "contacts"}
     sizes = ", ".join(f"{fc.sizes[dim]} {word}" for dim, word in words.items() if dim in fc.sizes)
-    rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
+    rule = ", ".join(
+        f"{name} = {fc.attrs[name]}"
+        for name in ("alpha", "min_length", "algorithm")
+        if name in fc.attrs
+    )
     kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
     held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
-    return Summary.of(f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)])
+    return Summary.of(
+        f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +169,25 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[ChainStep]:
     for t, one in enumerate(each_step(fc[[*names, *(BOX.keys() & set(fc.data_vars))]])):
         step = one.isel(time=0)
         valid = step.contact_i.to_numpy() != PADDING
-        rows: dict[str, Any] = {"particle": particle_rows(step.particle_id.to_numpy()), "contact": valid}
+        rows: dict[str, Any] = {
+            "particle": particle_rows(step.particle_id.to_numpy()),
+            "contact": valid,
+        }
         arrays = {}
         for name in names:
             dims = RESULTS[name].dims
             values = step[name].transpose(*dims).to_numpy()
             arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
         number = int(step["step"]) if "step" in step.coords else t
-        box = {name: step[name].transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in step}
+        box = {
+            name: step[name].transpose(*row.dims).to_numpy()
+            for name, row in BOX.items()
+            if name in step
+        }
         lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
-        yield ChainStep(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice)
+        yield ChainStep(
+            arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice
+        )
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:
@@ -222,18 +247,27 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
             "stress": 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]),
         }
 
-    return _table(fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns)
+    return _table(
+        fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns
+    )
 
 
 def _table(
-    fc: xr.Dataset, purpose: str, names: Sequence[str], columns: Callable[[ChainStep], dict[str, NDArray]]
+    fc: xr.Dataset,
+    purpose: str,
+    names: Sequence[str],
+    columns: Callable[[ChainStep], dict[str, NDArray]],
 ) -> pd.DataFrame:
     """Join the columns of all steps below each other, with time and number of the step."""
     require_chains(fc, purpose)
     if not fc.sizes.get("time", 1):
-        raise SceneError(f"{purpose} needs one step or more, and these chains have none: check how steps were selected")
+        raise SceneError(
+            f"{purpose} needs one step or more, and these chains have none: check how steps were selected"
+        )
     steps = steps_of(fc, names)
-    tables = [pd.DataFrame({"time": step.time, "step": step.number, **columns(step)}) for step in steps]
+    tables = [
+        pd.DataFrame({"time": step.time, "step": step.number, **columns(step)}) for step in steps
+    ]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -241,9 +275,13 @@ def _table(
 
 
 def plot_chains(
-    fc: xr.Dataset, *, time: int = -1, colour: Colour = "stress", grains: bool = True,
+    fc: xr.Dataset,
+    *,
+    time: int = -1,
+    colour: Colour = "stress",
+    grains: bool = True,
     ax: Axes | None = None,
-) -> Axes:  # fmt: skip
+) -> Axes:
     """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
 
     Parameters
@@ -278,7 +316,15 @@ def plot_chains(
     check_choice("colour", colour, Colour)
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
-    names = ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
+    names = [
+        "position",
+        "diameter",
+        "chain_id",
+        "link_chain",
+        "contact_j",
+        "contact_force",
+        "major_stress",
+    ]
     (step,) = steps_of(step_at(fc, time, "time"), names)
     arrays = step.arrays
     ax = new_axes() if ax is None else ax
@@ -287,16 +333,25 @@ def plot_chains(
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
         ax.add_collection(
             collections.EllipseCollection(
-                diameter, diameter, np.zeros(len(diameter)), units="xy", offsets=position,
-                offset_transform=ax.transData, facecolors=shade, edgecolors="none",
+                diameter,
+                diameter,
+                np.zeros(len(diameter)),
+                units="xy",
+                offsets=position,
+                offset_transform=ax.transData,
+                facecolors=shade,
+                edgecolors="none",
             )
-        )  # fmt: skip
+        )
     contact, i, j, branch = _links(step)
     force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
     ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
     width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
     lines = collections.LineCollection(
-        list(ends), linewidths=width, capstyle="round", cmap="tab20" if colour == "chain" else "inferno_r"
+        list(ends),
+        linewidths=width,
+        capstyle="round",
+        cmap="tab20" if colour == "chain" else "inferno_r",
     )
     if colour == "chain":
         lines.set_array(arrays["link_chain"][contact] % 20)
@@ -334,7 +389,10 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     ax = new_axes() if ax is None else ax
     steps = with_time(fc[["length_share", "chain_count"]]).compute()
     steps = steps if "time" in steps.dims else steps.expand_dims("time")
-    share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
+    share, count = (
+        steps["length_share"].transpose("time", "length").to_numpy(),
+        steps["chain_count"].to_numpy(),
+    )
     length = fc["length"].to_numpy()
     for row in share:
         ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
@@ -347,7 +405,12 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_rose(
-    fc: xr.Dataset, *, time: int = -1, bins: int = 36, plane: str | None = None, ax: Axes | None = None
+    fc: xr.Dataset,
+    *,
+    time: int = -1,
+    bins: int = 36,
+    plane: str | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw how the links of one step are directed: a rose, both ways, weighted by force.
 
@@ -377,12 +440,16 @@ def plot_rose(
     """
     require_chains(fc, "plot_rose")
     if bins < 2 or bins % 2:
-        raise ValueError(f"bins={bins!r}: expected an even number of petals, as every link points both ways")
+        raise ValueError(
+            f"bins={bins!r}: expected an even number of petals, as every link points both ways"
+        )
     flat = int(fc.attrs.get("dimension", 3)) == 2
     plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    (step,) = steps_of(step_at(fc, time, "time"), ["position", "link_chain", "contact_j", "contact_force"])
+    (step,) = steps_of(
+        step_at(fc, time, "time"), ["position", "link_chain", "contact_j", "contact_force"]
+    )
     ax = new_axes("polar") if ax is None else ax
     contact, _, _, branch = _links(step)
     along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
@@ -392,10 +459,17 @@ def plot_rose(
     petals = np.tile(half / max(2 * half.sum(), np.finfo(float).tiny), 2)
     middle = 0.5 * (edges[1:] + edges[:-1])
     ax.bar(
-        np.concatenate([middle, middle + np.pi]), petals, width=2 * np.pi / bins, color="C3", edgecolor="white", lw=0.5
+        np.concatenate([middle, middle + np.pi]),
+        petals,
+        width=2 * np.pi / bins,
+        color="C3",
+        edgecolor="white",
+        lw=0.5,
     )
     ax.set_yticklabels([])
-    ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane])
+    ax.set_xticks(
+        np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane]
+    )
     return ax
 
 

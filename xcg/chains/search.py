@@ -12,7 +12,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import StressRule, Volumes, carries
-from xcg.chains.results import CHAINS, COPIED, RESULTS, require_chains, result_sizes, statistics_of, steps_of
+from xcg.chains.results import (
+    CHAINS,
+    COPIED,
+    RESULTS,
+    require_chains,
+    result_sizes,
+    statistics_of,
+    steps_of,
+)
 from xcg.chains.selection import Region, check_region
 from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
@@ -164,29 +172,58 @@ def force_chains(
     """
     given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
     if not (is_positive(alpha) and alpha <= 90):
-        raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
+        raise ValueError(
+            f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
+        )
     if alpha < np.pi / 2:
-        warn_user(f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?")
-    if not (threshold is None or is_finite(threshold) or (isinstance(threshold, str) and threshold == "mean")):
-        raise ValueError(f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold")
+        warn_user(
+            f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
+        )
+    if not (
+        threshold is None
+        or is_finite(threshold)
+        or (isinstance(threshold, str) and threshold == "mean")
+    ):
+        raise ValueError(
+            f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
+        )
     if not is_whole(min_length, 2):
-        raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
+        raise ValueError(
+            f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
+        )
     check_choice("algorithm", algorithm, Algorithm)
     check_region(region)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
-    rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", bool(one_sided), region)
+    rule = SearchRule(
+        stress,
+        cosine,
+        threshold,
+        int(min_length),
+        algorithm == "peters2005",
+        bool(one_sided),
+        region,
+    )
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     further = ("frozen", "time", *OF_STEP)
-    names = list(dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)]))
+    names = list(
+        dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)])
+    )
     threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
-        ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
+        ds,
+        names,
+        partial(_compute, rule, threads),
+        results_of(RESULTS, sizes),
+        "force-chains",
+        on_error,
     )
     lengths = rule.min_length + np.arange(sizes["length"])
     beside = {name: ds.variables[name] for name in BOX if name in ds}
-    beside["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
+    beside["length"] = xr.Variable(
+        "length", lengths, {"units": "1", "long_name": "particles of a chain"}
+    )
     about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
     return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
 
@@ -200,15 +237,23 @@ def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> d
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
         found = find_chains(rule, frame, lattice, time, source, threads)
         count = len(found["chain_particles"])
-        rows = {"particle": particle_rows(ids[t]), "contact": keys[t] != PADDING, "chain": slice(count)}
+        rows = {
+            "particle": particle_rows(ids[t]),
+            "contact": keys[t] != PADDING,
+            "chain": slice(count),
+        }
         for name, values in found.items():
             out[name][t][rows[RESULTS[name].dims[0]]] = values
-        for name, value in statistics_of(found["chain_particles"], rule.min_length, sizes["length"]).items():
+        for name, value in statistics_of(
+            found["chain_particles"], rule.min_length, sizes["length"]
+        ).items():
             out[name][t] = value
     return out | {name: arrays[name] for name in COPIED}
 
 
-def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str, threads: int = 1) -> Frame:
+def find_chains(
+    rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str, threads: int = 1
+) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
     Threads share the stress and the test of contacts; the search itself, of links alone, is one thread's.
@@ -224,7 +269,9 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
 
     def test(first: int, last: int) -> None:
         some = slice(first, last)
-        loops.aligned_contacts(i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some])
+        loops.aligned_contacts(
+            i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some]
+        )
 
     for_parts(len(i), test, contacts.threads)
     start, contact = loops.rows_of_contacts(i, j, aligned, particles)
@@ -237,12 +284,18 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
         seeds = seeds[np.argsort(-major[seeds], kind="stable")]
         count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
     else:
-        count = loops.branching_chains(i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found)
+        count = loops.branching_chains(
+            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
+        )
     links = np.empty(particles, int)
     loops.count_links(i, j, start, contact, link, links)
 
-    by_chain = {name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()}
-    loops.describe_chains(members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED))
+    by_chain = {
+        name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()
+    }
+    loops.describe_chains(
+        members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)
+    )
     dropped = chain == loops.TOO_SHORT
     chain[dropped] = parent[dropped] = loops.UNSEEN
     return by_chain | {
@@ -290,7 +343,9 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     require_chains(fc, "track_chains", whole=("chain",))
     fc = with_time(fc)
     if not (is_positive(overlap) and overlap <= 1):
-        raise ValueError(f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5")
+        raise ValueError(
+            f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
+        )
     if "time" not in fc.dims:
         raise ValueError(
             "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
@@ -325,24 +380,44 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
             track,
             {"units": "1", "long_name": "track of the chain, -1 where there is none"},
         ),
-        "births": ("time", births, {"units": "1", "long_name": "chains that continue none of the step before"}),
-        "deaths": ("time", deaths, {"units": "1", "long_name": "chains of the step before that none continues"}),
-        "survivors": ("time", survivors, {"units": "1", "long_name": "chains that continue one of the step before"}),
+        "births": (
+            "time",
+            births,
+            {"units": "1", "long_name": "chains that continue none of the step before"},
+        ),
+        "deaths": (
+            "time",
+            deaths,
+            {"units": "1", "long_name": "chains of the step before that none continues"},
+        ),
+        "survivors": (
+            "time",
+            survivors,
+            {"units": "1", "long_name": "chains that continue one of the step before"},
+        ),
         "birth_time": ("track", birth, {"units": second, "long_name": "first time of the track"}),
         "last_time": ("track", end, {"units": second, "long_name": "last time of the track"}),
-        "lifetime": ("track", end - birth, {"units": second, "long_name": "time from first to last step"}),
+        "lifetime": (
+            "track",
+            end - birth,
+            {"units": second, "long_name": "time from first to last step"},
+        ),
         "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
 
 
-def _matches(before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float) -> list[tuple[int, int]]:
+def _matches(
+    before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float
+) -> list[tuple[int, int]]:
     """Pairs of chains, each given by particle ids (sorted) and the chain of each, that share enough particles."""
     _, old, new = np.intersect1d(before[0], now[0], assume_unique=True, return_indices=True)
     if not old.size:
         return []
-    pairs, common = np.unique(np.stack([before[1][old], now[1][new]], axis=1), axis=0, return_counts=True)
+    pairs, common = np.unique(
+        np.stack([before[1][old], now[1][new]], axis=1), axis=0, return_counts=True
+    )
     a, b = pairs.T
     share = common / (np.bincount(before[1])[a] + np.bincount(now[1])[b] - common)
     matches: dict[int, int] = {}

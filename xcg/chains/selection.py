@@ -10,7 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
+from xcg.chains.results import (
+    CHAINS,
+    MEMBERS,
+    STATISTICS,
+    require_chains,
+    result_sizes,
+    statistics_of,
+)
 from xcg.common.checks import is_finite, is_positive, is_whole, vector
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
@@ -62,7 +69,9 @@ class _Combined(Region):
         return self.combine(*(region.contains(frame, time, lattice) for region in self.regions))
 
 
-def _three(name: str, given: Sequence[float], *, infinite: bool = False) -> tuple[float, float, float]:
+def _three(
+    name: str, given: Sequence[float], *, infinite: bool = False
+) -> tuple[float, float, float]:
     x, y, z = vector(name, given, infinite=infinite).tolist()
     return x, y, z
 
@@ -83,9 +92,13 @@ class _Moving(Region):
 
     def __post_init__(self) -> None:
         if self.follow is not None and not is_whole(self.follow, 0):
-            raise ValueError(f"follow={self.follow!r}: expected the id of a particle, a whole number")
+            raise ValueError(
+                f"follow={self.follow!r}: expected the id of a particle, a whole number"
+            )
         if self.follow is not None and np.any(self.velocity):
-            raise ValueError(f"velocity={self.velocity!r} and follow={self.follow!r}: expected one of the two")
+            raise ValueError(
+                f"velocity={self.velocity!r} and follow={self.follow!r}: expected one of the two"
+            )
         object.__setattr__(self, "velocity", _three("velocity", self.velocity))
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
@@ -129,9 +142,14 @@ class BoxRegion(_Moving):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lower, upper = _three("lower", self.lower, infinite=True), _three("upper", self.upper, infinite=True)
+        lower, upper = (
+            _three("lower", self.lower, infinite=True),
+            _three("upper", self.upper, infinite=True),
+        )
         if not all(a <= b for a, b in zip(lower, upper, strict=True)):
-            raise ValueError(f"lower={lower}, upper={upper}: expected every lower edge below the upper")
+            raise ValueError(
+                f"lower={lower}, upper={upper}: expected every lower edge below the upper"
+            )
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
@@ -139,10 +157,14 @@ class BoxRegion(_Moving):
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         bounded = np.isfinite(lower) & np.isfinite(upper)
         # about its centre, so that a periodic image inside counts
-        middle = np.where(bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0)
+        middle = np.where(
+            bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0
+        )
         away = position - (offset + middle)
         if lattice.vectors is not None:  # the image inside need not be the shortest
-            inside, _, _ = lattice.seen(bounded, "region").images(away, lower - middle, upper - middle)
+            inside, _, _ = lattice.seen(bounded, "region").images(
+                away, lower - middle, upper - middle
+            )
             return np.bincount(inside, minlength=len(away)) > 0
         away = np.where(bounded, lattice.shortest(away), away)
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
@@ -194,7 +216,11 @@ OF = {"any": np.logical_or, "all": np.logical_and}
 
 @takes_scene
 def select_chains(
-    fc: xr.Dataset, region: Region | None = None, *, min_stress: float | None = None, of: str = "any"
+    fc: xr.Dataset,
+    region: Region | None = None,
+    *,
+    min_stress: float | None = None,
+    of: str = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -230,14 +256,20 @@ def select_chains(
     if of not in OF:
         raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
-        raise ValueError("nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both")
+        raise ValueError(
+            "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
+        )
     check_region(region)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
     compute = partial(
-        _compute, region=region, min_stress=min_stress, of=of, periodic=fc.attrs.get("periodic", ""),
+        _compute,
+        region=region,
+        min_stress=min_stress,
+        of=of,
+        periodic=fc.attrs.get("periodic", ""),
         min_length=int(fc.attrs.get("min_length", 3)),
-    )  # fmt: skip
+    )
     changed = MEMBERS | CHAINS | STATISTICS
     names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]
     arrays = map_over_time(fc, names, compute, results_of(changed, fc.sizes), "select-chains")
@@ -246,9 +278,14 @@ def select_chains(
 
 
 def _compute(
-    arrays: Mapping[str, NDArray], *, region: Region | None, min_stress: float | None, of: str, periodic: str,
+    arrays: Mapping[str, NDArray],
+    *,
+    region: Region | None,
+    min_stress: float | None,
+    of: str,
+    periodic: str,
     min_length: int,
-) -> dict[str, NDArray]:  # fmt: skip
+) -> dict[str, NDArray]:
     """Chains of one chunk of time that fulfil a condition, from padded arrays."""
     out = {name: arrays[name].copy() for name in (*MEMBERS, *CHAINS)}
     steps, particles = arrays["particle_id"].shape
@@ -259,7 +296,9 @@ def _compute(
     for t, (frame, lattice, _) in enumerate(steps_in(grains, periodic)):
         fulfilled = np.ones(len(frame["particle_id"]), bool)
         if region is not None:
-            fulfilled &= region.contains(frame, float(arrays["time"][t]) if "time" in arrays else 0.0, lattice)
+            fulfilled &= region.contains(
+                frame, float(arrays["time"][t]) if "time" in arrays else 0.0, lattice
+            )
         if min_stress is not None:
             fulfilled &= frame["major_stress"] >= min_stress
         inside = np.zeros(particles, bool)
@@ -269,7 +308,9 @@ def _compute(
         OF[of].at(kept, chain[chain >= 0], inside[chain >= 0])
         kept &= exists
         _drop(out, t, kept)
-        for name, value in statistics_of(out["chain_particles"][t][kept], min_length, lengths).items():
+        for name, value in statistics_of(
+            out["chain_particles"][t][kept], min_length, lengths
+        ).items():
             out[name][t] = value
     return out
 

@@ -16,7 +16,9 @@ def floats(given: Any) -> NDArray[np.float64]:
     """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
     try:
         values = np.asarray(given)
-        texts = values.dtype.kind == "O" and any(isinstance(value, (str, bytes)) for value in values.flat)
+        texts = values.dtype.kind == "O" and any(
+            isinstance(value, (str, bytes)) for value in values.flat
+        )
         numeric = values.dtype.kind in "iufO" and not texts
         return values.astype("float64") if numeric else np.full((), np.nan)
     except (TypeError, ValueError, OverflowError):
@@ -42,14 +44,24 @@ def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
 def check_choice(name: str, given: Any, choices: Any) -> None:
     """Raise ValueError unless an argument is one of the values of a Literal."""
     if given not in get_args(choices):
-        raise ValueError(f"{name}={given!r}: expected one of {', '.join(map(repr, get_args(choices)))}")
+        raise ValueError(
+            f"{name}={given!r}: expected one of {', '.join(map(repr, get_args(choices)))}"
+        )
 
 
-def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError) -> NDArray:
+def vector(
+    name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError
+) -> NDArray:
     """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
     values = floats(given)
-    if values.shape != (3,) or np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
-        raise error(f"{name}={plain(given)}: expected three {'' if infinite else 'finite '}numbers (x, y, z)")
+    if (
+        values.shape != (3,)
+        or np.isnan(values).any()
+        or not (infinite or np.isfinite(values).all())
+    ):
+        raise error(
+            f"{name}={plain(given)}: expected three {'' if infinite else 'finite '}numbers (x, y, z)"
+        )
     return values
 
 
@@ -57,7 +69,9 @@ def unit_vector(name: str, given: Any) -> NDArray:
     """Check three finite numbers that are not all zero, and make their length one; (3,)."""
     values = vector(name, given)
     if not values.any():
-        raise ValueError(f"{name}={plain(given)}: expected a direction, three finite numbers (x, y, z), not all zero")
+        raise ValueError(
+            f"{name}={plain(given)}: expected a direction, three finite numbers (x, y, z), not all zero"
+        )
     return unit(values)
 
 
@@ -70,8 +84,15 @@ def unit(values: NDArray) -> NDArray:
 def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, float]:
     """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
     ends = floats(given)
-    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1] or (ends[0] == ends[1] and not equal):
-        raise ValueError(f"{name}={plain(given)}: expected (first, last) with first {'<=' if equal else '<'} last")
+    if (
+        ends.shape != (2,)
+        or not np.isfinite(ends).all()
+        or ends[0] > ends[1]
+        or (ends[0] == ends[1] and not equal)
+    ):
+        raise ValueError(
+            f"{name}={plain(given)}: expected (first, last) with first {'<=' if equal else '<'} last"
+        )
     low, high = ends.tolist()
     return low, high
 

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
-BOTH_SIGNS = 0.1  # of the larger end of a field, which the smaller one has where colours are about zero
+BOTH_SIGNS = (
+    0.1  # of the larger end of a field, which the smaller one has where colours are about zero
+)
 SMOOTH = 400  # cells along an axis of a smooth map
 _SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
 # powers as UDUNITS has them: "m^-1", "m**-1" and "m-1"
@@ -100,7 +102,9 @@ def _has_both_signs(values: NDArray) -> bool:
     return bool(low < 0 < high and min(-low, high) >= BOTH_SIGNS * max(-low, high))
 
 
-def colours_of(values: NDArray, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
+def colours_of(
+    values: NDArray, cmap: str | None, vmin: float | None, vmax: float | None
+) -> dict[str, Any]:
     """Return colours and their ends as asked for; by default of all numbers, about zero where both signs matter."""
     low, high = ends_of(values)
     end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
@@ -126,7 +130,11 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     y, near_y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
     top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
     bottom = weight_y @ known.astype(float) @ weight_x.T
-    return x, y, np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan)
+    return (
+        x,
+        y,
+        np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan),
+    )
 
 
 def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDArray]:
@@ -137,7 +145,9 @@ def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDAr
     middle = 0.5 * (edges[1:] + edges[:-1])
     if period is not None and edges[-1] - edges[0] < period * (1 - 1e-9):
         period = None  # a sector of the circle
-    weights = np.stack([np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1)
+    weights = np.stack(
+        [np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1
+    )
     return edges, np.repeat(np.arange(count), parts), weights
 
 

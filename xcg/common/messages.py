@@ -23,7 +23,9 @@ def printable(text: str) -> str:
     Messages quote files, and files may come from strangers. NumPy's numbers become plain: 0.1 for np.float64(0.1).
     """
     text = _OF_NUMPY.sub(r"\1", text)
-    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 def plain(value: object) -> str:
@@ -66,14 +68,24 @@ def unknown(what: str, word: object, known: Iterable[object], listed: str = "") 
     rest = listed or f"expected one of {', '.join(names)}"
     longer = sorted((name for name in names if len(str(word)) > 2 and str(word) in name), key=len)
     hint = did_you_mean(str(word), names) or (f"; did you mean {longer[0]!r}?" if longer else "")
-    return f"unknown {what} {word!r}" + (f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}")
+    return f"unknown {what} {word!r}" + (
+        f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}"
+    )
 
 
 # Packages whose lines stand between a line of the user's program and the one that warns.
 _BETWEEN = {
-    "xcg", "dask", "xarray", "distributed", "tornado", "asyncio", "selectors", "concurrent",
-    "threading", "queue",
-}  # fmt: skip
+    "xcg",
+    "dask",
+    "xarray",
+    "distributed",
+    "tornado",
+    "asyncio",
+    "selectors",
+    "concurrent",
+    "threading",
+    "queue",
+}
 
 
 def warn_user(message: str | Warning) -> None:
@@ -95,7 +107,9 @@ def warn_user(message: str | Warning) -> None:
     frame = _of_user(sys._getframe(1)) or _of_user(main) or sys._getframe(1)
     name = frame.f_globals.get("__name__", "<unknown>")
     registry = frame.f_globals.setdefault("__warningregistry__", {})
-    warnings.warn_explicit(message, SceneWarning, frame.f_code.co_filename, frame.f_lineno, name, registry)
+    warnings.warn_explicit(
+        message, SceneWarning, frame.f_code.co_filename, frame.f_lineno, name, registry
+    )
 
 
 def _of_user(frame: FrameType | None) -> FrameType | None:

@@ -54,7 +54,10 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
     reader.Update()
     mesh = reader.GetOutput()
     if problems or mesh is None or not (empty or mesh.GetNumberOfPoints()):
-        raise ValueError(f"{path}: VTK reads no points from it" + "".join(f"; {problem}" for problem in problems[:1]))
+        raise ValueError(
+            f"{path}: VTK reads no points from it"
+            + "".join(f"; {problem}" for problem in problems[:1])
+        )
     return mesh
 
 

@@ -101,7 +101,9 @@ class _Compiling(event.Listener):
         self._depth, self._was_on, self._announced = 0, False, False
 
     def on_start(self, started: event.Event) -> None:
-        ours = str(started.data["dispatcher"].py_func.__module__).startswith("xcg.")  # None for code from a text
+        ours = str(started.data["dispatcher"].py_func.__module__).startswith(
+            "xcg."
+        )  # None for code from a text
         if ours and not self._announced and is_interactive():
             self._announced = True
             sys.stderr.write(_NOTICE)
@@ -122,7 +124,9 @@ event.register("numba:compile", _Compiling())  # one thread compiles at a time
 def jit(function: Callable, **options: Any) -> Any:
     """Compile a loop; under ``NUMBA_DISABLE_JIT=1`` it stays the Python function that it is."""
     # the wrapper for callers in C would take a tenth of the time
-    compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
+        function
+    )
     if CACHE and compiled is not function:
         with suppress(RuntimeError):  # no folder can be written
             compiled._cache = _Cache(function)
@@ -142,10 +146,16 @@ def inner(function: Callable, **options: Any) -> Any:
     compiled = jit(function, _nrt=False, no_cpython_wrapper=True, **options)
 
     def refuse(*_: Any, **__: Any) -> None:
-        raise TypeError(f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func")
+        raise TypeError(
+            f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func"
+        )
 
-    if compiled is not function:  # what is compiled is kept for loops alone: a call from Python would end the process
-        compiled.add_overload = lambda result: compiled.overloads.update({tuple(result.signature.args): result})
+    if (
+        compiled is not function
+    ):  # what is compiled is kept for loops alone: a call from Python would end the process
+        compiled.add_overload = lambda result: compiled.overloads.update(
+            {tuple(result.signature.args): result}
+        )
         compiled._compile_for_args = refuse
     return compiled
 

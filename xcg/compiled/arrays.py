@@ -19,7 +19,9 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
     for n in orders:
         x, w = np.polynomial.legendre.leggauss(n)
         points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
-    points.flags.writeable = weights.flags.writeable = False  # as loops know those that are constants of a module
+    points.flags.writeable = weights.flags.writeable = (
+        False  # as loops know those that are constants of a module
+    )
     return points, weights
 
 
@@ -107,7 +109,9 @@ def nearest_of(x, y, z, lattice):
 def nearest_images(vector, lattice, out):
     """Write the shortest image of each vector (n, 3), see `nearest_of`."""
     for n in range(vector.shape[0]):
-        out[n, 0], out[n, 1], out[n, 2] = nearest_of(vector[n, 0], vector[n, 1], vector[n, 2], lattice)
+        out[n, 0], out[n, 1], out[n, 2] = nearest_of(
+            vector[n, 0], vector[n, 1], vector[n, 2], lattice
+        )
 
 
 @leaf

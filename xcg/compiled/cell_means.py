@@ -57,7 +57,9 @@ INTEGRATED = CellMeans(np.zeros((1, 1, 1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ma
 _tables: dict[Any, CellMeans] = {}
 
 
-def cell_means(half: tuple[float, float, float], seen: int, kernel: CellKernel, integral: float) -> CellMeans:
+def cell_means(
+    half: tuple[float, float, float], seen: int, kernel: CellKernel, integral: float
+) -> CellMeans:
     """Tabulate the means of a kernel over a cell of half the extent `half`, in cutoffs.
 
     `seen` is the number of axes along which distance counts, and `integral` that of the kernel without its norm.
@@ -67,7 +69,8 @@ def cell_means(half: tuple[float, float, float], seen: int, kernel: CellKernel, 
     if not 2 <= sum(h > 0.0 for h in half) == seen:
         return INTEGRATED
     codes = [
-        (one.kind, None if one.table is None else one.table.tobytes()) for one in (kernel, kernel.once, kernel.twice)
+        (one.kind, None if one.table is None else one.table.tobytes())
+        for one in (kernel, kernel.once, kernel.twice)
     ]
     key = half, integral, kernel.spread, kernel.rims.tobytes(), *codes
     if key not in _tables:
@@ -99,7 +102,11 @@ def _tabulated(half: tuple[float, float, float], kernel: CellKernel, integral: f
     probes = ends[:, 0] + np.random.default_rng(0).random((_PROBES, 3)) * np.diff(ends)[:, 0]
     error = _largest_error(probes, volumes, kernel, means, scratch, np.zeros(2))
     largest = float(np.abs(found).max())
-    return INTEGRATED if error > _WORST * largest else means._replace(least=max(_SMALL * largest, _IN_HAND * error))
+    return (
+        INTEGRATED
+        if error > _WORST * largest
+        else means._replace(least=max(_SMALL * largest, _IN_HAND * error))
+    )
 
 
 class _Axis(NamedTuple):
@@ -138,7 +145,9 @@ def _axis(half: float) -> _Axis:
     turn = number if first else number % within
     cells = np.zeros((within // 2 + 1, many))
     for k in range(len(cells)):
-        beside = np.array([k, within - k]) if first else np.abs(k + within * np.arange(-many, many + 1))
+        beside = (
+            np.array([k, within - k]) if first else np.abs(k + within * np.arange(-many, many + 1))
+        )
         np.add.at(cells[k], beside[beside < many], 1.0)
     return _Axis(
         1.0 / step,
@@ -181,9 +190,13 @@ def _taps(distance, first, per_step, last):
     a, b, c, d, e = f + 2.0, f + 1.0, f - 1.0, f - 2.0, f - 3.0
     ab, de, ce = a * b, d * e, c * e
     weights = (
-        b * f * c * de / -120.0, a * f * c * de / 24.0, ab * c * de / -12.0,
-        ab * f * de / 12.0, ab * f * ce / -24.0, ab * f * c * d / 120.0,
-    )  # fmt: skip
+        b * f * c * de / -120.0,
+        a * f * c * de / 24.0,
+        ab * c * de / -12.0,
+        ab * f * de / 12.0,
+        ab * f * ce / -24.0,
+        ab * f * c * d / 120.0,
+    )
     return k, weights
 
 
@@ -290,7 +303,9 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
             db = place[b] - ib * steps[b]
             for k in range(many):
                 weight[hits + k] = 0.0
-            _add_row(da, db, place[c], first_c, many, volumes, kernel, kernel.means, values, weight, hits)
+            _add_row(
+                da, db, place[c], first_c, many, volumes, kernel, kernel.means, values, weight, hits
+            )
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
@@ -340,10 +355,24 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
                     u, share = (part + points[g]) / parts, shares[g] / parts
                     ea, eb, ec = da + u * branch[a], db + u * branch[b], place[c] + u * branch[c]
                     if kernel.means.least == math.inf:
-                        integrate_row(ea, eb, ec, first_c, many, share, volumes, kernel, values, weight, hits)
+                        integrate_row(
+                            ea, eb, ec, first_c, many, share, volumes, kernel, values, weight, hits
+                        )
                     else:
                         share *= kernel.norm
-                        _interpolate_row(ea, eb, ec, first_c, many, share, volumes, kernel.means, values, weight, hits)
+                        _interpolate_row(
+                            ea,
+                            eb,
+                            ec,
+                            first_c,
+                            many,
+                            share,
+                            volumes,
+                            kernel.means,
+                            values,
+                            weight,
+                            hits,
+                        )
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
@@ -358,4 +387,6 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
 def _range_along(place, branch, half, per_step, low, high):
     """First and one past the last of the nodes low, ... high - 1 whose cells are closer than 1 to a segment's ends."""
     reach = half + 1.0
-    return node_range(min(0.0, branch) + place - reach, max(0.0, branch) + place + reach, per_step, low, high)
+    return node_range(
+        min(0.0, branch) + place - reach, max(0.0, branch) + place + reach, per_step, low, high
+    )

@@ -85,7 +85,10 @@ def _kept(context, builder, signature, args, tests, listed):
     bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
     for lane in range(0 if _COMPRESSES else lanes):
         found.append(
-            builder.add(found[-1], builder.zext(builder.extract_element(near, ir.Constant(short, lane)), whole))
+            builder.add(
+                found[-1],
+                builder.zext(builder.extract_element(near, ir.Constant(short, lane)), whole),
+            )
         )
     kept = [(0, row, vector) for row, vector in listed.items()]
     for k, row, vector in (*kept, (1, NODE, builder.add(first, ramp))):
@@ -106,7 +109,9 @@ def _kept(context, builder, signature, args, tests, listed):
                 builder.store(value, builder.gep(start, [found[lane]]), align=align)
     if not _COMPRESSES:
         return found[-1]
-    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bits, [bits]), f"llvm.ctpop.i{lanes}")
+    count = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(bits, [bits]), f"llvm.ctpop.i{lanes}"
+    )
     return builder.zext(builder.call(count, [builder.bitcast(near, bits)]), whole)
 
 
@@ -115,8 +120,14 @@ def _list_near_place(typingctx, values, numbers, at, px, py, pz, first, left, x,
         place, value = typed(context, builder, signature, args)
         lanes, d = VECTOR // (values.dtype.bitwidth // 8), []
         for k in range(3):
-            pointer, align = pointer_to(context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes)
-            d.append(builder.fsub(vector_of(builder, [value(8 + k)] * lanes), builder.load(pointer, align=align)))
+            pointer, align = pointer_to(
+                context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes
+            )
+            d.append(
+                builder.fsub(
+                    vector_of(builder, [value(8 + k)] * lanes), builder.load(pointer, align=align)
+                )
+            )
         q2 = _dot(builder, d, d)
         return _kept(context, builder, signature, args, q2, {X: d[0], Y: d[1], Z: d[2], Q2: q2})
 
@@ -135,30 +146,47 @@ def list_near_place(values, numbers, at, px, py, pz, first, left, x, y, z):
     q2 = a * a + b * b + c * c
     near = q2 < 1.0
     here = slice(int(at), int(at) + int(near.sum()))
-    values[X, here], values[Y, here], values[Z, here], values[Q2, here] = a[near], b[near], c[near], q2[near]
+    values[X, here], values[Y, here], values[Z, here], values[Q2, here] = (
+        a[near],
+        b[near],
+        c[near],
+        q2[near],
+    )
     numbers[NODE, here] = n[near]
     return np.uint64(near.sum())
 
 
-def _list_near_segment(typingctx, values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length):
+def _list_near_segment(
+    typingctx, values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length
+):
     def generate(context, builder, signature, args):
         place, value = typed(context, builder, signature, args)
         lanes = VECTOR // (values.dtype.bitwidth // 8)
         vector, d = ir.VectorType(context.get_data_type(values.dtype), lanes), []
         for k in range(3):
-            pointer, align = pointer_to(context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes)
+            pointer, align = pointer_to(
+                context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes
+            )
             start = context.cast(builder, args[8 + k], signature.args[8 + k], types.float64)
-            apart = builder.fsub(builder.load(pointer, align=align), vector_of(builder, [start] * lanes))
+            apart = builder.fsub(
+                builder.load(pointer, align=align), vector_of(builder, [start] * lanes)
+            )
             d.append(builder.fptrunc(apart, vector) if values.dtype == types.float32 else apart)
         ex, ey, ez, end = (vector_of(builder, [value(k)] * lanes) for k in range(11, 15))
-        r2, foot, zero = _dot(builder, d, d), _dot(builder, d, (ex, ey, ez)), ir.Constant(vector, None)
+        r2, foot, zero = (
+            _dot(builder, d, d),
+            _dot(builder, d, (ex, ey, ez)),
+            ir.Constant(vector, None),
+        )
         within = builder.select(builder.fcmp_ordered(">", foot, zero), foot, zero)
         within = builder.select(builder.fcmp_ordered("<", within, end), within, end)
         past = builder.fsub(foot, within)
         away2 = builder.fadd(builder.fsub(r2, builder.fmul(foot, foot)), builder.fmul(past, past))
         return _kept(context, builder, signature, args, away2, {Q2: r2, ALONG: foot})
 
-    return types.uint64(values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length), generate
+    return types.uint64(
+        values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length
+    ), generate
 
 
 @compiled_as(_list_near_segment)
@@ -214,7 +242,9 @@ class PointCells(NamedTuple):
 
 
 @leaf
-def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, order, rank, position, sorted_rows):
+def sort_by_cell(
+    x, y, z, rows, lower, per_size, shape, start, cell, order, rank, position, sorted_rows
+):
     """Sort points by the cell that they are in; points of one cell keep their order.
 
     Parameters
@@ -239,7 +269,13 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, order, rank
     sort_by_key(cell, start[1:], order)
     for to in range(x.size):
         n = order[to]
-        position[0, to], position[1, to], position[2, to], sorted_rows[to], rank[n] = x[n], y[n], z[n], rows[n], to
+        position[0, to], position[1, to], position[2, to], sorted_rows[to], rank[n] = (
+            x[n],
+            y[n],
+            z[n],
+            rows[n],
+            to,
+        )
 
 
 def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:
@@ -326,8 +362,12 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
     lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
     reach, length, hits = 1.0 + margin, math.sqrt(bx * bx + by * by + bz * bz), np.uint64(0)
-    x0, x1 = _cell_range(x + min(0.0, bx) - reach, x + max(0.0, bx) + reach, lower[0], per_size[0], nx)
-    y0, y1 = _cell_range(y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], ny)
+    x0, x1 = _cell_range(
+        x + min(0.0, bx) - reach, x + max(0.0, bx) + reach, lower[0], per_size[0], nx
+    )
+    y0, y1 = _cell_range(
+        y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], ny
+    )
     # an axis with one cell tells nothing of distances
     across_x, across_y = bx if per_size[0] > 0.0 else 0.0, by if per_size[1] > 0.0 else 0.0
     across2 = across_x * across_x + across_y * across_y
@@ -351,8 +391,17 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     # cells are counted from that of the start, so that few digits are enough
     here = (z - lower[2]) * per_size[2]
     base = math.floor(here)
-    low, high = here - base + (min(0.0, bz) - slack) * per_size[2], here - base + (max(0.0, bz) + slack) * per_size[2]
-    low, high, lowest, highest, per = real(low), real(high), real(-base), real(nz - 1 - base), real(per_size[2])
+    low, high = (
+        here - base + (min(0.0, bz) - slack) * per_size[2],
+        here - base + (max(0.0, bz) + slack) * per_size[2],
+    )
+    low, high, lowest, highest, per = (
+        real(low),
+        real(high),
+        real(-base),
+        real(nz - 1 - base),
+        real(per_size[2]),
+    )
     for k in range(padded(count)):
         row2, dot = values[ROW2, k], values[ROW_DOT, k]
         u = min(one, max(zero, dot * per_c2))
@@ -360,9 +409,18 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         half = np.sqrt(max(zero, one - nearest * nearest)) * per
         begin, end = np.floor(low - half), np.floor(high + half)
         values[ROW2, k] = nearest
-        numbers[FIRST, k] = numbers[ROW, k] + base + np.int32(min(highest + one, max(lowest, begin)))
-        numbers[END, k] = numbers[ROW, k] + base + np.int32(min(highest, max(lowest - one, end)) + one)
-    ex, ey, ez, length = real(bx * per_length), real(by * per_length), real(bz * per_length), real(length)
+        numbers[FIRST, k] = (
+            numbers[ROW, k] + base + np.int32(min(highest + one, max(lowest, begin)))
+        )
+        numbers[END, k] = (
+            numbers[ROW, k] + base + np.int32(min(highest, max(lowest - one, end)) + one)
+        )
+    ex, ey, ez, length = (
+        real(bx * per_length),
+        real(by * per_length),
+        real(bz * per_length),
+        real(length),
+    )
     lanes = np.uint64(VECTOR // values.itemsize)
     for k in range(count):
         if not values[ROW2, k] < 1.0:
@@ -370,7 +428,9 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
         left = np.int64(end - first)
         while True:
-            hits += list_near_segment(values, numbers, hits, px, py, pz, first, left, x, y, z, ex, ey, ez, length)
+            hits += list_near_segment(
+                values, numbers, hits, px, py, pz, first, left, x, y, z, ex, ey, ez, length
+            )
             left -= np.int64(lanes)
             if left <= 0:
                 break

@@ -54,7 +54,9 @@ def aligned_contacts(i, j, branch, direction, qualifies, cosine, aligned):
         aligned[c] = abs(dot(b, direction[p])) >= limit and abs(dot(b, direction[q])) >= limit
 
 
-def rows_of_contacts(i: NDArray, j: NDArray, chosen: NDArray, count: int) -> tuple[NDArray, NDArray]:
+def rows_of_contacts(
+    i: NDArray, j: NDArray, chosen: NDArray, count: int
+) -> tuple[NDArray, NDArray]:
     """Compressed rows of the graph whose edges are the chosen contacts: start (count + 1,), contact (2 edges,)."""
     edges = np.flatnonzero(chosen)
     ends, start = np.column_stack([i[edges], j[edges]]).ravel(), np.zeros(count + 2, np.int64)
@@ -96,8 +98,22 @@ def _close(chain, link, start, contact, members, begin, end, count, min_length):
 
 @jit
 def branching_chains(
-    i, j, branch, start, contact, seeds, one_sided, min_length, chain, parent, members, first, onward, place, link
-):  # fmt: skip
+    i,
+    j,
+    branch,
+    start,
+    contact,
+    seeds,
+    one_sided,
+    min_length,
+    chain,
+    parent,
+    members,
+    first,
+    onward,
+    place,
+    link,
+):
     """Depth-first search from each seed, through branches and back together.
 
     Parameters
@@ -170,7 +186,9 @@ def branching_chains(
                 if chain[q] == count:
                     link[c] = count
         first[count] = begin
-        count, filled = _close(chain, link, start, contact, members, begin, filled, count, min_length)
+        count, filled = _close(
+            chain, link, start, contact, members, begin, filled, count, min_length
+        )
     first[count] = filled
     return count
 
@@ -194,8 +212,21 @@ def _nearest_link(p, i, j, branch, start, contact, chain, onward, either_way):
 
 @jit
 def linear_chains(
-    i, j, branch, start, contact, seeds, min_length, chain, parent, members, first, onward, place, link
-):  # fmt: skip
+    i,
+    j,
+    branch,
+    start,
+    contact,
+    seeds,
+    min_length,
+    chain,
+    parent,
+    members,
+    first,
+    onward,
+    place,
+    link,
+):
     """Search without branches: from each seed both ways, each time to the contact nearest to the direction of travel.
 
     A seed's direction is a line: the first way is the one of the link nearest to it, so that the sign in which an
@@ -227,7 +258,9 @@ def linear_chains(
                 p = q
         onward[seed] *= -1.0
         first[count] = begin
-        count, filled = _close(chain, link, start, contact, members, begin, filled, count, min_length)
+        count, filled = _close(
+            chain, link, start, contact, members, begin, filled, count, min_length
+        )
     first[count] = filled
     return count
 
@@ -259,7 +292,9 @@ def count_links(i, j, start, contact, link, links):
 
 
 @jit
-def describe_chains(members, first, place, stress, links, lengths, edges, branches, mean, orientation, normal):
+def describe_chains(
+    members, first, place, stress, links, lengths, edges, branches, mean, orientation, normal
+):
     """Size, mean stress and shape of each chain.
 
     Parameters

@@ -176,7 +176,11 @@ def side(position, row, point, n, period, lattice):
     """
     if row < 0:
         return 0.0, 0.0, 0.0
-    x, y, z = position[row, 0] - point[n, 0], position[row, 1] - point[n, 1], position[row, 2] - point[n, 2]
+    x, y, z = (
+        position[row, 0] - point[n, 0],
+        position[row, 1] - point[n, 1],
+        position[row, 2] - point[n, 2],
+    )
     if lattice is not None:
         return nearest_of(x, y, z, lattice)
     return nearest_image(x, period[0]), nearest_image(y, period[1]), nearest_image(z, period[2])
@@ -228,16 +232,24 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         i, j = row_i[n], row_j[n]
         if i < 0 or j < 0:
             return n
-        near_x, near_y, near_z = (0.0, 0.0, 0.0) if seen is None else (seen[n, 0], seen[n, 1], seen[n, 2])
+        near_x, near_y, near_z = (
+            (0.0, 0.0, 0.0) if seen is None else (seen[n, 0], seen[n, 1], seen[n, 2])
+        )
         x = image_near(position[i, 0] - position[j, 0], near_x, period[0])
         y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
         z = image_near(position[i, 2] - position[j, 2], near_z, period[2])
         length, radius_i, radius_j = _length(x, y, z), diameter[i] / 2, diameter[j] / 2
         if seen is None:
             reach = max(length, radius_i + radius_j) * (1 + hair)
-            if period[0] - abs(x) < reach or period[1] - abs(y) < reach or period[2] - abs(z) < reach:
+            if (
+                period[0] - abs(x) < reach
+                or period[1] - abs(y) < reach
+                or period[2] - abs(z) < reach
+            ):
                 return n
-        elif not _length(x - near_x, y - near_y, z - near_z) <= same * _length(near_x, near_y, near_z):
+        elif not _length(x - near_x, y - near_y, z - near_z) <= same * _length(
+            near_x, near_y, near_z
+        ):
             return n
         share = _share_of_i(length if length > 0 else 1.0, radius_i, radius_j)
         for k, along in enumerate((x, y, z)):

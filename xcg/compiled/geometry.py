@@ -26,9 +26,11 @@ def _primitive(z, a, root):
     All angles are taken from one `root` of 1 - a^2 - z^2: its error then has no effect to first order.
     """
     return (
-        0.5 * (z - z * z * z / 3.0) * math.atan2(a, root) + a * z * root / 3.0
-        + (a / 3.0 + a * (1.0 - a * a) / 6.0) * math.atan2(z, root) - math.atan2(a * z, root) / 3.0
-    )  # fmt: skip
+        0.5 * (z - z * z * z / 3.0) * math.atan2(a, root)
+        + a * z * root / 3.0
+        + (a / 3.0 + a * (1.0 - a * a) / 6.0) * math.atan2(z, root)
+        - math.atan2(a * z, root) / 3.0
+    )
 
 
 @inner
@@ -80,8 +82,10 @@ def _disc_in_quarter(a, b):
         return 0.0
     return (
         0.5 * (0.5 * math.pi - math.asin(a) - math.asin(b))
-        - 0.5 * a * math.sqrt(1.0 - a * a) - 0.5 * b * math.sqrt(1.0 - b * b) + a * b
-    )  # fmt: skip
+        - 0.5 * a * math.sqrt(1.0 - a * a)
+        - 0.5 * b * math.sqrt(1.0 - b * b)
+        + a * b
+    )
 
 
 @inner
@@ -153,10 +157,16 @@ def add_shares(position, radius, values, group, lower, step, count, period, disc
                         for j in range(y1 - y0 + 1):
                             for k in range(z1 - z0 + 1):
                                 at, over = (i * ny + j) * nz + k, ((i + 1) * ny + j) * nz + k
-                                share = max(0.0, (
-                                    (corner[at] - corner[at + 1]) - (corner[at + nz] - corner[at + nz + 1])
-                                    - (corner[over] - corner[over + 1]) + (corner[over + nz] - corner[over + nz + 1])
-                                ) / full)  # fmt: skip
+                                share = max(
+                                    0.0,
+                                    (
+                                        (corner[at] - corner[at + 1])
+                                        - (corner[at + nz] - corner[at + nz + 1])
+                                        - (corner[over] - corner[over + 1])
+                                        + (corner[over + nz] - corner[over + nz + 1])
+                                    )
+                                    / full,
+                                )
                                 for q in range(values.shape[1]):
                                     out[group[n], x0 + i, y0 + j, z0 + k, q] += share * values[n, q]
 
@@ -175,7 +185,9 @@ def _cells(x, r, lower, step, count):
     """First and last cell of an axis that a grain may overlap; last below first for none."""
     if not step < np.inf:
         return 0, 0
-    return max(0, math.floor((x - r - lower) / step)), min(count - 1, math.floor((x + r - lower) / step))
+    return max(0, math.floor((x - r - lower) / step)), min(
+        count - 1, math.floor((x + r - lower) / step)
+    )
 
 
 @inner
@@ -218,7 +230,9 @@ def _place(point, corner, place):
     else:
         v, w = vb / (va + vb + vc), vc / (va + vb + vc)
     for k in range(3):
-        place[k] = corner[0, k] + v * (corner[1, k] - corner[0, k]) + w * (corner[2, k] - corner[0, k])
+        place[k] = (
+            corner[0, k] + v * (corner[1, k] - corner[0, k]) + w * (corner[2, k] - corner[0, k])
+        )
 
 
 @leaf
@@ -253,7 +267,9 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
                 square += (points[n, k] - place[k]) ** 2
                 across += (points[n, k] - place[k]) * normals[t, k]
             away = square**0.5
-            if away < least * (1.0 - _TIE) or (away <= least * (1.0 + _TIE) and abs(across) > abs(facing)):
+            if away < least * (1.0 - _TIE) or (
+                away <= least * (1.0 + _TIE) and abs(across) > abs(facing)
+            ):
                 least, facing, best = min(least, away), across, t
         distance[n] = least if facing >= 0.0 else -least
         triangle[n] = best
@@ -284,12 +300,21 @@ def crossings(points, directions, reach, corners, centre, radius, out):
                 away += (points[n, k] - centre[t, k]) ** 2
             if away > (reach + radius[t]) ** 2:
                 continue
-            e0, e1, e2 = (corners[t, 1, 0] - corners[t, 0, 0], corners[t, 1, 1] - corners[t, 0, 1],
-                          corners[t, 1, 2] - corners[t, 0, 2])  # fmt: skip
-            f0, f1, f2 = (corners[t, 2, 0] - corners[t, 0, 0], corners[t, 2, 1] - corners[t, 0, 1],
-                          corners[t, 2, 2] - corners[t, 0, 2])  # fmt: skip
-            x0, x1, x2 = (points[n, 0] - corners[t, 0, 0], points[n, 1] - corners[t, 0, 1],
-                          points[n, 2] - corners[t, 0, 2])  # fmt: skip
+            e0, e1, e2 = (
+                corners[t, 1, 0] - corners[t, 0, 0],
+                corners[t, 1, 1] - corners[t, 0, 1],
+                corners[t, 1, 2] - corners[t, 0, 2],
+            )
+            f0, f1, f2 = (
+                corners[t, 2, 0] - corners[t, 0, 0],
+                corners[t, 2, 1] - corners[t, 0, 1],
+                corners[t, 2, 2] - corners[t, 0, 2],
+            )
+            x0, x1, x2 = (
+                points[n, 0] - corners[t, 0, 0],
+                points[n, 1] - corners[t, 0, 1],
+                points[n, 2] - corners[t, 0, 2],
+            )
             q0, q1, q2 = x1 * e2 - x2 * e1, x2 * e0 - x0 * e2, x0 * e1 - x1 * e0
             for m in range(directions.shape[1]):
                 d0, d1, d2 = directions[n, m, 0], directions[n, m, 1], directions[n, m, 2]

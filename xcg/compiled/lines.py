@@ -47,7 +47,10 @@ from xcg.compiled.smoothing import (
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
-_FEW, _MANY = 24, 48  # points of a line integral on one side of a node, for short branches and others
+_FEW, _MANY = (
+    24,
+    48,
+)  # points of a line integral on one side of a node, for short branches and others
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
@@ -67,10 +70,14 @@ def _antiderivative(kind, spread, table, h2, t):
         return lucy_plane(h2, t)
     if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
         t2 = t * t
-        return 2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
+        return (
+            2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
+        )
     if kind == HEAVISIDE + 1:
         half2 = 1.0 - h2
-        return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(t, math.sqrt(max(0.0, half2 - t * t)))
+        return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(
+            t, math.sqrt(max(0.0, half2 - t * t))
+        )
     bell, flat, cube = _parts_of_line(kind, spread, table)
     if bell > 0.0:
         bell *= spread * SQRT_PI_2 * erf(t / (SQRT2 * spread)) * exp(-0.5 * h2 / (spread * spread))
@@ -109,7 +116,9 @@ def _quadrature(kind, spread, table, h2, t0, t1):
                 angle = mean + span * _NODES[g]
                 t = half * math.sin(angle)
                 q2 = min(h2 + t * t, 1.0)
-                total += span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, spread, table, q2)
+                total += (
+                    span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, spread, table, q2)
+                )
     return total
 
 
@@ -173,7 +182,9 @@ def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exp
     elif kind == TABLE + 1:
         _fill_one_by_one(kind, TABULATED, table, length, along, q2, count, out)
     else:
-        fill_shells(table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
+        fill_shells(
+            table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows
+        )
 
 
 @inner
@@ -201,7 +212,10 @@ def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out)
         bell *= per_length
         for k in range(padded(count)):
             a, b, h2 = clipped(q2[k], along[k], length)
-            a, b = -min(b, -a), max(b, -a)  # mirrored where more of it lies before the foot: now b >= 0
+            a, b = (
+                -min(b, -a),
+                max(b, -a),
+            )  # mirrored where more of it lies before the foot: now b >= 0
             from_a = exp(-per_2s2 * (h2 + a * a)) * erfcx(root * abs(a))
             from_b = exp(-per_2s2 * (h2 + b * b)) * erfcx(root * b)
             if a < 0.0:
@@ -240,7 +254,12 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
             if spread is TABULATED:
                 for k in range(count):
                     r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
-                    out[k] += weight * share * (half if kind == TABLE + 1 else 1.0) * interpolate(table, 0, r2)
+                    out[k] += (
+                        weight
+                        * share
+                        * (half if kind == TABLE + 1 else 1.0)
+                        * interpolate(table, 0, r2)
+                    )
             else:
                 for k in range(padded(count)):
                     r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
@@ -273,7 +292,12 @@ def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
 
 
 def mean_along(
-    points: NDArray, end: NDArray, order: int, kind: int | None, spread: float | None, table: NDArray | None
+    points: NDArray,
+    end: NDArray,
+    order: int,
+    kind: int | None,
+    spread: float | None,
+    table: NDArray | None,
 ) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
@@ -296,14 +320,21 @@ def _means(
     lists = np.zeros((3, room))
     lists[0, :count], lists[1, :count] = along, q2
     if order:
-        fill_gauss(kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
+        fill_gauss(
+            kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2]
+        )
     else:
         fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(room))
     return lists[2, :count]
 
 
 def largest_error(
-    length: float, order: int, rows: int, kind: int | None, spread: float | None, table: NDArray | None
+    length: float,
+    order: int,
+    rows: int,
+    kind: int | None,
+    spread: float | None,
+    table: NDArray | None,
 ) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 
@@ -383,29 +414,55 @@ def _integrals_along(q2, place, half, step, node, many, kind, spread, table, fac
     for k in range(many):
         middle = place - (node + k) * step  # the same bits whichever block the nodes are in
         if half > 0.0:
-            out[first + k] += factor * segment(kind, spread, table, q2, middle - half, middle + half)
+            out[first + k] += factor * segment(
+                kind, spread, table, q2, middle - half, middle + half
+            )
         elif q2 + middle * middle < 1.0:
             out[first + k] += factor * value(kind, spread, table, q2 + middle * middle)
 
 
 @inner
 def _add_columns(
-    da, half_a, db, half_b, dc, half_c, step, node, many, kind, spread, table, rims, norm, values, out, at
+    da,
+    half_a,
+    db,
+    half_b,
+    dc,
+    half_c,
+    step,
+    node,
+    many,
+    kind,
+    spread,
+    table,
+    rims,
+    norm,
+    values,
+    out,
+    at,
 ):
     """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
     nearest = 0.0
     for farthest in rims:
         apart = farthest - nearest
-        for i in range(_list_points(da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2)):
+        for i in range(
+            _list_points(
+                da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2
+            )
+        ):
             across2, inner, inner2 = values[OF_Y, i] * values[OF_Y, i], 0.0, 0.0
             for rim in rims:
                 outer2 = rim * rim - across2
                 if outer2 > 0.0:
-                    for j in range(_list_points(db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2)):
+                    for j in range(
+                        _list_points(db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2)
+                    ):
                         q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
                         here = norm * values[OF_Y2, i] * values[OF_Z2, j]
                         if q2 < 1.0:
-                            _integrals_along(q2, dc, half_c, step, node, many, kind, spread, table, here, out, at)
+                            _integrals_along(
+                                q2, dc, half_c, step, node, many, kind, spread, table, here, out, at
+                            )
                     inner2 = outer2
                 inner = rim
         nearest = farthest

@@ -79,7 +79,9 @@ def _unfinished(matrix, turns):
     some = False
     for n in range(TILE):
         off = matrix[0, 1, n] ** 2 + matrix[0, 2, n] ** 2 + matrix[1, 2, n] ** 2
-        turns[n] = not off <= _DIAGONAL * (matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2)
+        turns[n] = not off <= _DIAGONAL * (
+            matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2
+        )
         some |= turns[n]
     return some
 
@@ -94,15 +96,24 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
     for k in range(3):
         for n in range(TILE):
             a, b = matrix[k, p, n], matrix[k, q, n]
-            matrix[k, p, n], matrix[k, q, n] = cosine[n] * a - sine[n] * b, sine[n] * a + cosine[n] * b
+            matrix[k, p, n], matrix[k, q, n] = (
+                cosine[n] * a - sine[n] * b,
+                sine[n] * a + cosine[n] * b,
+            )
     for k in range(3):
         for n in range(TILE):
             a, b = matrix[p, k, n], matrix[q, k, n]
-            matrix[p, k, n], matrix[q, k, n] = cosine[n] * a - sine[n] * b, sine[n] * a + cosine[n] * b
+            matrix[p, k, n], matrix[q, k, n] = (
+                cosine[n] * a - sine[n] * b,
+                sine[n] * a + cosine[n] * b,
+            )
     for k in range(3):
         for n in range(TILE):
             a, b = vectors[k, p, n], vectors[k, q, n]
-            vectors[k, p, n], vectors[k, q, n] = cosine[n] * a - sine[n] * b, sine[n] * a + cosine[n] * b
+            vectors[k, p, n], vectors[k, q, n] = (
+                cosine[n] * a - sine[n] * b,
+                sine[n] * a + cosine[n] * b,
+            )
 
 
 @inner
@@ -114,7 +125,11 @@ def _descending(matrix, n):
             first = k
     one = 1 if first == 0 else 0
     other = 3 - first - one
-    return (first, one, other) if matrix[other, other, n] <= matrix[one, one, n] else (first, other, one)
+    return (
+        (first, one, other)
+        if matrix[other, other, n] <= matrix[one, one, n]
+        else (first, other, one)
+    )
 
 
 @jit
@@ -133,7 +148,9 @@ def principal(tensor, values, vectors):
     matrix, axes, turns = np.zeros((3, 3, TILE)), np.empty((3, 3, TILE)), np.empty(TILE, np.bool_)
     cosine, sine = np.empty(TILE), np.empty(TILE)
     for first in range(0, tensor.shape[0], TILE):
-        many = min(TILE, tensor.shape[0] - first)  # what is left in the last tile is finished already
+        many = min(
+            TILE, tensor.shape[0] - first
+        )  # what is left in the last tile is finished already
         for n in range(many):
             for i in range(3):
                 for j in range(3):
@@ -182,14 +199,24 @@ def _null_vector(matrix, shift, vector):
     most = 0.0
     for i in range(2):
         for j in range(i + 1, 3):
-            ax, ay, az = matrix[i, 0] - shift * (i == 0), matrix[i, 1] - shift * (i == 1), matrix[i, 2]
-            bx, by, bz = matrix[j, 0], matrix[j, 1] - shift * (j == 1), matrix[j, 2] - shift * (j == 2)
+            ax, ay, az = (
+                matrix[i, 0] - shift * (i == 0),
+                matrix[i, 1] - shift * (i == 1),
+                matrix[i, 2],
+            )
+            bx, by, bz = (
+                matrix[j, 0],
+                matrix[j, 1] - shift * (j == 1),
+                matrix[j, 2] - shift * (j == 2),
+            )
             x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             length2 = x * x + y * y + z * z
             if length2 > most:
                 most = length2
                 vector[0], vector[1], vector[2] = x, y, z
-    if most == 0.0:  # zero, or a dyad of vectors at right angles, which maps its own columns to zero
+    if (
+        most == 0.0
+    ):  # zero, or a dyad of vectors at right angles, which maps its own columns to zero
         vector[0], vector[1], vector[2] = 1.0, 0.0, 0.0
         for k in range(3):
             if matrix[0, k] != 0.0 or matrix[1, k] != 0.0 or matrix[2, k] != 0.0:
@@ -229,7 +256,12 @@ def principal_of_any(tensor, values, vectors):
     vectors : (n, 3, 3)
         Unit eigenvectors, one a row, in the same order; set here.
     """
-    matrix, reflection, product, vector = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    matrix, reflection, product, vector = (
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty(3),
+    )
     for n in range(tensor.shape[0]):
         size = 0.0
         for i in range(3):
@@ -243,7 +275,9 @@ def principal_of_any(tensor, values, vectors):
         (a, b, c), (d, e, f), (g, h, k) = matrix
         linear = a * e - b * d + a * k - c * g + e * k - f * h
         determinant = a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
-        _null_vector(matrix, math.copysign(_root_apart(linear, abs(determinant)), determinant), vector)
+        _null_vector(
+            matrix, math.copysign(_root_apart(linear, abs(determinant)), determinant), vector
+        )
         _reflect(vector, matrix, reflection, product)
         _write_pairs(matrix, reflection, mean, size, values[n], vectors[n])
 
@@ -251,7 +285,11 @@ def principal_of_any(tensor, values, vectors):
 @inner
 def _write_pairs(matrix, reflection, mean, size, values, vectors):
     """Write eigenvalues and eigenvectors of a matrix whose first axis is an eigenvector, turned back and scaled."""
-    apart, middle, half = matrix[0, 0], 0.5 * (matrix[1, 1] + matrix[2, 2]), 0.5 * (matrix[1, 1] - matrix[2, 2])
+    apart, middle, half = (
+        matrix[0, 0],
+        0.5 * (matrix[1, 1] + matrix[2, 2]),
+        0.5 * (matrix[1, 1] - matrix[2, 2]),
+    )
     above, below = matrix[1, 2], matrix[2, 1]
     square = half * half + above * below
     root = math.sqrt(max(0.0, square)) if square >= -(_IMAGINARY**2) else math.nan
@@ -275,7 +313,9 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
         length = math.sqrt(x * x + y * y + z * z)
         values[k] = (value + mean) * size
         for i in range(3):
-            vectors[k, i] = (reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z) / length
+            vectors[k, i] = (
+                reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z
+            ) / length
 
 
 # --- best linear fit: small symmetric systems, rank-aware ------------------------------------------------
@@ -349,9 +389,13 @@ def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
             rank, scale = rank + 1, 1.0 / values[k]
             spanned = spanned[0] + x * x, spanned[1] + y * y, spanned[2] + z * z
             inverse = (
-                inverse[0] + scale * x * x, inverse[1] + scale * x * y, inverse[2] + scale * x * z,
-                inverse[3] + scale * y * y, inverse[4] + scale * y * z, inverse[5] + scale * z * z,
-            )  # fmt: skip
+                inverse[0] + scale * x * x,
+                inverse[1] + scale * x * y,
+                inverse[2] + scale * x * z,
+                inverse[3] + scale * y * y,
+                inverse[4] + scale * y * z,
+                inverse[5] + scale * z * z,
+            )
     return rank, spanned, inverse
 
 
@@ -372,11 +416,24 @@ def fit_rows(rows, first, found, many, flags):
     flags : int
         See `flags_of`.
     """
-    active_x, active_y, active_z, about_node = flags & 1 != 0, flags & 2 != 0, flags & 4 != 0, flags & 8 != 0
+    active_x, active_y, active_z, about_node = (
+        flags & 1 != 0,
+        flags & 2 != 0,
+        flags & 4 != 0,
+        flags & 8 != 0,
+    )
     full = int(active_x) + int(active_y) + int(active_z)
     # as unsigned numbers: signed ones are looked at for counting from the end
-    count, of_mass, momentum = first + np.uint64(COUNT), first + np.uint64(MASS), first + np.uint64(MOMENTUM)
-    offset, shear, spread = first + np.uint64(OFFSET), first + np.uint64(SHEAR), first + np.uint64(SPREAD)
+    count, of_mass, momentum = (
+        first + np.uint64(COUNT),
+        first + np.uint64(MASS),
+        first + np.uint64(MOMENTUM),
+    )
+    offset, shear, spread = (
+        first + np.uint64(OFFSET),
+        first + np.uint64(SHEAR),
+        first + np.uint64(SPREAD),
+    )
     gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
     determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
     inverse = found + np.uint64(INVERSE)
@@ -417,20 +474,37 @@ def fit_rows(rows, first, found, many, flags):
             rank, scale = full - 1, 1.0 / minors
             px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
             across = -scale * size
-            c00, c01, c02 = scale * (size * px - xx), scale * (across * c01 - xy), scale * (across * c02 - xz)
-            c11, c12, c22 = scale * (size * py - yy), scale * (across * c12 - yz), scale * (size * pz - zz)
+            c00, c01, c02 = (
+                scale * (size * px - xx),
+                scale * (across * c01 - xy),
+                scale * (across * c02 - xz),
+            )
+            c11, c12, c22 = (
+                scale * (size * py - yy),
+                scale * (across * c12 - yz),
+                scale * (size * pz - zz),
+            )
         else:
             xx, yy, zz = xx if active_x else 0.0, yy if active_y else 0.0, zz if active_z else 0.0
-            rank, (px, py, pz), (c00, c01, c02, c11, c12, c22) = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
+            rank, (px, py, pz), (c00, c01, c02, c11, c12, c22) = _inverse_of_rank(
+                xx, xy, xz, yy, yz, zz, rounding
+            )
         # where offsets are all zero the spread that stands for theirs has an inverse too, which is none of M^+
         _put_three(rows, inverse, n, (c00 if active_x else 0.0, c01, c02))
-        _put_three(rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0))
+        _put_three(
+            rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0)
+        )
         known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
-        _put_three(rows, determined, n, (
-            1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
-            1.0 if mass > 0.0 and (not active_y or known_y) else np.nan,
-            1.0 if mass > 0.0 and (not active_z or known_z) else np.nan,
-        ))  # fmt: skip
+        _put_three(
+            rows,
+            determined,
+            n,
+            (
+                1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
+                1.0 if mass > 0.0 and (not active_y or known_y) else np.nan,
+                1.0 if mass > 0.0 and (not active_z or known_z) else np.nan,
+            ),
+        )
         b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if mass > 0.0:
             u, v, w = _three(rows, momentum, n)
@@ -446,5 +520,12 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        _put_three(rows, explained, n, (known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)))
-        _put_three(rows, explained + three, n, (known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)))
+        _put_three(
+            rows, explained, n, (known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2))
+        )
+        _put_three(
+            rows,
+            explained + three,
+            n,
+            (known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)),
+        )

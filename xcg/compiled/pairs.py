@@ -75,7 +75,10 @@ def _reached(x, reach, lower, inverse, count, period):
     """First and last cell that [x - reach, x + reach] meets; beyond 0 ... count - 1 these are periodic images."""
     if count == 1:
         return 0, 0
-    first, last = math.floor((x - reach - lower) * inverse), math.floor((x + reach - lower) * inverse)
+    first, last = (
+        math.floor((x - reach - lower) * inverse),
+        math.floor((x + reach - lower) * inverse),
+    )
     if math.isinf(period):
         return max(0, min(first, count - 1)), max(0, min(last, count - 1))
     return int(first), int(last)
@@ -89,9 +92,24 @@ def _image(c, count):
 
 @jit
 def find(
-    first, last, records, first_record, first_cell, starts, lower, inverse, cells, largest, period, fold,
-    skin, slack, most, left, right,
-):  # fmt: skip
+    first,
+    last,
+    records,
+    first_record,
+    first_cell,
+    starts,
+    lower,
+    inverse,
+    cells,
+    largest,
+    period,
+    fold,
+    skin,
+    slack,
+    most,
+    left,
+    right,
+):
     """Pairs of the records `first` to `last` with partners in their own and larger levels.
 
     Parameters
@@ -137,7 +155,9 @@ def find(
             own += 1
         xi, yi, zi, ri = records[i, 0], records[i, 1], records[i, 2], records[i, 3]
         for k in range(own, largest.size):
-            folds = not (math.isinf(fold[k, 0]) and math.isinf(fold[k, 1]) and math.isinf(fold[k, 2]))
+            folds = not (
+                math.isinf(fold[k, 0]) and math.isinf(fold[k, 1]) and math.isinf(fold[k, 2])
+            )
             nx, ny, nz = cells[k, 0], cells[k, 1], cells[k, 2]
             reach = ri + largest[k] + skin + slack
             x0, x1 = _reached(xi, reach, lower[k, 0], inverse[k, 0], nx, period[0])
@@ -167,7 +187,10 @@ def find(
                         if found > most:
                             return left, right, found, tested
                         if found + end - begin > left.size:
-                            left, right = _grown(left, found + end - begin), _grown(right, found + end - begin)
+                            left, right = (
+                                _grown(left, found + end - begin),
+                                _grown(right, found + end - begin),
+                            )
                         for j in range(begin, end):
                             dx = records[j, 0] - xi + shift_x
                             dy = records[j, 1] - yi + shift_y
@@ -220,7 +243,11 @@ def sort_pairs(low, high, rows, first, last, pairs):
     for n in range(low.size):
         before += low[n] < first
         count += first <= low[n] < last
-    own_low, own_high, order = np.empty(count, low.dtype), np.empty(count, low.dtype), np.empty(count, np.int64)
+    own_low, own_high, order = (
+        np.empty(count, low.dtype),
+        np.empty(count, low.dtype),
+        np.empty(count, np.int64),
+    )
     count = 0
     for n in range(low.size):
         if first <= low[n] < last:
@@ -232,4 +259,7 @@ def sort_pairs(low, high, rows, first, last, pairs):
         low_by_high[n], high_by_high[n] = own_low[order[n]], own_high[order[n]]
     sort_by_key(low_by_high, np.zeros(last - first + 1, np.int64), order)
     for n in range(count):
-        pairs[before + n, 0], pairs[before + n, 1] = low_by_high[order[n]] + first, high_by_high[order[n]]
+        pairs[before + n, 0], pairs[before + n, 1] = (
+            low_by_high[order[n]] + first,
+            high_by_high[order[n]],
+        )

@@ -48,7 +48,17 @@ def reference_deposit(place, velocity, mass, constants, node, value):
     kinetic, spread = np.einsum("n,ni,nj", w, u, u)[six], np.einsum("n,ni,nj", w, x, x)[six]
     linear = np.einsum("n,nj,ni->ji", w, x, np.column_stack([np.ones(len(u)), u]))
     squared = (w * w) @ x, np.einsum("n,ni,nj", w * w, x, x)[six]
-    flow = [[w.sum()], w @ u, [seen.sum()], kinetic, [w @ w], linear.ravel(), spread, *squared, [0.0]]
+    flow = [
+        [w.sum()],
+        w @ u,
+        [seen.sum()],
+        kinetic,
+        [w @ w],
+        linear.ravel(),
+        spread,
+        *squared,
+        [0.0],
+    ]
     return np.concatenate(flow), weight @ constants[seen]
 
 
@@ -182,13 +192,31 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
                             _add_images(
-                                p, records[i, WEIGHED], lists, hits, level, meet, nodes.volumes, kernel, moments
+                                p,
+                                records[i, WEIGHED],
+                                lists,
+                                hits,
+                                level,
+                                meet,
+                                nodes.volumes,
+                                kernel,
+                                moments,
                             )
                         for d in range(0, columns, 4):
                             c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
                             c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
                             for k in range(hits):
-                                add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
+                                add4(
+                                    moments,
+                                    p,
+                                    numbers[NODE, k],
+                                    level + d,
+                                    weight[k],
+                                    c0,
+                                    c1,
+                                    c2,
+                                    c3,
+                                )
 
 
 @inner
@@ -209,7 +237,12 @@ def _list_grains(rows, grains, records):
 @inner
 def _add_flow(p, records, i, lists, hits, level, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
-    mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
+    mass, vx, vy, vz = (
+        records[i, WEIGHED],
+        records[i, SPEED],
+        records[i, SPEED + 1],
+        records[i, SPEED + 2],
+    )
     values, numbers = lists
     for k in range(hits):
         n, x, y, z = np.uint64(numbers[NODE, k]), values[X, k], values[Y, k], values[Z, k]
@@ -237,12 +270,27 @@ def _add_flow(p, records, i, lists, hits, level, moments, reference):
 @inner
 def _add_cubes(p, records, i, lists, hits, moments, reference):
     """Add m |u|^2 u of one grain to the nodes that it reaches."""
-    mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
+    mass, vx, vy, vz = (
+        records[i, WEIGHED],
+        records[i, SPEED],
+        records[i, SPEED + 1],
+        records[i, SPEED + 2],
+    )
     values, numbers = lists
     for k in range(hits):
         n = np.uint64(numbers[NODE, k])
         ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
-        add4(moments, p, n, CUBE, values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz), ux, uy, uz, 0.0)
+        add4(
+            moments,
+            p,
+            n,
+            CUBE,
+            values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz),
+            ux,
+            uy,
+            uz,
+            0.0,
+        )
 
 
 @inner

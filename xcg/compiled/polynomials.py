@@ -49,14 +49,19 @@ def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, 
         if radius2 == 0.0:
             break
         for k in range(room):
-            h2 = min(radius2, max(0.0, q2[k] - along[k] * along[k]))  # lines farther away miss the shell as well
+            h2 = min(
+                radius2, max(0.0, q2[k] - along[k] * along[k])
+            )  # lines farther away miss the shell as well
             half = math.sqrt(radius2 - h2)
             begin = max(-along[k], -half)
             end = max(begin, min(length - along[k], half))
             r0, r1, apart = math.sqrt(h2 + begin * begin), math.sqrt(h2 + end * end), end - begin
             both = r0 + r1
             rows[_H2, k], rows[_R0, k], rows[_R1, k] = h2, r0, r1
-            rows[_LEVER, k], rows[_APART, k] = begin * (begin + end) / (both + TINY), per_length * apart
+            rows[_LEVER, k], rows[_APART, k] = (
+                begin * (begin + end) / (both + TINY),
+                per_length * apart,
+            )
             rows[_EVEN, k], rows[_ODD, k], rows[_END, k], rows[_SLOPE, k] = 0.0, 0.0, 0.0, 0.0
             ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
         for n in range(int(shells[POWERS, j]) - AT_ONCE, -1, -AT_ONCE):
@@ -66,7 +71,12 @@ def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, 
                 shells[FIRST + n + 2, j],
                 shells[FIRST + n + 3, j],
             )
-            p0, p1, p2, p3 = (n + 2.0) / (n + 1.0), (n + 3.0) / (n + 2.0), (n + 4.0) / (n + 3.0), (n + 5.0) / (n + 4.0)
+            p0, p1, p2, p3 = (
+                (n + 2.0) / (n + 1.0),
+                (n + 3.0) / (n + 2.0),
+                (n + 4.0) / (n + 3.0),
+                (n + 5.0) / (n + 4.0),
+            )
             for k in range(room):
                 h2, r0, r1, end = rows[_H2, k], rows[_R0, k], rows[_R1, k], rows[_END, k]
                 e3 = a3 + p3 * h2 * rows[_ODD, k]
@@ -203,7 +213,9 @@ def lucy_line_value(q2, by_gradient):
 def lucy_plane_value(q2):
     """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
     q = math.sqrt(q2)
-    square = (1.0 - q) * (1.0 - q)  # its square is what the compiler makes of the fourth power, and Python does not
+    square = (1.0 - q) * (
+        1.0 - q
+    )  # its square is what the compiler makes of the fourth power, and Python does not
     return square * square * (0.1 + 0.4 * q + 0.5 * q2)
 
 
@@ -293,7 +305,9 @@ def fill_lucy_planes(per_length, length, along, q2, count, out, ratio, bits, exp
         ub, rb, part_b, factor_b = _plane_end(h2, b)
         h, even = math.sqrt(h2), 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
         turn, both = max(0.0, b * ua - a * ub), ua * ub
-        total = even * angle(turn, both + a * b) - 1.6 * h2 * h2 * h * angle(h * turn, h2 * both + a * b)
+        total = even * angle(turn, both + a * b) - 1.6 * h2 * h2 * h * angle(
+            h * turn, h2 * both + a * b
+        )
         out[k] = 2.0 * per_length * (total - (part_b - part_a))
         ratio[k], ratio_last[k] = (1.0 + ua) / (ra + TINY), (1.0 + ub) / (rb + TINY)
         first[k], last[k] = -2.0 * per_length * factor_a, 2.0 * per_length * factor_b

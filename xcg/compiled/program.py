@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.matrices import fit_rows
-from xcg.compiled.simd import EIGHT, TILE, load_number, store_fence, store_nontemporal, store_number, transpose8x8
+from xcg.compiled.simd import (
+    EIGHT,
+    TILE,
+    load_number,
+    store_fence,
+    store_nontemporal,
+    store_number,
+    transpose8x8,
+)
 
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch, but for a load and a
 # store, which say what to load or store.
@@ -89,7 +97,16 @@ def run(steps, records, source, fields, target, place, order, tile, scratch):
                 if fields[r, 1] == fields[r, 2]:
                     _store(fields[r, 0], fields[r, 1], target[r], place, first, many, scratch)
                 else:
-                    _store_apart(fields[r, 0], fields[r, 1], fields[r, 2], target[r], place, first, many, scratch)
+                    _store_apart(
+                        fields[r, 0],
+                        fields[r, 1],
+                        fields[r, 2],
+                        target[r],
+                        place,
+                        first,
+                        many,
+                        scratch,
+                    )
             elif operation == FIT:
                 fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
@@ -157,7 +174,9 @@ def _transpose_records(address, width, row, first, many, nodes, scratch):
     begin, end, read = first * width, (first + many) * width, 0.0
     for k in range(begin, end, np.uint64(EIGHT)):
         read += load_number(address, k)
-    if many == TILE and end + np.uint64(EIGHT) <= nodes * width:  # what is read beyond a record is there
+    if (
+        many == TILE and end + np.uint64(EIGHT) <= nodes * width
+    ):  # what is read beyond a record is there
         for k in range(0, TILE, EIGHT):
             for c in range(0, width, EIGHT):
                 transpose8x8(address, begin + k * width + c, width, scratch, row + c, k)
@@ -177,14 +196,18 @@ def _store(address, width, row, place, first, many, scratch):
             store_nontemporal(address, place[first + k], scratch[x, k])
     elif width == 3:
         for k in range(many):
-            _store_three(address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k])
+            _store_three(
+                address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k]
+            )
     else:
         yx, yy, yz, zx, zy, zz = row[3], row[4], row[5], row[6], row[7], row[8]
         for k in range(many):
             to = width * place[first + k]
             _store_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
             _store_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
-            _store_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
+            _store_three(
+                address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k]
+            )
 
 
 @inner

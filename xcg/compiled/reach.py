@@ -27,7 +27,9 @@ BATCH = 256  # grains or branches, neighbours in space, that are passed over tog
 # What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
 OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
 # rows of nodes and nodes, as numbers,
-ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (np.uint64(k) for k in (4, 4, 5, 6, 7, 7, 8, 9, 10, 11))
+ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (
+    np.uint64(k) for k in (4, 4, 5, 6, 7, 7, 8, 9, 10, 11)
+)
 OTHER = ROW_X  # no longer needed once the nodes are listed
 # and as integers. (Plain integers would be compiled for one by one.)
 ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
@@ -89,7 +91,9 @@ class Lists(NamedTuple):
 @inner
 def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
-    if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
+    if (
+        x + high - period < first and x + low + period > last
+    ):  # nearly all: no more than the interval itself
         return 0, 0 if x + high >= first and x + low <= last else -1
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 
@@ -108,7 +112,11 @@ def padded(count):
 
 
 def lists_for(
-    rows: Rows, active: Sequence[bool], reach: Sequence[float], real: str = "float64", least: int = 1
+    rows: Rows,
+    active: Sequence[bool],
+    reach: Sequence[float],
+    real: str = "float64",
+    least: int = 1,
 ) -> Lists:
     """Make lists for anything that reaches this far, from end to end, along the active axes of a mesh.
 
@@ -224,14 +232,24 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         return 0
     low, high, steps, per_steps = rows
     values, numbers = lists.values, lists.numbers
-    x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])
-    y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1])
-    z0, z1 = node_range(z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2])
+    x0, x1 = node_range(
+        x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0]
+    )
+    y0, y1 = node_range(
+        y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1]
+    )
+    z0, z1 = node_range(
+        z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2]
+    )
     across2 = bx * bx + by * by
     # how far u moves from the nearest point of the line for each unit of half chord
     tilt = 0.0
     if bz != 0.0:
-        tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
+        tilt = (
+            bz / math.sqrt(across2 * (across2 + bz * bz))
+            if across2 > 1e-30
+            else math.copysign(1e30, bz)
+        )
     real = values.dtype.type
     zero, one, two = real(0.0), real(1.0), real(2.0)
     # nodes are counted from the one below the start, so that few digits are enough, and the same whatever the box
@@ -254,7 +272,12 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
-    c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
+    c2, per_c2, tilt, rise = (
+        real(across2),
+        real(1.0 / across2 if across2 > 0.0 else 0.0),
+        real(tilt),
+        real(bz),
+    )
     for k in range(padded(count)):
         row2, dot = values[ROW2, k], values[ROW_DOT, k]
         u = dot * per_c2
@@ -315,7 +338,12 @@ def batch_reaches(batches, batch, begin, end, active, period):
     for k in range(3):
         if active[k]:
             first, last = periodic_images(
-                0.0, batches[batch, 0, k] - 1.0, batches[batch, 1, k] + 1.0, begin[k], end[k], period[k]
+                0.0,
+                batches[batch, 0, k] - 1.0,
+                batches[batch, 1, k] + 1.0,
+                begin[k],
+                end[k],
+                period[k],
             )
             reaches = reaches and first <= last
     return reaches
@@ -340,7 +368,11 @@ def _cells_in_pencils(position, lower, sizes, along_x, pencils_z, cell):
 
 
 def spatial_order(
-    position: NDArray, size: float, lower: Sequence[float], upper: Sequence[float], active: Sequence[bool]
+    position: NDArray,
+    size: float,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    active: Sequence[bool],
 ) -> NDArray:
     """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
@@ -348,9 +380,16 @@ def spatial_order(
     order is stable, so that sums have one order only.
     """
     count, sizes = len(position), [size, size, size]
-    extent = [high - low if counts else 0.0 for low, high, counts in zip(lower, upper, active, strict=True)]
-    while math.prod(e / s + PENCIL for e, s in zip(extent, sizes, strict=True)) > max(MOST_CELLS, 4.0 * count):
-        sizes[max(range(3), key=lambda k: extent[k] / sizes[k])] *= 2.0  # a few grains are far astray
+    extent = [
+        high - low if counts else 0.0
+        for low, high, counts in zip(lower, upper, active, strict=True)
+    ]
+    while math.prod(e / s + PENCIL for e, s in zip(extent, sizes, strict=True)) > max(
+        MOST_CELLS, 4.0 * count
+    ):
+        sizes[max(range(3), key=lambda k: extent[k] / sizes[k])] *= (
+            2.0  # a few grains are far astray
+        )
     along_x, along_y, along_z = (int(e / s) + 1 for e, s in zip(extent, sizes, strict=True))
     pencils_y, pencils_z = (along_y - 1) // PENCIL + 1, (along_z - 1) // PENCIL + 1
     keys = pencils_y * pencils_z * along_x * PENCIL * PENCIL

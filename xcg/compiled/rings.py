@@ -113,7 +113,11 @@ def _shift(record, flow, level, d):
             for j in range(3):
                 across += record[kinetic[i, j]] * d[j]
             record[flow.cubes[i]] += (
-                trace * d[i] + 2.0 * across + 2.0 * along * d[i] + square * record[momentum[i]] + square * mass * d[i]
+                trace * d[i]
+                + 2.0 * across
+                + 2.0 * along * d[i]
+                + square * record[momentum[i]]
+                + square * mass * d[i]
             )
     if level >= _FLUCTUATION:
         for i in range(3):
@@ -219,11 +223,17 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                     continue
                 k = first + np.searchsorted(rings.angle[first:last], low)
                 # at the far side both ends of the range are one place
-                while k < last and (rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)):
+                while k < last and (
+                    rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)
+                ):
                     # cos(angle - azimuth), sin(azimuth - angle)
                     c = rings.cosine[k] * along + rings.sine[k] * across
                     s = rings.cosine[k] * across - rings.sine[k] * along
-                    px, py, pz = (radius * c - r) * per_cutoff, radius * s * per_cutoff, dz * per_cutoff
+                    px, py, pz = (
+                        (radius * c - r) * per_cutoff,
+                        radius * s * per_cutoff,
+                        dz * per_cutoff,
+                    )
                     length2 = px * px + py * py + pz * pz
                     if length2 < 1.0:
                         q2[hits], cosine[hits], sine[hits] = length2, c, s

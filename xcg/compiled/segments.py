@@ -45,11 +45,22 @@ def reference_deposit_segments(start, branch, force, node, active, value):
         foot = away @ along[active] / length
         h2 = away @ away - foot * foot
         half = np.sqrt(max(0.0, 1.0 - h2))
-        first, last = np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
-        for low, high in ((first, min(last, 0.0)), (max(first, 0.0), last)):  # angles on either side of the foot
+        first, last = (
+            np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
+        )
+        for low, high in (
+            (first, min(last, 0.0)),
+            (max(first, 0.0), last),
+        ):  # angles on either side of the foot
             if low < high:
                 q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
-                mean = (high - low) / length * half * weights @ (value(q) * np.cos(low + (high - low) * x))
+                mean = (
+                    (high - low)
+                    / length
+                    * half
+                    * weights
+                    @ (value(q) * np.cos(low + (high - low) * x))
+                )
                 total += mean * np.outer(carried, along)
     return total
 
@@ -114,7 +125,9 @@ class ContactRows(NamedTuple):
 
 
 @leaf
-def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, bounds, longest):
+def list_segments(
+    contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, bounds, longest
+):
     """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
 
     Without `segments` they are only measured. None leaves code out when the loop is compiled, here and below.
@@ -220,7 +233,12 @@ def _side(contacts, n, opposite, second, alone):
     ax, ay, az = side(position, i, point, n, wrap, lattice)
     bx, by, bz = side(position, j, point, n, wrap, lattice)
     two = i >= 0 and j >= 0
-    if opposite and two and (alone or phase[i] == phase[j]) and _on_one_line(ax, ay, az, bx, by, bz):
+    if (
+        opposite
+        and two
+        and (alone or phase[i] == phase[j])
+        and _on_one_line(ax, ay, az, bx, by, bz)
+    ):
         ax, ay, az, two = ax - bx, ay - by, az - bz, False
     if i < 0 or second:
         i, j, ax, ay, az = j, i, bx, by, bz
@@ -247,7 +265,10 @@ def _widen(bounds, k, start, branch):
 def _on_one_line(ax, ay, az, bx, by, bz):
     """Return whether two vectors point opposite ways along one line."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
+    area2, most = (
+        cx * cx + cy * cy + cz * cz,
+        (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz),
+    )
     return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most
 
 
@@ -348,11 +369,27 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
                     hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes.rows, lists)
-                    hits += points_around_segment(x, y, z, bx, by, bz, per_length, nodes.cells, lists)
+                    hits += points_around_segment(
+                        x, y, z, bx, by, bz, per_length, nodes.cells, lists
+                    )
                     if nodes.volumes is not None:  # with their weights
-                        hits = _list_volumes(x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists)
+                        hits = _list_volumes(
+                            x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists
+                        )
                     elif points:
-                        fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
+                        fill_gauss(
+                            kind,
+                            spread,
+                            table,
+                            GAUSS_POINTS,
+                            GAUSS_WEIGHTS,
+                            points,
+                            length,
+                            along,
+                            q2,
+                            hits,
+                            w,
+                        )
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
@@ -363,7 +400,11 @@ def _list_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists):
     """List the nodes whose cells a segment reaches, with their weights: points for parts of a cutoff at most."""
     if volumes is None:
         return 0
-    points, shares, parts = GAUSS_POINTS[IN_CELL, :IN_CELL], GAUSS_WEIGHTS[IN_CELL, :IN_CELL], max(1, math.ceil(length))
+    points, shares, parts = (
+        GAUSS_POINTS[IN_CELL, :IN_CELL],
+        GAUSS_WEIGHTS[IN_CELL, :IN_CELL],
+        max(1, math.ceil(length)),
+    )
     return volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, kernel, lists)
 
 
@@ -371,7 +412,11 @@ def _list_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists):
 def _add_dyad(moments, records, i, norm, numbers, w, hits):
     """Add weight x norm x force x branch of segment i to the nine columns of each node."""
     p = np.uint64(records[i, GROUP])
-    f0, f1, f2 = norm * records[i, FORCE], norm * records[i, FORCE + 1], norm * records[i, FORCE + 2]
+    f0, f1, f2 = (
+        norm * records[i, FORCE],
+        norm * records[i, FORCE + 1],
+        norm * records[i, FORCE + 2],
+    )
     a0, a1, a2 = records[i, BRANCH], records[i, BRANCH + 1], records[i, BRANCH + 2]
     for k in range(hits):
         n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])

@@ -54,7 +54,9 @@ def pointer_to(context, builder, array_type, array, indices, lanes):
         place = builder.add(builder.mul(place, extent), index)
     number = context.get_data_type(array_type.dtype)
     pointer = builder.gep(view.data, [place])
-    return builder.bitcast(pointer, ir.VectorType(number, lanes).as_pointer()), context.get_abi_sizeof(number)
+    return builder.bitcast(
+        pointer, ir.VectorType(number, lanes).as_pointer()
+    ), context.get_abi_sizeof(number)
 
 
 def vector_of(builder, values):
@@ -82,7 +84,10 @@ def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
         place, value = typed(context, builder, signature, args)
         source = [place(1), place(2), place(3)]
         pointer, align = pointer_to(context, builder, signature.args[0], args[0], source, FOUR)
-        weights, columns = vector_of(builder, [value(4)] * FOUR), vector_of(builder, [value(k) for k in range(5, 9)])
+        weights, columns = (
+            vector_of(builder, [value(4)] * FOUR),
+            vector_of(builder, [value(k) for k in range(5, 9)]),
+        )
         sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
         builder.store(sums, pointer, align=align)
         return context.get_dummy_value()
@@ -100,7 +105,9 @@ def add4(records, group, row, first, weight, a, b, c, d):
 def _fill8(typingctx, lists, row, at, value):
     def generate(context, builder, signature, args):
         place, number = typed(context, builder, signature, args)
-        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
+        pointer, align = pointer_to(
+            context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT
+        )
         builder.store(vector_of(builder, [number(3)] * EIGHT), pointer, align=align)
         return context.get_dummy_value()
 
@@ -116,8 +123,12 @@ def fill8(lists, row, at, value):
 def _add_scalar8(typingctx, lists, row, at, value, table, first):
     def generate(context, builder, signature, args):
         place, number = typed(context, builder, signature, args)
-        source, align = pointer_to(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
-        target, _ = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
+        source, align = pointer_to(
+            context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT
+        )
+        target, _ = pointer_to(
+            context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT
+        )
         add = builder.add if isinstance(signature.args[0].dtype, types.Integer) else builder.fadd
         sums = add(vector_of(builder, [number(3)] * EIGHT), builder.load(source, align=align))
         builder.store(sums, target, align=align)
@@ -135,12 +146,17 @@ def add_scalar8(lists, row, at, value, table, first):
 def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     def generate(context, builder, signature, args):
         place, number = typed(context, builder, signature, args)
-        target, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
-        square, _ = pointer_to(context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT)
+        target, align = pointer_to(
+            context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT
+        )
+        square, _ = pointer_to(
+            context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT
+        )
         begin, step, origin, factor = (vector_of(builder, [number(k)] * EIGHT) for k in range(4, 8))
         number_type = context.get_data_type(signature.args[0].dtype)
         ramp = ir.Constant(
-            ir.VectorType(number_type, EIGHT), [ir.Constant(number_type, float(k)) for k in range(EIGHT)]
+            ir.VectorType(number_type, EIGHT),
+            [ir.Constant(number_type, float(k)) for k in range(EIGHT)],
         )
         d = builder.fsub(builder.fmul(builder.fadd(begin, ramp), step), origin)
         builder.store(builder.fmul(factor, d), target, align=align)
@@ -167,7 +183,9 @@ def _prefetch(typingctx, array, row):
         view = context.make_array(signature.args[0])(context, builder, args[0])
         index = builder.mul(args[1], cgutils.unpack_tuple(builder, view.strides)[0])
         first = builder.bitcast(view.data, cgutils.voidptr_t)
-        flags = [ir.Constant(ir.IntType(32), flag) for flag in (0, 3, 1)]  # to read, into all caches, data
+        flags = [
+            ir.Constant(ir.IntType(32), flag) for flag in (0, 3, 1)
+        ]  # to read, into all caches, data
         of = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t] + [flag.type for flag in flags])
         prefetch = cgutils.get_or_insert_function(builder.module, of, "llvm.prefetch.p0i8")
         builder.call(prefetch, [builder.gep(first, [index]), *flags])
@@ -240,7 +258,9 @@ def _store_nontemporal(typingctx, address, index, value):
         whole = ir.IntType(64)  # of vectors the address would have to be aligned
         pointer = builder.bitcast(_pointer(context, builder, *args[:2]), whole.as_pointer())
         store = builder.store(builder.bitcast(args[2], whole), pointer)
-        store.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)]))
+        store.set_metadata(
+            "nontemporal", builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)])
+        )
         return context.get_dummy_value()
 
     return types.void(types.uint64, types.uint64, types.float64), generate
@@ -279,20 +299,28 @@ def _transpose8x8(typingctx, address, first, apart, rows, row, at):
             vectors.append(builder.load(builder.bitcast(pointer, eight), align=8))
         half = EIGHT // 2
         merge = [
-            ir.Constant(ir.VectorType(ir.IntType(32), EIGHT), [low + k // 2 + EIGHT * (k % 2) for k in range(EIGHT)])
+            ir.Constant(
+                ir.VectorType(ir.IntType(32), EIGHT),
+                [low + k // 2 + EIGHT * (k % 2) for k in range(EIGHT)],
+            )
             for low in (0, half)
         ]
         for _ in range(3):  # riffles of the halves, after which the vectors are the columns
             vectors = [
-                builder.shuffle_vector(vectors[k // 2], vectors[k // 2 + half], merge[k % 2]) for k in range(EIGHT)
+                builder.shuffle_vector(vectors[k // 2], vectors[k // 2 + half], merge[k % 2])
+                for k in range(EIGHT)
             ]
         for c, vector in enumerate(vectors):
             row = builder.add(place(4), ir.Constant(ir.IntType(64), c))
-            pointer, align = pointer_to(context, builder, signature.args[3], args[3], [row, place(5)], EIGHT)
+            pointer, align = pointer_to(
+                context, builder, signature.args[3], args[3], [row, place(5)], EIGHT
+            )
             builder.store(vector, pointer, align=align)
         return context.get_dummy_value()
 
-    return types.void(types.uint64, types.uint64, types.uint64, rows, types.uint64, types.uint64), generate
+    return types.void(
+        types.uint64, types.uint64, types.uint64, rows, types.uint64, types.uint64
+    ), generate
 
 
 @compiled_as(_transpose8x8)

@@ -31,7 +31,9 @@ def _bytes_where(emit, compute):
     def of_bytes(typingctx, data, at):
         def generate(context, builder, signature, args):
             place, _ = typed(context, builder, signature, args)
-            pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1)], BLOCK)
+            pointer, align = pointer_to(
+                context, builder, signature.args[0], args[0], [place(1)], BLOCK
+            )
             found = emit(builder, builder.load(pointer, align=align))
             return builder.bitcast(found, ir.IntType(BLOCK))
 
@@ -39,7 +41,9 @@ def _bytes_where(emit, compute):
 
     @compiled_as(of_bytes)
     def bytes_where(data, at):
-        return np.uint64(sum(1 << k for k, byte in enumerate(data[at : at + BLOCK].tolist()) if compute(byte)))
+        return np.uint64(
+            sum(1 << k for k, byte in enumerate(data[at : at + BLOCK].tolist()) if compute(byte))
+        )
 
     return bytes_where
 
@@ -51,11 +55,14 @@ def _all(byte):
 # the white space of Python's bytes: a space, or one of the five from the tab on
 white = _bytes_where(
     lambda builder, data: builder.or_(
-        builder.icmp_unsigned("==", data, _all(32)), builder.icmp_unsigned("<", builder.sub(data, _all(9)), _all(5))
+        builder.icmp_unsigned("==", data, _all(32)),
+        builder.icmp_unsigned("<", builder.sub(data, _all(9)), _all(5)),
     ),
     lambda byte: byte == 32 or 9 <= byte < 14,
 )
-newlines = _bytes_where(lambda builder, data: builder.icmp_unsigned("==", data, _all(10)), lambda byte: byte == 10)
+newlines = _bytes_where(
+    lambda builder, data: builder.icmp_unsigned("==", data, _all(10)), lambda byte: byte == 10
+)
 
 
 def _load8(typingctx, data, at):
@@ -79,7 +86,9 @@ def _counted(name, compute):
     def of_bits(typingctx, bits):
         def generate(context, builder, signature, args):
             whole, flag = ir.IntType(64), ir.IntType(1)
-            call = cgutils.get_or_insert_function(builder.module, ir.FunctionType(whole, [whole, flag]), name)
+            call = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(whole, [whole, flag]), name
+            )
             return builder.call(call, [args[0], ir.Constant(flag, 0)])
 
         return types.uint64(types.uint64), generate
@@ -91,7 +100,9 @@ def _counted(name, compute):
     return zeros
 
 
-trailing_zeros = _counted("llvm.cttz.i64", lambda bits: (bits & -bits).bit_length() - 1 if bits else 64)
+trailing_zeros = _counted(
+    "llvm.cttz.i64", lambda bits: (bits & -bits).bit_length() - 1 if bits else 64
+)
 leading_zeros = _counted("llvm.ctlz.i64", lambda bits: 64 - bits.bit_length())
 
 
@@ -140,7 +151,11 @@ def _fives():
             bits = 5**q << 128 >> (5**q).bit_length()
         else:
             length = (5**-q - 1).bit_length()
-            bits = (1 << length + 127) // 5**-q + 1 if q >= -27 else (1 << 2 * length + 128) // 5**-q + 1
+            bits = (
+                (1 << length + 127) // 5**-q + 1
+                if q >= -27
+                else (1 << 2 * length + 128) // 5**-q + 1
+            )
             bits >>= max(0, bits.bit_length() - 128)
         table[q - _LEAST] = bits >> 64, bits & (1 << 64) - 1
     return table
@@ -236,7 +251,12 @@ def _usual(text, at, end):
         sign = tail >> _EIGHT & _U(255)
         tens = np.int64(tail >> _U(16) & _U(255)) - 48
         ones = np.int64(tail >> _U(24) & _U(255)) - 48
-        if tail & _U(0xDF) == 69 and (sign == 43 or sign == 45) and 0 <= tens <= 9 and 0 <= ones <= 9:  # "e-05"
+        if (
+            tail & _U(0xDF) == 69
+            and (sign == 43 or sign == 45)
+            and 0 <= tens <= 9
+            and 0 <= ones <= 9
+        ):  # "e-05"
             power = 10 * tens + ones if sign == 43 else -10 * tens - ones
             end -= 4
     if 1 <= end - at <= 8:
@@ -329,7 +349,12 @@ def number(text, start, end):
 # --- tables ------------------------------------------------------------------------------------------------
 
 BEYOND = 2 * BLOCK  # bytes of white space that must follow a text
-REST = ("row", "place among the wanted", "first byte", "byte after it")  # of words left to the caller
+REST = (
+    "row",
+    "place among the wanted",
+    "first byte",
+    "byte after it",
+)  # of words left to the caller
 
 _LAST = _U(BLOCK - 1)
 

@@ -28,7 +28,10 @@ from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import is_lazy
 
 LEAST = 0.01  # of the kernel; nodes that see less have no fields per accessible volume
-_POLAR, _TURNS = 12, 24  # rays: directions towards and away from the nearest wall, and around its normal
+_POLAR, _TURNS = (
+    12,
+    24,
+)  # rays: directions towards and away from the nearest wall, and around its normal
 _STEPS = 5  # points on averaged axes, in a cutoff
 _BATCH = 256  # points at a time
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
@@ -44,20 +47,36 @@ def check_walls(request: Request) -> None:
         If an argument is wrong.
     """
     if request.per not in (None, *get_args(Per)):
-        raise ValueError(f"per={request.per!r}: expected 'accessible', or None for fields per volume")
+        raise ValueError(
+            f"per={request.per!r}: expected 'accessible', or None for fields per volume"
+        )
     if request.walls is None:
         if request.per is not None:
-            raise ValueError("per='accessible' needs walls=, for example walls=[xcg.Plane((0, 0, 0), (0, 0, 1))]")
+            raise ValueError(
+                "per='accessible' needs walls=, for example walls=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
+            )
         return
-    walls = request.walls if isinstance(request.walls, Sequence) and not isinstance(request.walls, str) else [None]
+    walls = (
+        request.walls
+        if isinstance(request.walls, Sequence) and not isinstance(request.walls, str)
+        else [None]
+    )
     if not walls or not all(isinstance(wall, Wall) for wall in walls):
-        raise ValueError(f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface")
+        raise ValueError(
+            f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
+        )
     if request.frame is not None:
-        raise ValueError("walls= with frame=: walls are given in the scene's own axes; leave one of them out")
+        raise ValueError(
+            "walls= with frame=: walls are given in the scene's own axes; leave one of them out"
+        )
     if request.sampling == "cell":
-        raise ValueError("walls= with sampling='cell': the accessible fraction is that at a node; leave one out")
+        raise ValueError(
+            "walls= with sampling='cell': the accessible fraction is that at a node; leave one out"
+        )
     if request.preset is not None:
-        raise ValueError(f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one out")
+        raise ValueError(
+            f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one out"
+        )
 
 
 def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Request) -> xr.Dataset:
@@ -76,9 +95,13 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     """
     walls, kernel = tuple(request.walls or ()), plan.kernel
     if len(plan.widths) > 1:
-        raise ValueError("walls= take one width for all groups, as the accessible fraction is that of one kernel")
+        raise ValueError(
+            "walls= take one width for all groups, as the accessible fraction is that of one kernel"
+        )
     if kernel.dimension != plan.setup.dimension:
-        raise ValueError(f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}")
+        raise ValueError(
+            f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
+        )
     layer = [a for a in COMPONENTS if a not in plan.setup.plane]
     if any(wall.varies(COMPONENTS.index(a)) for wall in walls for a in layer):
         raise ValueError(
@@ -86,8 +109,15 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
         )
     middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
     for wall in walls:
-        if middle is not None and isinstance(wall, Plane) and wall.bounds is None and wall.distance(middle)[0] < 0:
-            warn_user(f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one")
+        if (
+            middle is not None
+            and isinstance(wall, Plane)
+            and wall.bounds is None
+            and wall.distance(middle)[0] < 0
+        ):
+            warn_user(
+                f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
+            )
     seen = [a for a in plan.setup.plane if a not in plan.deposit.grid.averaged]
     nodes = xr.broadcast(*(f[a].drop_vars(f[a].coords) for a in seen)) if seen else ()
     shape = nodes[0].shape if nodes else ()
@@ -95,7 +125,9 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     for a, values in zip(seen, nodes, strict=True):
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
     averaged, faces = _averaged(plan, walls, scene.edges)
-    compute = partial(_fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape)
+    compute = partial(
+        _fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape
+    )
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
@@ -105,7 +137,11 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     else:
         chi = compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
-    about = {"units": "1", "long_name": "share of the kernel on the accessible side of the walls", "source": "walls"}
+    about = {
+        "units": "1",
+        "long_name": "share of the kernel on the accessible side of the walls",
+        "source": "walls",
+    }
     about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
     field = field.assign_attrs(about)
     if request.per is not None:
@@ -113,7 +149,11 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = per.assign_attrs(per="accessible", per_note=note)
     wanted = plan.fields if request.for_averages else plan.asked
-    return f[list(wanted)].assign(accessible_fraction=field).assign_attrs(walls="\n".join(map(repr, walls)))
+    return (
+        f[list(wanted)]
+        .assign(accessible_fraction=field)
+        .assign_attrs(walls="\n".join(map(repr, walls)))
+    )
 
 
 def _averaged(
@@ -161,9 +201,13 @@ def _averaged(
 
 
 def _fractions(
-    nodes: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: str, averaged: Mapping[int, NDArray],
+    nodes: NDArray,
+    walls: Sequence[Wall],
+    kernel: Kernel,
+    plane: str,
+    averaged: Mapping[int, NDArray],
     shape: tuple[int, ...],
-) -> NDArray:  # fmt: skip
+) -> NDArray:
     """Fractions at nodes (n, 3), summed over points on averaged axes."""
     offset, weight = np.zeros((1, 3)), np.ones(1)
     for k, samples in averaged.items():
@@ -176,7 +220,9 @@ def _fractions(
     return (out if averaged else fraction_at(nodes, walls, kernel, plane)).reshape(shape)
 
 
-def fraction_at(points: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: str = "xyz") -> NDArray:
+def fraction_at(
+    points: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: str = "xyz"
+) -> NDArray:
     """Share of a kernel about points (n, 3) that is accessible; (n,).
 
     Exact for a single plane within reach. Elsewhere the error is that of the rule for directions: root mean square
@@ -199,8 +245,14 @@ def fraction_at(points: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: s
     for first in range(0, len(rest), _BATCH):
         rows = rest[first : first + _BATCH]
         near = [k for k in range(len(walls)) if reached[k, rows].any()]
-        out[rows] = _along_rays(points[rows], [walls[k] for k in near], distance[near][:, rows], cumulative,
-                                cutoff, plane)  # fmt: skip
+        out[rows] = _along_rays(
+            points[rows],
+            [walls[k] for k in near],
+            distance[near][:, rows],
+            cumulative,
+            cutoff,
+            plane,
+        )
     return out
 
 
@@ -227,7 +279,9 @@ def _cumulative(kernel: Kernel) -> Any:
 
     sphere = {2: 2 * np.pi, 3: 4 * np.pi}[kernel.dimension or 3]
     x, w = leggauss(8)
-    edges = np.linspace(0, kernel.cutoff * (1 - 1e-12), 129)  # a kernel that jumps there has its value from inside
+    edges = np.linspace(
+        0, kernel.cutoff * (1 - 1e-12), 129
+    )  # a kernel that jumps there has its value from inside
     half = np.diff(edges)[:, None] / 2
     place = edges[:-1, None] + half * (x + 1)
 
@@ -239,7 +293,12 @@ def _cumulative(kernel: Kernel) -> Any:
 
 
 def _along_rays(
-    points: NDArray, walls: Sequence[Wall], distance: NDArray, cumulative: Any, cutoff: float, plane: str
+    points: NDArray,
+    walls: Sequence[Wall],
+    distance: NDArray,
+    cumulative: Any,
+    cutoff: float,
+    plane: str,
 ) -> NDArray:
     """Sum over rays from points (n, 3) of the kernel's share on their accessible parts."""
     nearest = np.argmin(np.abs(distance), axis=0)
@@ -252,7 +311,10 @@ def _along_rays(
     middle = (breaks[..., 1:] + breaks[..., :-1]) / 2
     is_open = np.ones(middle.shape, bool)
     for own, start in zip(crossings, distance > 0, strict=True):
-        turns = sum((own[..., k, None] < middle for k in range(own.shape[-1])), start=np.zeros(middle.shape, int))
+        turns = sum(
+            (own[..., k, None] < middle for k in range(own.shape[-1])),
+            start=np.zeros(middle.shape, int),
+        )
         is_open &= start[:, None, None] ^ (turns % 2 == 1)
     share = np.diff(cumulative(np.minimum(breaks, cumulative.x[-1])), axis=-1) * is_open
     return np.asarray((share.sum(axis=-1) * weight).sum(axis=1))
@@ -269,11 +331,18 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
     if len(plane) == 2:
         split = np.arccos(depth)[:, None]
         angle = np.concatenate([split * (1 - t**2), split + (np.pi - split) * t**2], axis=1)
-        weight = np.concatenate([split * 2 * t * w, (np.pi - split) * 2 * t * w], axis=1) / (2 * np.pi)
+        weight = np.concatenate([split * 2 * t * w, (np.pi - split) * 2 * t * w], axis=1) / (
+            2 * np.pi
+        )
         normal = np.eye(3)[next(k for k, a in enumerate(COMPONENTS) if a not in plane)]
         beside = np.cross(normal, towards)
-        up, side = np.cos(angle)[..., None] * towards[:, None], np.sin(angle)[..., None] * beside[:, None]
-        return np.concatenate([up + side, up - side], axis=1), np.concatenate([weight, weight], axis=1)
+        up, side = (
+            np.cos(angle)[..., None] * towards[:, None],
+            np.sin(angle)[..., None] * beside[:, None],
+        )
+        return np.concatenate([up + side, up - side], axis=1), np.concatenate(
+            [weight, weight], axis=1
+        )
     split = depth[:, None]
     cosine = np.concatenate([split + (1 - split) * t**2, split - (1 + split) * t**2], axis=1)
     weight = np.concatenate([(1 - split) * 2 * t * w, (1 + split) * 2 * t * w], axis=1) / 2
@@ -283,6 +352,8 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
     turn = 2 * np.pi * (np.arange(_TURNS) + 0.37) / _TURNS  # no ray along an edge between triangles
     around = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
     sine = np.sqrt(np.maximum(0.0, 1 - cosine**2))
-    direction = cosine[..., None, None] * towards[:, None, None] + sine[..., None, None] * around[:, None]
+    direction = (
+        cosine[..., None, None] * towards[:, None, None] + sine[..., None, None] * around[:, None]
+    )
     shape = (len(towards), -1, 3)
     return direction.reshape(shape), np.repeat(weight / _TURNS, _TURNS, axis=1)

@@ -38,7 +38,9 @@ from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_l
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
-PRESETS: dict[Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
+PRESETS: dict[
+    Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]
+] = {
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }
@@ -163,11 +165,15 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
             return ds, replace(asked, frame=None)
         letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
         dims = {name: getattr(asked, name) for name in ("pressure_dims", "shear_dims")}
-        asked = replace(asked, **{name: axes and axes.translate(letters) for name, axes in dims.items()})
+        asked = replace(
+            asked, **{name: axes and axes.translate(letters) for name, axes in dims.items()}
+        )
     return ds, asked
 
 
-def _in_own_names(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def _in_own_names(
+    scene: Description, request: Request
+) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
     if request.preset not in PRESETS:
         raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
@@ -182,11 +188,19 @@ def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: OnError) -> dict[str, An
     names = [*plan.variables, *(name for name in OF_STEP if name in ds)]
     results = {field: (plan.shapes[field], "float64") for field in plan.fields}
     threads = threads_a_chunk(ds, names, THREADS)
-    return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
+    return map_over_time(
+        ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error
+    )
 
 
 # means of squared fluctuations
-_TEMPERATURES = ("granular_temperature", "directional_temperature", "d2min", "nonaffine_covariance", "self_diffusion")
+_TEMPERATURES = (
+    "granular_temperature",
+    "directional_temperature",
+    "d2min",
+    "nonaffine_covariance",
+    "self_diffusion",
+)
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
@@ -212,13 +226,21 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
-        results = {name: a[t, ...].reshape(-1, plan.phases, *a.shape[1 + len(plan.dims) :]) for name, a in out.items()}
+        results = {
+            name: a[t, ...].reshape(-1, plan.phases, *a.shape[1 + len(plan.dims) :])
+            for name, a in out.items()
+        }
         _compute_step(plan, frame, lattice, source, threads, results)
     return out
 
 
 def _compute_step(
-    plan: Plan, frame: Frame, lattice: Lattice, source: str, threads: int, rows: Mapping[str, NDArray]
+    plan: Plan,
+    frame: Frame,
+    lattice: Lattice,
+    source: str,
+    threads: int,
+    rows: Mapping[str, NDArray],
 ) -> None:
     """Compute the fields of one step into arrays (nodes, phase, ...)."""
     grid = plan.deposit.grid
@@ -237,12 +259,18 @@ def _compute_step(
         if program:
             program.run(found, place, rows, part.order)
         if untraced:  # with NumPy
-            options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
+            options = replace(
+                plan.options, wrapped=grid.fills(lattice.axis_periods)
+            )  # the box may change
             for name, values in registry.evaluate(untraced, found.moments, options).items():
                 rows[name][place] = values.swapaxes(0, 1)
 
     whole = plan.options.gradient == "finite_difference"
-    for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads), fill, threads)
+    for_each(
+        grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads),
+        fill,
+        threads,
+    )
     if grid.undirected.size:
         for name, values in rows.items():
             if registry.row(name, plan.options).rank:
@@ -250,8 +278,14 @@ def _compute_step(
     if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
     # extent=1 m asks for an integral in place of an average: no warning
-    if "volume_fraction" in rows and 1.0 not in plan.extent.values() and rows["volume_fraction"].max(initial=0.0) > 1.0:
-        _warn_of_fraction(plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source)
+    if (
+        "volume_fraction" in rows
+        and 1.0 not in plan.extent.values()
+        and rows["volume_fraction"].max(initial=0.0) > 1.0
+    ):
+        _warn_of_fraction(
+            plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source
+        )
 
 
 def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
@@ -259,8 +293,14 @@ def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str
     node = int(fraction.max(axis=1).argmax())
     grid, kernel = plan.deposit.grid, plan.kernel
     index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
-    coords = {name: coord.isel({dim: index[str(dim)] for dim in coord.dims}) for name, coord in grid.coords.items()}
-    place = ", ".join(f"{name} = {float(coord):.4g}" for name, coord in coords.items()) or "the only node"
+    coords = {
+        name: coord.isel({dim: index[str(dim)] for dim in coord.dims})
+        for name, coord in grid.coords.items()
+    }
+    place = (
+        ", ".join(f"{name} = {float(coord):.4g}" for name, coord in coords.items())
+        or "the only node"
+    )
     alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
     cause = "grains overlap, or their sizes, or the length of an average (extent=, thickness=), are not right"
     if alone > 0.5:
@@ -268,7 +308,10 @@ def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str
             f"the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g}: increase "
             f"width= (it is {kernel.width:.3g}), or give each group its own with by= and width={{group: width}}"
         )
-    warn_once("volume fraction", f"{source}: the volume fraction is {fraction.max():.3g} at {place}: {cause}")
+    warn_once(
+        "volume fraction",
+        f"{source}: the volume fraction is {fraction.max():.3g} at {place}: {cause}",
+    )
 
 
 def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
@@ -299,7 +342,11 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
-        attrs: dict[str, Any] = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        attrs: dict[str, Any] = {
+            "units": length,
+            "long_name": f"position along {name}",
+            "axis": name.upper(),
+        }
         if scene.cylindrical:
             attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
         attrs |= {"period": wrapped[name]} if name in wrapped else {}  # also of a part of the nodes
@@ -311,12 +358,19 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
     for name in plan.fields:
         row = registry.row(name, options)
         tail = ("component", "direction")[: row.rank]
-        coords |= {dim: (dim, list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)) for dim in tail}
+        coords |= {
+            dim: (dim, list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS))
+            for dim in tail
+        }
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
         attrs = about(row, system)
-        taken = {variable for moment in registry.moments_of([name], options).values() for variable in moment.optional}
+        taken = {
+            variable
+            for moment in registry.moments_of([name], options).values()
+            for variable in moment.optional
+        }
         if lacking := [variable for variable in ROTATION if variable in taken - {*plan.variables}]:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
@@ -337,10 +391,14 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         "temperature": options.temperature,
         "sampling": "cell" if grid.half.any() else "node",
         "averaged_axes": grid.averaged,
-        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps),
+        "wrapped_axes": "".join(
+            a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
+        ),
     }
     given: dict[str, Any] = {
-        "shear_dims": None if options.shear_axes is None else "".join(COMPONENTS[k] for k in options.shear_axes),
+        "shear_dims": None
+        if options.shear_axes is None
+        else "".join(COMPONENTS[k] for k in options.shear_axes),
         "fluid_viscosity": options.fluid_viscosity,
         "size_diameter": options.diameter,
         "lag": options.lag,
@@ -351,7 +409,16 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
 
 def about(row: Field, system: str) -> dict[str, str]:
     """Attributes of a field in a result."""
-    units = row.units if row.source else units_in(row.units, system)  # a scene's own variables may have any unit
-    found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
-    found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
+    units = (
+        row.units if row.source else units_in(row.units, system)
+    )  # a scene's own variables may have any unit
+    found = {
+        "units": units,
+        "long_name": row.long_name,
+        "formula": row.formula,
+        "source": row.source,
+    }
+    found |= (
+        {"weight": row.weight} if row.source else {}
+    )  # what averages of fields without a row need
     return {key: text for key, text in found.items() if text}

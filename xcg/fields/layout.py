@@ -42,9 +42,14 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     automatic = automatic_bounds(scene, widest.cutoff)
     if not scene.cylindrical:
         return make_grid(
-            request.axes_of(plane), *places, plane=plane, cutoff=smallest.cutoff, automatic=automatic,
-            period=scene.periods, cells=request.sampling == "cell",
-        )  # fmt: skip
+            request.axes_of(plane),
+            *places,
+            plane=plane,
+            cutoff=smallest.cutoff,
+            automatic=automatic,
+            period=scene.periods,
+            cells=request.sampling == "cell",
+        )
     assert isinstance(request.frame, Cylindrical)
     for name, wrong in (("gradient", "finite_difference"), ("sampling", "cell")):
         if getattr(request, name) == wrong:
@@ -54,9 +59,15 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     if {"x", "y"} <= set(automatic) and scene.radius is not None:
         automatic["r"] = 0.0, scene.radius + widest.cutoff
     return make_rings(
-        request.axes_of("rtz" if "z" in plane else "rt"), *places, plane=plane, kernel=smallest,
-        seen_all=scene.setup.dimension, error=request.frame.error, automatic=automatic, period=scene.periods,
-    )  # fmt: skip
+        request.axes_of("rtz" if "z" in plane else "rt"),
+        *places,
+        plane=plane,
+        kernel=smallest,
+        seen_all=scene.setup.dimension,
+        error=request.frame.error,
+        automatic=automatic,
+        period=scene.periods,
+    )
 
 
 def _check_pointwise(request: Request) -> None:
@@ -94,16 +105,23 @@ def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float
 
 def takes_gradient(name: str, options: Options) -> bool:
     """Return whether a field follows from the velocity gradient."""
-    if name in ("velocity_gradient", "fluctuation_stress"):  # whose fluctuations are about the mean without it
+    if name in (
+        "velocity_gradient",
+        "fluctuation_stress",
+    ):  # whose fluctuations are about the mean without it
         return name == "velocity_gradient"
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 
 
-def extents_of(grid: Grid, extent: Mapping[str, float], scene: Description) -> dict[str, float | None]:
+def extents_of(
+    grid: Grid, extent: Mapping[str, float], scene: Description
+) -> dict[str, float | None]:
     """Length of each averaged axis (m), None for that of the box of each step."""
     loose = [a for a in extent if a not in grid.averaged]
     if loose:
-        raise ValueError(f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out")
+        raise ValueError(
+            f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
+        )
     found: dict[str, float | None] = {}
     for a in grid.averaged:
         length = extent.get(a)
@@ -124,18 +142,24 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     if not isinstance(width, Mapping):
         return [kernel_of(kernel, width, scene.sizes, dimension)]
     if by is None or not isinstance(kernel, str):
-        raise ValueError(f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel")
+        raise ValueError(
+            f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel"
+        )
     own = {str(group): value for group, value in width.items()}
     known = scene.groups(by, request.groups)
     if set(own) != {str(g) for g in known}:
-        raise ValueError(f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}")
+        raise ValueError(
+            f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
+        )
     return [kernel_of(kernel, own[str(g)], scene.sizes, dimension) for g in known]
 
 
 def warn_of_width(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> None:
     """Warn of a kernel that sees single grains, or of another unit than the grains."""
     if width > _WIDE * sizes.get("dmax", np.inf):
-        warn_user(f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths")
+        warn_user(
+            f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths"
+        )
     usual = {"d43": "the grains", "dmax": "the largest grains"}
     for size, whose in ({"dmin": "the smallest grains"} if of_groups else usual).items():
         if size in sizes and width < _NARROW * sizes[size]:

@@ -14,7 +14,14 @@ from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages, squared_integral
-from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Quantity, Temperature
+from xcg.fields.formulas.field import (
+    Deviatoric,
+    Gradient,
+    InertialSize,
+    Options,
+    Quantity,
+    Temperature,
+)
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
@@ -94,7 +101,10 @@ class Plan:
         self.widths = [self.kernel.spread * cutoff for cutoff in deposit.cutoffs]
         places = (*grid.sizes, self.phases) if deposit.by else grid.sizes
         rows = {name: registry.row(name, self.options) for name in self.fields}
-        self.shapes = {name: places + (self.phases,) * row.paired + (3,) * row.rank for name, row in rows.items()}
+        self.shapes = {
+            name: places + (self.phases,) * row.paired + (3,) * row.rank
+            for name, row in rows.items()
+        }
         moments = deposit.rows.values()
         constants = [m for m in moments if m.column and not m.level and not m.along_branches]
         grains = deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
@@ -106,7 +116,9 @@ class Plan:
             "contact points": [points] if points else [],
             "means": [m.level for m in moments if m.column and m.level],
         }
-        self._numbers = deposit.phases * sum(sum(columns) for columns in self._columns.values())  # sums at a node
+        self._numbers = deposit.phases * sum(
+            sum(columns) for columns in self._columns.values()
+        )  # sums at a node
         self.reached = grid.nodes_within(2.0 * max(deposit.cutoffs))
         fewer = min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
         self.block_nodes = BLOCK_NODES if self.reached <= FINE else fewer
@@ -116,28 +128,43 @@ class Plan:
         passes = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
-        own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
+        own = (
+            f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
+            if len(self.widths) > 1
+            else ""
+        )
         rules = "closed form"
         if len(self.deposit.limits):
-            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in zip(RULES, self.deposit.limits, strict=False))
+            steps = ", ".join(
+                f"{k} to {x:.3g} c" for k, x in zip(RULES, self.deposit.limits, strict=False)
+            )
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
             "fields": ", ".join(self.fields),
             "read": ", ".join(self.variables),
             **grid.text,
-            "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
+            "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
+            or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
             "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
             f"{passes['contacts']} over contacts"
-            + (f", {passes['contact points']} over contact points" if passes["contact points"] else "")
+            + (
+                f", {passes['contact points']} over contact points"
+                if passes["contact points"]
+                else ""
+            )
             + (f", {passes['means']} relative to means" if passes["means"] else ""),
-            "contacts": f"{rules} (rtol = {self.rtol:g})" if passes["contacts"] else "not read for stress",
+            "contacts": f"{rules} (rtol = {self.rtol:g})"
+            if passes["contacts"]
+            else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
         if (seen := self.effective_count) is not None:
-            velocity, temperature = (min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension))
+            velocity, temperature = (
+                min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
+            )
             lines["noise"] = (
                 f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
                 f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
@@ -150,8 +177,12 @@ def effective_count(scene: Description, plan: Plan) -> float | None:
 
     None for rings, averages over cells and widths by group, whose weights are not those of one kernel.
     """
-    lengths = [length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()]
-    other_weights = scene.cylindrical or plan.deposit.grid.half.any() or len(plan.deposit.cutoffs) > 1
+    lengths = [
+        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
+    ]
+    other_weights = (
+        scene.cylindrical or plan.deposit.grid.half.any() or len(plan.deposit.cutoffs) > 1
+    )
     if other_weights or "d43" not in scene.sizes or not np.isfinite(lengths).all():
         return None
     space = scene.setup.dimension
@@ -168,7 +199,9 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
         lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
             lattice.seen(plan.deposit.grid.active, source)  # which may say more
-            axes = " and ".join(repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged)
+            axes = " and ".join(
+                repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
+            )
             raise SceneError(
                 f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
                 "length that the integral is divided by (extent=)"
@@ -191,7 +224,9 @@ def make_plan(scene: Description, request: Request) -> Plan:
     require_scene(scene.columns, (), "coarse_grain")
     rtol, by = request.rtol, request.by
     if not (is_finite(rtol) and rtol >= 0):
-        raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
+        raise ValueError(
+            f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
+        )
     names, asked, options = _fields_and_options(scene, request)
     here = scene.columns.keys()
     variables = variables_of(names, here, options)
@@ -201,10 +236,14 @@ def make_plan(scene: Description, request: Request) -> Plan:
             variables_of(("contact_stress",), here, options) <= here
         )
         instead = "; or ask for contact_stress, which needs no velocity" if static else ""
-        require_scene(scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}", instead)
+        require_scene(
+            scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}", instead
+        )
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
-    warn_of_width(min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping))
+    warn_of_width(
+        min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping)
+    )
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
         warn_of_cuts(grid, scene, widest.cutoff)
@@ -226,24 +265,38 @@ def make_plan(scene: Description, request: Request) -> Plan:
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
-        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z),
+        options,
+        active=tuple(grid.active.tolist()),
+        shape=grid.shape,
+        spacing=(x, y, z),
         wrapped=grid.fills(np.array(scene.lasting_periods)),
-    )  # fmt: skip
+    )
     read = variables | ({by} if by else set()) | ({"frozen"} & here)
     return Plan(
-        fields=names, asked=asked, variables=tuple(n for n in scene.columns if n in read), deposit=deposit,
-        options=options, kernel=widest, extent=extents_of(grid, request.extent or {}, scene),
-        depth=scene.layer_depth, setup=scene.setup, rtol=rtol,
-    )  # fmt: skip
+        fields=names,
+        asked=asked,
+        variables=tuple(n for n in scene.columns if n in read),
+        deposit=deposit,
+        options=options,
+        kernel=widest,
+        extent=extents_of(grid, request.extent or {}, scene),
+        depth=scene.layer_depth,
+        setup=scene.setup,
+        rtol=rtol,
+    )
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
 
 
-def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
+def _fields_and_options(
+    scene: Description, request: Request
+) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
     """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
-        raise ValueError("by_pair=True splits stress by pairs of phases: name their variable, such as by='species'")
+        raise ValueError(
+            "by_pair=True splits stress by pairs of phases: name their variable, such as by='species'"
+        )
     options = _options_of(scene, request)
     names, own = _choose_fields(request.fields, scene, options)
     if scene.cylindrical and own:
@@ -257,16 +310,24 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
             "'paper'"
         )
     if request.per is not None and any(name.endswith("_error") for name in names):
-        raise ValueError("errors=True with per='accessible': errors are those of sums per volume; leave one out")
+        raise ValueError(
+            "errors=True with per='accessible': errors are those of sums per volume; leave one out"
+        )
     needed = registry.order_of(names, replace(options, own=own))
-    registered = (registry.OwnRow(name, registry.REGISTERED[name]) for name in needed if name in registry.REGISTERED)
+    registered = (
+        registry.OwnRow(name, registry.REGISTERED[name])
+        for name in needed
+        if name in registry.REGISTERED
+    )
     options = replace(options, own=(*own, *registered))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
     if request.for_averages or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
-    if options.averaged_gradient == "unknown" and (lost := [name for name in asked if takes_gradient(name, options)]):
+    if options.averaged_gradient == "unknown" and (
+        lost := [name for name in asked if takes_gradient(name, options)]
+    ):
         warn_user(
             f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
             "from: resolve the axis that it varies along, axes='z' for example, and average the result"
@@ -280,43 +341,65 @@ def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
 
 
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, scene: Description, options: Options
+    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
+    scene: Description,
+    options: Options,
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
     rows = registry.FIELDS
     listed = [name for name, row in rows.items() if row.listed]
-    lacking = {name for name, row in rows.items() if row.option and getattr(options, row.option) is None}
+    lacking = {
+        name for name, row in rows.items() if row.option and getattr(options, row.option) is None
+    }
     if asked is None:
-        here, usual = scene.columns.keys(), [name for name in listed if rows[name].default and name not in lacking]
+        here, usual = (
+            scene.columns.keys(),
+            [name for name in listed if rows[name].default and name not in lacking],
+        )
         possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
         if not possible:
             require_scene(scene.columns, ("mass",), "coarse_grain")
         return possible, ()
     given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
-    own = {} if all(isinstance(one, str) and one in rows for one in given) else own_fields(given, scene)
+    own = (
+        {}
+        if all(isinstance(one, str) and one in rows for one in given)
+        else own_fields(given, scene)
+    )
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     if not names:
-        raise ValueError(f"fields={asked!r}: expected at least one; leave it out for all that the scene allows")
+        raise ValueError(
+            f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
+        )
     ours = {one.name for one in own.values()}
     for name in names:
         if name not in listed and name not in ours:
             known = [*listed, *scene.rows]
-            raise ValueError(unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars"))
+            raise ValueError(
+                unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars")
+            )
     for name in names:
         if name in lacking and rows[name].option == "lag":
-            raise ValueError(f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain")
+            raise ValueError(
+                f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
+            )
         if name in lacking:
             raise ValueError(f"{name} needs the argument {rows[name].option}=")
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
 def _with_errors(
-    names: tuple[str, ...], own: tuple[OwnField | registry.OwnRow, ...], scene: Description, absent: Set[str]
+    names: tuple[str, ...],
+    own: tuple[OwnField | registry.OwnRow, ...],
+    scene: Description,
+    absent: Set[str],
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Add the errors of one step of the fields that have them, unless absent."""
     quantities = [one.error for one in own if isinstance(one, OwnField)]
     further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
-    errors = [f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent]
+    errors = [
+        f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent
+    ]
     if not errors and not further:
         raise ValueError(
             "errors=True: errors of a single step exist for velocity, granular_temperature and others, not for "
@@ -357,17 +440,25 @@ def _options_of(scene: Description, request: Request) -> Options:
     indices: dict[str, tuple[int, ...] | None] = {}
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)
-        if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
-            raise ValueError(f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once")
+        if axes is not None and (
+            not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)
+        ):
+            raise ValueError(
+                f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
+            )
         indices[name] = None if axes is None else tuple(map(COMPONENTS.index, axes))
     if fluid_viscosity is not None and not is_positive(fluid_viscosity):
         raise ValueError(
             f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
         )
     if request.friction is not None and not (is_finite(request.friction) and request.friction >= 0):
-        raise ValueError(f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5")
+        raise ValueError(
+            f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
+        )
     if size in ("d50", "dmax") and size not in scene.sizes:
-        raise ValueError(f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first")
+        raise ValueError(
+            f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
+        )
     axes, at = request.axes_of(setup.plane), request.at or {}
     averaged = {a for a in setup.plane if isinstance(axes, str) and a not in axes and a not in at}
     derivatives = "zero"

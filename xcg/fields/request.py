@@ -11,7 +11,17 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
 from functools import cache, wraps
-from typing import Any, Concatenate, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_args, get_type_hints
+from typing import (
+    Any,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_type_hints,
+)
 
 import numpy as np
 import xarray as xr
@@ -27,22 +37,39 @@ from xcg.steps.labels import format_call
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
-        lambda value: isinstance(value, Mapping) or (np.ndim(value) == 0 and not isinstance(value, str)),
+        lambda value: (
+            isinstance(value, Mapping) or (np.ndim(value) == 0 and not isinstance(value, str))
+        ),
         "a distance (m), or one by axis such as {'x': 0.01, 'z': 0.005}",
     ),
     "width": (
         lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
         "a length (m), a multiple of a size such as '0.75 d43', or one of these by group",
     ),
-    "bounds": (lambda value: isinstance(value, Mapping), "first and last node by axis, such as {'z': (0.0, 0.1)}"),
-    "extent": (lambda value: isinstance(value, Mapping), "a length (m) by axis, such as {'y': 0.1}"),
-    "at": (lambda value: isinstance(value, Mapping), "a coordinate (m) by axis, such as {'y': 0.0}"),
-    "by": (lambda value: isinstance(value, str), "the name of a variable of the particles, such as 'species'"),
+    "bounds": (
+        lambda value: isinstance(value, Mapping),
+        "first and last node by axis, such as {'z': (0.0, 0.1)}",
+    ),
+    "extent": (
+        lambda value: isinstance(value, Mapping),
+        "a length (m) by axis, such as {'y': 0.1}",
+    ),
+    "at": (
+        lambda value: isinstance(value, Mapping),
+        "a coordinate (m) by axis, such as {'y': 0.0}",
+    ),
+    "by": (
+        lambda value: isinstance(value, str),
+        "the name of a variable of the particles, such as 'species'",
+    ),
     "on_error": (
         lambda value: value in get_args(OnError),
         "'raise' (stop at the first error) or 'skip' (go on without the step)",
     ),
-    "frame": (lambda value: isinstance(value, (Rotated, Cylindrical)), "xcg.Rotated(...) or xcg.Cylindrical(...)"),
+    "frame": (
+        lambda value: isinstance(value, (Rotated, Cylindrical)),
+        "xcg.Rotated(...) or xcg.Cylindrical(...)",
+    ),
 }
 
 Sampling: TypeAlias = Literal["node", "cell"]
@@ -161,12 +188,16 @@ class SharedOptions:
 
     def ask(self, **own: Any) -> Request:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
-        return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
+        return Request(
+            **own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)}
+        )
 
     def call(self, function: str) -> str:
         """Write the call of a function with these arguments, for its history."""
         given = self.given()
-        return format_call(function, {k: v for k, v in given.items() if k != "on_error" or v != "raise"})
+        return format_call(
+            function, {k: v for k, v in given.items() if k != "on_error" or v != "raise"}
+        )
 
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
@@ -236,7 +267,9 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
 
-def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
+def takes(
+    request: Callable[P, A],
+) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
     It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations come from the
@@ -247,20 +280,38 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            result = function(scene, request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options)))
+            result = function(
+                scene, request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
+            )
             return result if scene is ds else as_selected(result, ds)
 
-        parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
+        parameters = [
+            inspect.Parameter(
+                "ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset"
+            )
+        ]
         for field in arguments(request):
-            kind = inspect.Parameter.KEYWORD_ONLY if field.kw_only else inspect.Parameter.POSITIONAL_OR_KEYWORD
+            kind = (
+                inspect.Parameter.KEYWORD_ONLY
+                if field.kw_only
+                else inspect.Parameter.POSITIONAL_OR_KEYWORD
+            )
             default = inspect.Parameter.empty if field.default is MISSING else field.default
-            parameters.append(inspect.Parameter(field.name, kind, default=default, annotation=field.type))
-        hints = {"ds": xr.Dataset, **get_type_hints(request), "return": get_type_hints(function)["return"]}
+            parameters.append(
+                inspect.Parameter(field.name, kind, default=default, annotation=field.type)
+            )
+        hints = {
+            "ds": xr.Dataset,
+            **get_type_hints(request),
+            "return": get_type_hints(function)["return"],
+        }
         shown = cast(Any, call)
         signature = shown.__signature__ = inspect.Signature(
             parameters, return_annotation=function.__annotations__["return"]
         )
-        shown.__annotations__ = {name: hints[name] for name in (*(p.name for p in parameters), "return")}
+        shown.__annotations__ = {
+            name: hints[name] for name in (*(p.name for p in parameters), "return")
+        }
         if function.__doc__:  # there is none under python -OO
             meanings = _meanings(request)
             told = "\n".join(meanings[field.name] for field in arguments(request))

@@ -87,9 +87,17 @@ def read_config(path: str | Path) -> Job:
     try:
         job = _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from None
-    except (TypeError, AttributeError, RecursionError) as error:  # tables where values should be, and the like
-        raise SceneError(f"{path}: cannot be understood ({error}); see the form of jobs in the documentation") from None
+        raise SceneError(
+            f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})"
+        ) from None
+    except (
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ) as error:  # tables where values should be, and the like
+        raise SceneError(
+            f"{path}: cannot be understood ({error}); see the form of jobs in the documentation"
+        ) from None
     try:
         check_on_error(job.on_error)
     except ValueError as error:
@@ -113,17 +121,26 @@ def _toml(path: Path) -> Job:
     unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
         tables = ", ".join(_TABLES)
-        raise SceneError(f"{path}: expected tables {tables} with scene.particles, and on_error; found {sorted(data)}")
+        raise SceneError(
+            f"{path}: expected tables {tables} with scene.particles, and on_error; found {sorted(data)}"
+        )
     output = data.get("output", {})
     wrong = [name for name in output if name not in _OUTPUT]
     if wrong:
         raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}")
-    for key, kinds in {"folder": (str,), "name": (str,), "netcdf": (bool,), "vtkhdf": (str, bool)}.items():
+    for key, kinds in {
+        "folder": (str,),
+        "name": (str,),
+        "netcdf": (bool,),
+        "vtkhdf": (str, bool),
+    }.items():
         if key in output and not isinstance(output[key], kinds):
             expected = " or ".join(kind.__name__ for kind in kinds)
             raise SceneError(f"{path}: {key} = {output[key]!r} in [output]: expected {expected}")
     name = output.get("name", "fields")
-    if not name or name.startswith(".") or set(name) & set("/\\\0") or len(name) > 200:  # leads out of its folder
+    if (
+        not name or name.startswith(".") or set(name) & set("/\\\0") or len(name) > 200
+    ):  # leads out of its folder
         raise SceneError(
             f"{path}: name = {name[:60]!r} in [output]: expected the name of a file without its folder and suffix"
         )
@@ -134,14 +151,22 @@ def _toml(path: Path) -> Job:
         raise SceneError(f"{path}: [output] has {error}") from None
     vtkhdf = output.get("vtkhdf", "")
     if vtkhdf not in ("steps", "temporal", "", False):
-        raise SceneError(f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false")
+        raise SceneError(
+            f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
+        )
     scene = dict(data["scene"])
     for key in set(PATHS) & set(scene):
-        if key == "walls" and isinstance(scene[key], dict):  # columns of the particles, by names of walls
+        if key == "walls" and isinstance(
+            scene[key], dict
+        ):  # columns of the particles, by names of walls
             continue
         several = [scene[key]] if isinstance(scene[key], str) else scene[key]
-        if not isinstance(several, list) or not all(isinstance(p, str) and "\0" not in p for p in several):
-            raise SceneError(f"{path}: {key} = {several!r} in [scene]: expected a path, a pattern, or a list of them")
+        if not isinstance(several, list) or not all(
+            isinstance(p, str) and "\0" not in p for p in several
+        ):
+            raise SceneError(
+                f"{path}: {key} = {several!r} in [scene]: expected a path, a pattern, or a list of them"
+            )
         scene[key] = [str(path.parent / p) for p in several]
     phases = data.get("phases")
     if phases and "mapping" in phases:  # keys of TOML are text
@@ -189,14 +214,21 @@ KEYS = {
 
 # its kernels, however they are spelled, and the names in its output
 KERNELS = {
-    "lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian"), "heavyside": ("heaviside", "HeavySide"),
+    "lucy": ("lucy", "Lucy"),
+    "gaussian": ("gaussian", "Gaussian"),
+    "heavyside": ("heaviside", "HeavySide"),
     "heaviside": ("heaviside", "HeavySide"),
-}  # fmt: skip
+}
 
 OF_CONTACTS = (
-    "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
+    "coordination_number",
+    "contact_tensor",
+    "total_stress_tensor",
+    "fabric_tensor",
+    "pressure",
+    "inertial_number",
     "frictional_coefficient",
-)  # fmt: skip
+)
 
 FAMILIES = tuple(dict.fromkeys(row.family for row in rows("xy", "xyz").values()))
 SLICES = "granular_temperature_slices"
@@ -251,30 +283,53 @@ def _ini(path: Path) -> Job:
         parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except configparser.Error as error:
         raise SceneError(f"{path}: {error}") from None
-    names = ("paths", "timesteps", "smoothing_function", "flags", "key_mapping", "grid_info", "fields_to_export",
-             "output_options")  # fmt: skip
+    names = (
+        "paths",
+        "timesteps",
+        "smoothing_function",
+        "flags",
+        "key_mapping",
+        "grid_info",
+        "fields_to_export",
+        "output_options",
+    )
     unknown = [name for name in parser.sections() if name not in names]
     if unknown:
         warn_user(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
-    sections = {name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {}) for name in names}
-    paths, steps, flags, output = (sections[n] for n in ("paths", "timesteps", "flags", "output_options"))
+    sections = {
+        name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {})
+        for name in names
+    }
+    paths, steps, flags, output = (
+        sections[n] for n in ("paths", "timesteps", "flags", "output_options")
+    )
 
     particles = _files(path.parent, paths.needed("particles_path"), steps, required=True)
     contacts_path = paths.get("contacts_path")
-    contacts = [] if contacts_path is None else _files(path.parent, contacts_path, steps, required=False)
+    contacts = (
+        [] if contacts_path is None else _files(path.parent, contacts_path, steps, required=False)
+    )
     scene: dict[str, Any] = {
-        "particles": particles, "names": _names(sections["key_mapping"], particles[0], contacts), "engine": "mfix",
-        "periodic": "".join(a for a in COMPONENTS if sections["grid_info"].flag(f"{a}_axis_periodic")),
-    }  # fmt: skip
+        "particles": particles,
+        "names": _names(sections["key_mapping"], particles[0], contacts),
+        "engine": "mfix",
+        "periodic": "".join(
+            a for a in COMPONENTS if sections["grid_info"].flag(f"{a}_axis_periodic")
+        ),
+    }
     if contacts:
         scene |= {"contacts": contacts, "missing": "empty"}
     elif contacts_path is not None:
-        warn_user(f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
+        warn_user(
+            f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out"
+        )
     export = sections["fields_to_export"]
     fields = [name for name in FAMILIES if export.flag(name)]
     slices = {"axis": "y"} if export.flag(SLICES) else None
     if not fields and slices is None:
-        raise SceneError(f"{export.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}")
+        raise SceneError(
+            f"{export.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
+        )
     if not contacts:
         counted = "coordination_number" in scene["names"].values()
         fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
@@ -282,7 +337,9 @@ def _ini(path: Path) -> Job:
     smoothing = sections["smoothing_function"]
     spelling = smoothing.get("type") or "Lucy"
     if spelling.lower() not in KERNELS:
-        raise SceneError(f"{smoothing.source} type = {spelling}: expected Lucy, Gaussian or HeavySide")
+        raise SceneError(
+            f"{smoothing.source} type = {spelling}: expected Lucy, Gaussian or HeavySide"
+        )
     kernel, label = KERNELS[spelling.lower()]
     mesh = _mesh(sections["grid_info"])
     phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
@@ -305,7 +362,9 @@ def _ini(path: Path) -> Job:
     for section in sections.values():
         if rest := [key for key in section.values if key.lower() not in section.known]:
             known = ", ".join(sorted(section.known))
-            warn_user(f"{section.source}: unknown and left out: {', '.join(rest)}; known are {known}")
+            warn_user(
+                f"{section.source}: unknown and left out: {', '.join(rest)}; known are {known}"
+            )
     return job
 
 
@@ -315,7 +374,9 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
     at = folder / prefix
     parent, stem = (at, "") if prefix.endswith("/") else (at.parent, at.name)
     found: dict[int, str] = {}
-    for file in sorted(parent.iterdir()) if parent.is_dir() else ():  # those that are not compressed come first
+    for file in (
+        sorted(parent.iterdir()) if parent.is_dir() else ()
+    ):  # those that are not compressed come first
         match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", plain_name(file.name))
         if match:
             found.setdefault(int(match[1]), str(file))
@@ -327,7 +388,11 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
         and (not stride or (number - (start or 0)) % stride == 0)
     ]
     if required and not chosen:
-        there = f"numbers there: {', '.join(map(str, sorted(found)))}" if found else "there are none of that name"
+        there = (
+            f"numbers there: {', '.join(map(str, sorted(found)))}"
+            if found
+            else "there are none of that name"
+        )
         raise FileNotFoundError(
             f"{steps.source}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
         )
@@ -338,7 +403,10 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
     """Arrays that the files hold for our variables."""
     from xcg.readers.files.vtp import read_header
 
-    there = {True: read_header(particles).names, False: read_header(contacts[0]).names if contacts else ()}
+    there = {
+        True: read_header(particles).names,
+        False: read_header(contacts[0]).names if contacts else (),
+    }
     names: dict[str, str | None] = {}
     for key, ours in KEYS.items():
         array = section.get(key)

@@ -58,7 +58,9 @@ def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
 
 
 def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
-    ds = conform(open_scene(**{**job.scene, "on_error": job.on_error}))  # a step that was saved alone gets its time
+    ds = conform(
+        open_scene(**{**job.scene, "on_error": job.on_error})
+    )  # a step that was saved alone gets its time
     if not ds.sizes["time"]:
         raise SceneError("nothing to do: the scene has no steps")
     options = {**job.fields, "on_error": job.on_error}
@@ -67,7 +69,10 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
         function = assign_phases if assigned else find_phases
         _check_arguments(function, job.phases, "phases")
         if job.on_error == "skip":
-            with collecting(), dask.config.set(scheduler="synchronous"):  # in this thread, which tolerates faults
+            with (
+                collecting(),
+                dask.config.set(scheduler="synchronous"),
+            ):  # in this thread, which tolerates faults
                 ds = function(ds, **job.phases)
         else:
             ds = function(ds, **job.phases)
@@ -106,7 +111,9 @@ def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
         found = slice_temperature(ds, method=method, **options)
         if both:  # both read the same files
             found = found.drop_vars(SKIPPED, errors="ignore")
-        both.append(found.rename({n: f"{n}_{name}" for n in found.data_vars} | {axis: f"{axis}_{name}"}))
+        both.append(
+            found.rename({n: f"{n}_{name}" for n in found.data_vars} | {axis: f"{axis}_{name}"})
+        )
     return xr.merge(both, combine_attrs="drop_conflicts", join="outer", compat="no_conflicts")
 
 
@@ -148,9 +155,16 @@ def run_job(
     targets = [path for output in outputs for path in output.paths()]
     begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
-    if resume and not (begun or overwrite) and there == targets and all(_made_by(path) == mark for path in targets):
+    if (
+        resume
+        and not (begun or overwrite)
+        and there == targets
+        and all(_made_by(path) == mark for path in targets)
+    ):
         for output in outputs:
-            with work_folder(output.work, output.work):  # which a run that was killed at its very end may have left
+            with work_folder(
+                output.work, output.work
+            ):  # which a run that was killed at its very end may have left
                 pass
         yield count, count
         return
@@ -176,7 +190,9 @@ def run_job(
             path.unlink()
 
 
-def outputs_of(job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = "") -> list[_Output]:
+def outputs_of(
+    job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = ""
+) -> list[_Output]:
     """List what a job writes, from what `open_job` returns; `mark` is noted in the files."""
     series = {job.name: fields} if fields.data_vars else {}
     if slices is not None:
@@ -186,13 +202,20 @@ def outputs_of(job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: st
 
 
 def _exists(path: Path, whose: str = "") -> FileExistsError:
-    return FileExistsError(f"{path} exists{whose}; choose another output folder or name, or overwrite it (--overwrite)")
+    return FileExistsError(
+        f"{path} exists{whose}; choose another output folder or name, or overwrite it (--overwrite)"
+    )
 
 
-def _run(outputs: list[_Output], count: int, jobs: int | None, about: Mapping[str, str]) -> Iterator[tuple[int, int]]:
+def _run(
+    outputs: list[_Output], count: int, jobs: int | None, about: Mapping[str, str]
+) -> Iterator[tuple[int, int]]:
     """Write all outputs side by side, a batch of chunks each in turn."""
     with ExitStack() as held:
-        runs = [held.enter_context(closing(output.write(about, jobs or os.cpu_count() or 1))) for output in outputs]
+        runs = [
+            held.enter_context(closing(output.write(about, jobs or os.cpu_count() or 1)))
+            for output in outputs
+        ]
         done = dict(enumerate(map(next, runs)))
         yield min(done.values()), count
         for numbers in zip_longest(*runs):
@@ -216,24 +239,42 @@ class _Output:
         netcdf = {self.job.folder / f"{self.stem}{self.job.suffix}": NETCDF}
         if self.stem != self.job.name:  # slices are no image
             return netcdf
-        vtkhdf = {self.job.folder / f"{self.stem}.vtkhdf": VTKHDF} if self.job.vtkhdf == "temporal" else {}
+        vtkhdf = (
+            {self.job.folder / f"{self.stem}.vtkhdf": VTKHDF}
+            if self.job.vtkhdf == "temporal"
+            else {}
+        )
         return (netcdf if self.job.netcdf else {}) | vtkhdf
 
     def _images(self) -> list[Path]:
         """Files of one step each."""
         if self.stem != self.job.name or self.job.vtkhdf != "steps":
             return []
-        return [self.job.folder / f"{self.stem}_{int(step):04d}.vtkhdf" for step in self.ds["step"].to_numpy()]
+        return [
+            self.job.folder / f"{self.stem}_{int(step):04d}.vtkhdf"
+            for step in self.ds["step"].to_numpy()
+        ]
 
     def paths(self) -> list[Path]:
         return [*self._files(), *self._images()]
 
     def write(self, about: Mapping[str, str], batch: int) -> Generator[int, None, None]:
-        encoding, files, images = Encoding.of(self.ds, **self.job.encoding), self._files(), self._images()
+        encoding, files, images = (
+            Encoding.of(self.ds, **self.job.encoding),
+            self._files(),
+            self._images(),
+        )
         if images:
-            begin, whole = partial(_Images, [path.name for path in images]), partial(_whole_images, images)
-            files[self.job.folder / f"{self.stem}.images"] = Format("VTKHDF by steps", begin, whole=whole)
-        return write_files(self.ds, files, encoding, overwrite=True, work=self.work, about=about, batch=batch)
+            begin, whole = (
+                partial(_Images, [path.name for path in images]),
+                partial(_whole_images, images),
+            )
+            files[self.job.folder / f"{self.stem}.images"] = Format(
+                "VTKHDF by steps", begin, whole=whole
+            )
+        return write_files(
+            self.ds, files, encoding, overwrite=True, work=self.work, about=about, batch=batch
+        )
 
 
 class _Images:
@@ -248,7 +289,9 @@ class _Images:
 
     def __call__(self, parts: Parts, steps: slice) -> None:
         """Write the files of these steps."""
-        values = {name: (dims, joined(parts[name]), attrs) for name, (dims, attrs) in self._about.items()}
+        values = {
+            name: (dims, joined(parts[name]), attrs) for name, (dims, attrs) in self._about.items()
+        }
         some = self._ds.isel(time=steps).assign(values)
         for t, path in enumerate(self._paths[steps]):
             write_vtkhdf(some.isel(time=[t]), path, self._encoding, overwrite=True)
@@ -286,9 +329,18 @@ def _description(job: Job) -> dict[str, str]:
         if isinstance(given, dict):  # walls that are columns of the particles
             continue
         for path in [given] if isinstance(given, str) else given:
-            paths += expand_paths([path], key) if glob.has_magic(path) and not Path(path).exists() else [path]
+            paths += (
+                expand_paths([path], key)
+                if glob.has_magic(path) and not Path(path).exists()
+                else [path]
+            )
     # a folder of Zarr keeps its own time when one of its files changes
-    files = [file for path in map(Path, paths) for file in (path, *sorted(path.rglob("*"))) if file.exists()]
+    files = [
+        file
+        for path in map(Path, paths)
+        for file in (path, *sorted(path.rglob("*")))
+        if file.exists()
+    ]
     states = repr([(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in files])
     digest = hashlib.sha256(states.encode()).hexdigest()
     about = {"[scene] sizes and times of files": f"{len(files)}, {digest[:8]}"}

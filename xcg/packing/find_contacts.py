@@ -52,7 +52,12 @@ class Stiffness:
         linear, hertz = self.k_n is not None, self.E is not None or self.nu is not None
         whole = self.E is not None and self.nu is not None
         positive = all(v is None or is_positive(v) for v in (self.k_n, self.E))
-        if (linear and hertz) or (hertz and not whole) or not positive or not -1 < (self.nu or 0.0) <= 0.5:
+        if (
+            (linear and hertz)
+            or (hertz and not whole)
+            or not positive
+            or not -1 < (self.nu or 0.0) <= 0.5
+        ):
             raise ValueError(
                 f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n > 0 (N m-1) for linear springs, or both "
                 "E > 0 (Pa) and -1 < nu <= 0.5 for Hertz contacts, or none of them"
@@ -107,9 +112,16 @@ class Search:
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
         self._refuse_own_images(frame, lattice, source)
         i, j = pairs_of(
-            position, radius, lattice, skin=self.skin, method=self.method, levels=self.levels, threads=self.threads,
-            most=self.most, source=source,
-        ).T  # fmt: skip
+            position,
+            radius,
+            lattice,
+            skin=self.skin,
+            method=self.method,
+            levels=self.levels,
+            threads=self.threads,
+            most=self.most,
+            source=source,
+        ).T
         if "frozen" in frame:
             moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)
             i, j = i[moving], j[moving]
@@ -136,7 +148,9 @@ class Search:
             "overlap": overlap,
         }
         if self.stiffness.given:
-            found["contact_force"] = self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
+            found["contact_force"] = (
+                self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
+            )
         return found
 
     def _refuse_own_images(self, frame: Frame, lattice: Lattice, source: str) -> None:
@@ -224,7 +238,9 @@ def find_contacts(
     require_scene(ds, ("diameter",), "find_contacts")
     require_steps(ds, "find_contacts")
     check_search(skin, method, levels)
-    if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
+    if max_contacts is not None and not (
+        isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0
+    ):
         raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")
     setup = describe(ds).setup
     read = [name for name in (*READ, *OPTIONAL) if name in ds]
@@ -233,11 +249,17 @@ def find_contacts(
     if lazy and most is None:
         most = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
     # under dask other steps keep the other cores busy
-    search = Search(setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None)
-    results = {name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names}
+    search = Search(
+        setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None
+    )
+    results = {
+        name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names
+    }
     names = [*read, *(name for name in OF_STEP if name in ds)]
     arrays = map_over_time(ds, names, search, results, "find-contacts")
-    found = label(ds, {name: variable(name) for name in arrays}, arrays, format_call("find_contacts", given))
+    found = label(
+        ds, {name: variable(name) for name in arrays}, arrays, format_call("find_contacts", given)
+    )
     result = ds.drop_dims("contact", errors="ignore").assign(found.data_vars)
     result.attrs["history"] = found.attrs["history"]
     result.attrs.pop("sides", None)  # of the contacts that are replaced

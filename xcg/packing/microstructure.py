@@ -34,7 +34,11 @@ STRAIN = {
     "volumetric_strain": "volumetric strain of the box, compression positive",
     "axial_strain": "axial strain of the box, compression positive",
 }
-INERTIAL = {"inertial_number_dmax": "d_max", "inertial_number_d50": "d50", "inertial_number_dbar": "d_bar"}
+INERTIAL = {
+    "inertial_number_dmax": "d_max",
+    "inertial_number_d50": "d50",
+    "inertial_number_dbar": "d_bar",
+}
 NAMES = (*QUANTITIES, *STRAIN, *INERTIAL)
 
 
@@ -207,7 +211,11 @@ def microstructure(
     scene = describe(ds, by)
     setup, regions = scene.setup, _regions(bounds, scene.setup.plane)
     neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
-    counts = {"min_contacts": min_contacts, "max_connectivity": max_connectivity, "neighbours": neighbours}
+    counts = {
+        "min_contacts": min_contacts,
+        "max_connectivity": max_connectivity,
+        "neighbours": neighbours,
+    }
     for name, value in counts.items():
         if not (isinstance(value, (int, np.integer)) and value >= 1):
             raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
@@ -221,18 +229,28 @@ def microstructure(
     needed = {variable for name in measured for variable in QUANTITIES[name].needs}
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
-        names=measured, setup=setup, regions=tuple(regions.values()), by=by,
-        groups=scene.groups(by, groups), depth=scene.layer_depth,
-        min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
-        force_bins=_force_bins(force_bins), cell=cell, by_volume=mixing_weight == "volume",
+        names=measured,
+        setup=setup,
+        regions=tuple(regions.values()),
+        by=by,
+        groups=scene.groups(by, groups),
+        depth=scene.layer_depth,
+        min_contacts=int(min_contacts),
+        iterative=rattlers == "iterative",
+        max_connectivity=int(max_connectivity),
+        force_bins=_force_bins(force_bins),
+        cell=cell,
+        by_volume=mixing_weight == "volume",
         neighbours=neighbours,
-    )  # fmt: skip
+    )
     extra = {"particle_id", "position", "frozen", *([by] if by else [])}
     extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
     read = [str(name) for name in ds.data_vars if name in needed | extra and name not in BOX]
     read += [name for name in OF_STEP if name in ds]
     results = {name: (measure.shape(name), "float64") for name in measured}
-    arrays = map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
+    arrays = (
+        map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
+    )
     result = _label(ds, arrays, measure, regions)
     result = _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
     return mark_skipped(result, arrays)
@@ -250,7 +268,11 @@ def _force_bins(edges: ArrayLike | None) -> NDArray:
 def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[str, Bounds]:
     """Bounds by name of the region; the name is empty where there is one region only."""
     given: Any = {} if bounds is None else bounds
-    nested = isinstance(given, Mapping) and given and all(isinstance(value, Mapping) for value in given.values())
+    nested = (
+        isinstance(given, Mapping)
+        and given
+        and all(isinstance(value, Mapping) for value in given.values())
+    )
     regions: dict[str, Any] = dict(given) if nested else {"": given}
     for region in regions.values():
         pairs = region.items() if isinstance(region, Mapping) else [("", region)]
@@ -266,19 +288,29 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[s
 def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
     """Return the source of the strain rate: "box", "velocity", or the rate itself."""
     if given is None:
-        return "box" if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1 else "velocity"
+        return (
+            "box"
+            if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
+            else "velocity"
+        )
     if isinstance(given, str):
         if given not in get_args(RateSource):
             raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
         if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
-            raise ValueError("strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'")
+            raise ValueError(
+                "strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'"
+            )
         if given == "box" and "lattice" in ds:
-            raise ValueError("strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'")
+            raise ValueError(
+                "strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'"
+            )
         return given
     if isinstance(given, xr.DataArray):
         return given
     if not is_finite(given):
-        raise ValueError(f"strain_rate={plain(given)}: expected one rate (s-1), or a DataArray of one for each time")
+        raise ValueError(
+            f"strain_rate={plain(given)}: expected one rate (s-1), or a DataArray of one for each time"
+        )
     return xr.DataArray(float(given))
 
 
@@ -289,13 +321,21 @@ def _choose(
     if asked is not None:
         names = [asked] if isinstance(asked, str) else list(asked)
         if not names:
-            raise ValueError(f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows")
+            raise ValueError(
+                f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows"
+            )
         for name in names:
             if name not in NAMES:
-                raise ValueError(unknown("quantity", name, NAMES, "others are listed on the page on microstructure"))
+                raise ValueError(
+                    unknown(
+                        "quantity", name, NAMES, "others are listed on the page on microstructure"
+                    )
+                )
         mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
         if mixing and by is None:
-            raise ValueError(f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'")
+            raise ValueError(
+                f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'"
+            )
         if set(names) & set(STRAIN) and "box" not in ds:
             require_scene(ds, ("box",), "strain of the box")
         return tuple(dict.fromkeys(names))
@@ -304,7 +344,9 @@ def _choose(
         for name in NAMES
         if (name not in STRAIN or "box" in ds)
         and not (name in QUANTITIES and QUANTITIES[name].of_phases)
-        and all(set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate))
+        and all(
+            set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate)
+        )
     )
 
 
@@ -316,29 +358,55 @@ def _measured(names: Sequence[str], rate: str | xr.DataArray) -> tuple[str, ...]
             found += [INERTIAL[name], "particle_density", "mean_stress", "strain_rate"]
         elif name not in STRAIN:
             found.append(name)
-    return tuple(name for name in dict.fromkeys(found) if name != "strain_rate" or _is(rate, "velocity"))
+    return tuple(
+        name for name in dict.fromkeys(found) if name != "strain_rate" or _is(rate, "velocity")
+    )
 
 
 def _is(rate: str | xr.DataArray, source: str) -> bool:
     return isinstance(rate, str) and rate == source
 
 
-def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions: Mapping[str, Bounds]) -> xr.Dataset:
+def _label(
+    ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions: Mapping[str, Bounds]
+) -> xr.Dataset:
     """Name dimensions, except dimensions of one region or phase."""
     system, bins = measure.setup.unit_system, measure.force_bins
-    coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
+    coords: dict[str, Any] = {
+        name: ds[name].variable for name in ("time", "step") if name in ds.coords
+    }
     coords |= {dim: (dim, list(COMPONENTS)) for dim in TENSOR}
     counts = np.arange(measure.max_connectivity + 1)
-    coords["partners"] = ("partners", counts, {"long_name": "number of contact partners", "units": "1"})
+    coords["partners"] = (
+        "partners",
+        counts,
+        {"long_name": "number of contact partners", "units": "1"},
+    )
     middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
-    coords["force_ratio"] = ("force_ratio", middle, {"long_name": "force over its mean", "units": "1"})
-    coords["force_ratio_width"] = ("force_ratio", np.diff(bins), {"long_name": "width of the bin", "units": "1"})
+    coords["force_ratio"] = (
+        "force_ratio",
+        middle,
+        {"long_name": "force over its mean", "units": "1"},
+    )
+    coords["force_ratio_width"] = (
+        "force_ratio",
+        np.diff(bins),
+        {"long_name": "width of the bin", "units": "1"},
+    )
     coords["region"] = ("region", list(regions))
-    coords["phase"] = ("phase", ["bulk", *map(str, measure.groups)], {"long_name": f"phase by {measure.by}"})
+    coords["phase"] = (
+        "phase",
+        ["bulk", *map(str, measure.groups)],
+        {"long_name": f"phase by {measure.by}"},
+    )
     data = {}
     for name in measure.names if arrays else ():
         row, values = QUANTITIES[name], arrays[name]
-        attrs = {"units": units_in(row.units, system), "long_name": row.long_name, "formula": row.formula}
+        attrs = {
+            "units": units_in(row.units, system),
+            "long_name": row.long_name,
+            "formula": row.formula,
+        }
         data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
     used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
     coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
@@ -350,16 +418,26 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
 
 
 def _with_series(
-    ds: xr.Dataset, result: xr.Dataset, names: Sequence[str], rate: str | xr.DataArray, strain: str, axis: str,
+    ds: xr.Dataset,
+    result: xr.Dataset,
+    names: Sequence[str],
+    rate: str | xr.DataArray,
+    strain: str,
+    axis: str,
     given: Mapping[str, Any],
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
     setup = describe(ds).setup
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
-        lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))
+        lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(
+            component=list(setup.plane)
+        )
         first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
         stretch = xr.ufuncs.log(lengths / first)
-        total, axial = stretch.sum("component", skipna=False), stretch.sel(component=axis, drop=True)
+        total, axial = (
+            stretch.sum("component", skipna=False),
+            stretch.sel(component=axis, drop=True),
+        )
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
             attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
@@ -392,4 +470,6 @@ def _with_series(
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
     """Deviatoric strain rate from the rates of stretch along the axes."""
     deviator = rates - rates.mean("component")
-    return xr.ufuncs.sqrt((2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False))
+    return xr.ufuncs.sqrt(
+        (2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False)
+    )

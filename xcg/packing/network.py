@@ -74,7 +74,9 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
     from scipy.sparse import csr_array
 
     if weight is not None and weight not in get_args(EdgeWeight):
-        raise ValueError(f"weight={weight!r}: expected None, {', '.join(map(repr, get_args(EdgeWeight)))}")
+        raise ValueError(
+            f"weight={weight!r}: expected None, {', '.join(map(repr, get_args(EdgeWeight)))}"
+        )
     needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
     require_scene(ds, [*CONTACTS, *needed], "adjacency")
     frame, contacts = _step_at(ds, time, needed)
@@ -148,18 +150,26 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     frame, contacts = _step_at(ds, time, [*of_grains, "contact_force", "overlap"])
     pairs = _edges(frame, contacts, walls=walls)
     coords = step_at(ds, time, "time").coords
-    graph = nx.Graph(**{name: coords[name].values.item() for name in ("time", "step") if name in coords})
+    graph = nx.Graph(
+        **{name: coords[name].values.item() for name in ("time", "step") if name in coords}
+    )
     ids = np.concatenate([frame["particle_id"], pairs["walls"]]).tolist()
     columns = {name: _entries(frame[name]) for name in of_grains if name != "particle_id"}
     for row, node in enumerate(ids[: len(frame["particle_id"])]):
         graph.add_node(node, wall=False, **{name: values[row] for name, values in columns.items()})
     graph.add_nodes_from(pairs["walls"].tolist(), wall=True)
     given = {"force": "contact_force", "overlap": "overlap"}
-    names = [name for name in ("contacts", "force", "normal", "overlap") if given.get(name, "particle_id") in frame]
+    names = [
+        name
+        for name in ("contacts", "force", "normal", "overlap")
+        if given.get(name, "particle_id") in frame
+    ]
     attributes = {name: _entries(pairs[name]) for name in names}
     for row, (i, j) in enumerate(zip(pairs["i"], pairs["j"], strict=True)):
         one, other = ids[i], ids[j]
-        graph.add_edge(one, other, i=one, j=other, **{name: values[row] for name, values in attributes.items()})
+        graph.add_edge(
+            one, other, i=one, j=other, **{name: values[row] for name, values in attributes.items()}
+        )
     return graph
 
 
@@ -178,7 +188,9 @@ def _step_at(ds: xr.Dataset, time: int, names: Sequence[str]) -> tuple[Frame, Co
 def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     """Pairs in contact, each once: rows i < j, rows of walls after the grains', and sums over their contacts."""
     count = len(contacts.position)
-    key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)  # of the partner, where only one grain is there
+    key = np.where(
+        contacts.i < 0, contacts.key_i, contacts.key_j
+    )  # of the partner, where only one grain is there
     at_wall = walls & (key < 0) & (contacts.first_row >= 0)
     numbers, wall = np.unique(key[at_wall], return_inverse=True)
     rows = np.stack([contacts.i, contacts.j])
@@ -196,9 +208,14 @@ def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     overlap = np.full(len(i), -np.inf)
     np.maximum.at(overlap, pair, frame.get("overlap", np.zeros(len(key)))[kept])
     return {
-        "i": i, "j": j, "walls": numbers, "contacts": many, "force": force, "normal": unit_vectors(normal),
+        "i": i,
+        "j": j,
+        "walls": numbers,
+        "contacts": many,
+        "force": force,
+        "normal": unit_vectors(normal),
         "overlap": overlap,
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +240,9 @@ class Clusters:
         lattice, count = contacts.lattice, len(self.member)
         row_i, row_j = (np.where(known[row], row, -1) for row in (contacts.i, contacts.j))
         # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
-        crossed = np.rint(contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)).astype("int64")
+        crossed = np.rint(contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)).astype(
+            "int64"
+        )
         root, moved = np.arange(count), np.zeros((count, crossed.shape[1]), "int64")
         winds = np.zeros(moved.shape, bool)
         join_clusters(row_i, row_j, crossed, root, moved, winds)

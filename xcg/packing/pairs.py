@@ -43,7 +43,10 @@ def _cells_of_levels(
     for k in range(count):
         # a hair more than the reach, so that no rounding makes it span a cell more
         reach = (2 * largest[k] + skin + 2 * slack) * (1 + 1e-9)
-        held = members[k] * np.minimum(np.divide(reach, length, out=np.ones(3), where=length > 0), 1).prod()
+        held = (
+            members[k]
+            * np.minimum(np.divide(reach, length, out=np.ones(3), where=length > 0), 1).prod()
+        )
         edges = EDGES if held > CROWDED else LONG_EDGES
         reach = max(reach, _reach_for(length / edges, max(CELLS_A_PARTICLE * members[k], 64)))
         if reach > 0:
@@ -109,9 +112,16 @@ class CellLists:
 
     @classmethod
     def of(
-        cls, position: NDArray, radius: NDArray, corner: NDArray, period: NDArray, *, skin: float, levels: int | None,
+        cls,
+        position: NDArray,
+        radius: NDArray,
+        corner: NDArray,
+        period: NDArray,
+        *,
+        skin: float,
+        levels: int | None,
         threads: int = 1,
-    ) -> CellLists:  # fmt: skip
+    ) -> CellLists:
         """Sort particles into `levels` levels (None: as many as their sizes ask for)."""
         # a layer is sorted along y, so that runs of cells stay long
         axes = [2, 0, 1] if np.ptp(position[:, 2]) <= 2 * radius.max() + skin else [0, 1, 2]
@@ -119,7 +129,11 @@ class CellLists:
         level, largest, members = _by_size(radius, skin, levels)
         lower, upper = _extent(position, corner, period)
         # coordinates as large as these are rounded by no more than this, and so are their differences
-        slack = 16 * np.finfo(float).eps * float(max(np.abs(position).max(), np.abs(lower).max(), np.abs(upper).max()))
+        slack = (
+            16
+            * np.finfo(float).eps
+            * float(max(np.abs(position).max(), np.abs(lower).max(), np.abs(upper).max()))
+        )
         length = upper - lower
         cells = _cells_of_levels(largest, members, length, period, skin, slack)
         lower = np.broadcast_to(lower, cells.shape).copy()
@@ -131,9 +145,17 @@ class CellLists:
         def locate(first: int, last: int) -> None:
             some = slice(first, last)
             loops.locate(
-                position[some], level[some], corner, period, lower, inverse, cells, first_cell, wrapped[some],
+                position[some],
+                level[some],
+                corner,
+                period,
+                lower,
+                inverse,
+                cells,
+                first_cell,
+                wrapped[some],
                 cell[some],
-            )  # fmt: skip
+            )
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
@@ -149,17 +171,43 @@ class CellLists:
         first_record = np.concatenate([[0], np.cumsum(members)])
         fold = np.where(cells == 1, period, np.inf)
         return cls(
-            lower, inverse, cells, largest, fold, first_cell, records, row, first_record, starts, period, skin, slack
+            lower,
+            inverse,
+            cells,
+            largest,
+            fold,
+            first_cell,
+            records,
+            row,
+            first_record,
+            starts,
+            period,
+            skin,
+            slack,
         )
 
     def find(self, first: int, last: int, most: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of the records from `first` to `last`, of more than `most` only some, and the distances that took."""
         capacity = 4 * (last - first) + 64
         left, right, found, tested = loops.find(
-            first, last, self.records, self.first_record, self.first_cell, self.starts, self.lower, self.inverse,
-            self.cells, self.largest, self.period, self.fold, self.skin, self.slack, most,
-            np.empty(capacity, "int32"), np.empty(capacity, "int32"),
-        )  # fmt: skip
+            first,
+            last,
+            self.records,
+            self.first_record,
+            self.first_cell,
+            self.starts,
+            self.lower,
+            self.inverse,
+            self.cells,
+            self.largest,
+            self.period,
+            self.fold,
+            self.skin,
+            self.slack,
+            most,
+            np.empty(capacity, "int32"),
+            np.empty(capacity, "int32"),
+        )
         return left[:found], right[:found], tested
 
 
@@ -263,18 +311,34 @@ def find_pairs(
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
     arrays = domain_of(box, lattice, {}, periodic, 1)
-    images = Lattice.of({name: values[0] for name, values in arrays.items()}, periodic, "find_pairs")
-    return pairs_of(centres, radii, images, skin=skin, method=method, levels=levels, threads=threads, most=most)
+    images = Lattice.of(
+        {name: values[0] for name, values in arrays.items()}, periodic, "find_pairs"
+    )
+    return pairs_of(
+        centres, radii, images, skin=skin, method=method, levels=levels, threads=threads, most=most
+    )
 
 
 def pairs_of(
-    centres: NDArray, radii: NDArray, lattice: Lattice, *, skin: float, method: str, levels: int | None,
-    threads: int | None, most: int | None, source: str = "find_pairs",
-) -> NDArray:  # fmt: skip
+    centres: NDArray,
+    radii: NDArray,
+    lattice: Lattice,
+    *,
+    skin: float,
+    method: str,
+    levels: int | None,
+    threads: int | None,
+    most: int | None,
+    source: str = "find_pairs",
+) -> NDArray:
     """Find pairs of spheres in any box, see `find_pairs`."""
     if len(centres) < 2:
         return np.empty((0, 2), "int64")
-    corner = np.zeros(3) if lattice.edges is None else np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
+    corner = (
+        np.zeros(3)
+        if lattice.edges is None
+        else np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
+    )
     count, whose = len(centres), np.arange(len(centres))
     if lattice.vectors is not None:  # images near the box stand beside it as particles of their own
         centres, reach = lattice.wrapped(centres, corner, source), 2 * radii.max() + skin
@@ -285,7 +349,9 @@ def pairs_of(
         whose = np.concatenate([whose, row[others]])
     workers = threads or threads_for(len(centres), THREADS)
     levels = 1 if method == "linked-cell" else levels
-    lists = CellLists.of(centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers)
+    lists = CellLists.of(
+        centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
+    )
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
     counts = [0]
 
@@ -304,10 +370,16 @@ def pairs_of(
         )
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")
-    for_parts(len(centres), lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs), workers)
+    for_parts(
+        len(centres),
+        lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs),
+        workers,
+    )
     if lattice.vectors is None:
         return pairs
-    near = whose[pairs[pairs[:, 0] < count]]  # of two images that are near each other one is in the box
+    near = whose[
+        pairs[pairs[:, 0] < count]
+    ]  # of two images that are near each other one is in the box
     return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
 
 
@@ -337,7 +409,11 @@ def check_search(skin: float, method: str, levels: int | None, threads: int | No
     """Raise ValueError for invalid options of the search."""
     check_choice("method", method, PairMethod)
     if not (is_finite(skin) and skin >= 0):
-        raise ValueError(f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)")
+        raise ValueError(
+            f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
+        )
     for name, value in (("levels", levels), ("threads", threads)):
         if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
-            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen")
+            raise ValueError(
+                f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
+            )

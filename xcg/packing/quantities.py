@@ -90,7 +90,9 @@ def _force_pdf(force: str, s: Any) -> NDArray:
 
 
 def _force_count(force: str, s: Any) -> NDArray:
-    return np.histogram(ratio(getattr(s, force), _mean_force(force, s)), s.force_bins, weights=s.pushing)[0]
+    return np.histogram(
+        ratio(getattr(s, force), _mean_force(force, s)), s.force_bins, weights=s.pushing
+    )[0]
 
 
 def _fabric(s: Any) -> NDArray:
@@ -120,7 +122,11 @@ def _norm(tensor: NDArray) -> float:
 def _anisotropy(s: Any) -> float:
     fabric = _deviator(_plane(_fabric(s), s))
     # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in a plane
-    return np.sqrt(3 / 2) * 7.5 * _norm(fabric) if len(s.plane) == 3 else np.sqrt(0.5) * 4 * _norm(fabric)
+    return (
+        np.sqrt(3 / 2) * 7.5 * _norm(fabric)
+        if len(s.plane) == 3
+        else np.sqrt(0.5) * 4 * _norm(fabric)
+    )
 
 
 def _stress(s: Any) -> NDArray:
@@ -141,7 +147,9 @@ def _velocity_rate(s: Any) -> float:
     if len(x) <= len(s.plane):
         return np.nan
     away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
-    if not (np.isfinite(away).all() and np.isfinite(relative).all()):  # LAPACK would not come to an end
+    if not (
+        np.isfinite(away).all() and np.isfinite(relative).all()
+    ):  # LAPACK would not come to an end
         return np.nan
     gradient = np.linalg.lstsq(away, relative, rcond=None)[0].T
     rate = _deviator((gradient + gradient.T) / 2)
@@ -171,7 +179,9 @@ def _of_mixture(method: str, s: Any) -> float:
 
 def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
     compute = partial(_of_mixture, method)
-    return PackingQuantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
+    return PackingQuantity(
+        long_name, formula, compute, needs=("diameter", "volume"), of_phases=True
+    )
 
 
 def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
@@ -179,108 +189,179 @@ def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
     force, ratios = f"{kind}_force", f"{symbol} / <{symbol}>"
     return {
         f"mean_{force}": PackingQuantity(
-            f"mean {kind} force of contacts that push", f"<{symbol}>, f_c . n_c > 0", partial(_mean_force, force),
-            units="N", needs=FORCES,
+            f"mean {kind} force of contacts that push",
+            f"<{symbol}>, f_c . n_c > 0",
+            partial(_mean_force, force),
+            units="N",
+            needs=FORCES,
         ),
         f"{force}_pdf": PackingQuantity(
-            f"probability density of the {kind} force over its mean", f"p({ratios})", partial(_force_pdf, force),
-            dims=("force_ratio",), needs=FORCES,
+            f"probability density of the {kind} force over its mean",
+            f"p({ratios})",
+            partial(_force_pdf, force),
+            dims=("force_ratio",),
+            needs=FORCES,
         ),
         f"{force}_count": PackingQuantity(
-            f"number of contacts by {kind} force over its mean", f"N_c({ratios})", partial(_force_count, force),
-            dims=("force_ratio",), needs=FORCES,
+            f"number of contacts by {kind} force over its mean",
+            f"N_c({ratios})",
+            partial(_force_count, force),
+            dims=("force_ratio",),
+            needs=FORCES,
         ),
-    }  # fmt: skip
+    }
 
 
 QUANTITIES: dict[str, PackingQuantity] = {
     "particle_count": PackingQuantity("number of particles", "N", lambda s: s.count),
-    "contact_count": PackingQuantity("number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS),
+    "contact_count": PackingQuantity(
+        "number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS
+    ),
     "volume_fraction": PackingQuantity(
-        "packing fraction", "sum V_i / V", lambda s: ratio(s.volume.sum(), s.region_volume), needs=("volume",)
+        "packing fraction",
+        "sum V_i / V",
+        lambda s: ratio(s.volume.sum(), s.region_volume),
+        needs=("volume",),
     ),
     "coordination_number": PackingQuantity(
-        "coordination number", "Z = sum z_i / N", lambda s: ratio(s.partners.sum(), s.count), needs=CONTACTS
+        "coordination number",
+        "Z = sum z_i / N",
+        lambda s: ratio(s.partners.sum(), s.count),
+        needs=CONTACTS,
     ),
     "mechanical_coordination_number": PackingQuantity(
-        "mechanical coordination number", "Z_mech = sum z_i / N over z_i >= m", _mechanical, needs=CONTACTS
+        "mechanical coordination number",
+        "Z_mech = sum z_i / N over z_i >= m",
+        _mechanical,
+        needs=CONTACTS,
     ),
     "rattler_count": PackingQuantity(
         "number of rattlers", "N of z_i < D + 1", lambda s: s.count - s.held.sum(), needs=CONTACTS
     ),
     "non_rattler_fraction": PackingQuantity(
-        "fraction of particles that are no rattlers", "f_NR = 1 - rattlers / N",
-        lambda s: ratio(s.held.sum(), s.count), needs=CONTACTS,
+        "fraction of particles that are no rattlers",
+        "f_NR = 1 - rattlers / N",
+        lambda s: ratio(s.held.sum(), s.count),
+        needs=CONTACTS,
     ),
     "connectivity": PackingQuantity(
-        "fraction of particles by number of contact partners", "N(z_i = z) / N", _connectivity,
-        dims=("partners",), needs=CONTACTS,
+        "fraction of particles by number of contact partners",
+        "N(z_i = z) / N",
+        _connectivity,
+        dims=("partners",),
+        needs=CONTACTS,
     ),
     **_of_force("normal", "f_n"),
     **_of_force("tangential", "f_t"),
     "cluster_count": PackingQuantity(
-        "number of clusters of grains in contact, single grains included", "number of connected components",
-        lambda s: len(s.clusters.size), needs=CONTACTS,
+        "number of clusters of grains in contact, single grains included",
+        "number of connected components",
+        lambda s: len(s.clusters.size),
+        needs=CONTACTS,
     ),
     "largest_cluster": PackingQuantity(
-        "number of grains of the largest cluster", "s_max", lambda s: s.clusters.size.max(initial=0), needs=CONTACTS
+        "number of grains of the largest cluster",
+        "s_max",
+        lambda s: s.clusters.size.max(initial=0),
+        needs=CONTACTS,
     ),
     "largest_cluster_fraction": PackingQuantity(
-        "share of the grains that the largest cluster has", "s_max / N",
-        lambda s: ratio(s.clusters.size.max(initial=0), s.count), needs=CONTACTS,
+        "share of the grains that the largest cluster has",
+        "s_max / N",
+        lambda s: ratio(s.clusters.size.max(initial=0), s.count),
+        needs=CONTACTS,
     ),
     "percolation": PackingQuantity(
-        "1 along axes on which a cluster reaches through the box", "1 where a cluster winds or joins walls, else 0",
-        _percolation, dims=("component",), needs=CONTACTS,
+        "1 along axes on which a cluster reaches through the box",
+        "1 where a cluster winds or joins walls, else 0",
+        _percolation,
+        dims=("component",),
+        needs=CONTACTS,
     ),
     "fabric": PackingQuantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
     "fabric_anisotropy": PackingQuantity(
-        "anisotropy of the fabric", "sqrt(3/2 a:a), a = 15/2 dev F (2D: sqrt(a:a / 2), a = 4 dev F)", _anisotropy,
+        "anisotropy of the fabric",
+        "sqrt(3/2 a:a), a = 15/2 dev F (2D: sqrt(a:a / 2), a = 4 dev F)",
+        _anisotropy,
         needs=CONTACTS,
     ),
     "stress": PackingQuantity(
-        "contact stress, compression positive", "sum f_ij a_ij / V", _stress, units="Pa", dims=TENSOR, needs=FORCES
+        "contact stress, compression positive",
+        "sum f_ij a_ij / V",
+        _stress,
+        units="Pa",
+        dims=TENSOR,
+        needs=FORCES,
     ),
-    "mean_stress": PackingQuantity("mean stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES),
+    "mean_stress": PackingQuantity(
+        "mean stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES
+    ),
     "deviator_stress": PackingQuantity(
-        "deviator stress", "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))", _deviator_stress, units="Pa",
+        "deviator stress",
+        "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))",
+        _deviator_stress,
+        units="Pa",
         needs=FORCES,
     ),
     "stress_ratio": PackingQuantity(
-        "stress ratio", "eta = q / p'", lambda s: ratio(_deviator_stress(s), _mean_stress(s)), needs=FORCES
+        "stress ratio",
+        "eta = q / p'",
+        lambda s: ratio(_deviator_stress(s), _mean_stress(s)),
+        needs=FORCES,
     ),
     "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, units="m", needs=("diameter",)),
     "d50": PackingQuantity(
-        "diameter below which half of the volume lies", "d50", _d50, units="m", needs=("diameter", "volume")
+        "diameter below which half of the volume lies",
+        "d50",
+        _d50,
+        units="m",
+        needs=("diameter", "volume"),
     ),
     "d_bar": PackingQuantity(
-        "volume-weighted mean diameter of particles that bear load", "sum V_i d_i / sum V_i over z_i >= m", _d_bar,
-        units="m", needs=("diameter", "volume", *CONTACTS),
+        "volume-weighted mean diameter of particles that bear load",
+        "sum V_i d_i / sum V_i over z_i >= m",
+        _d_bar,
+        units="m",
+        needs=("diameter", "volume", *CONTACTS),
     ),
     "particle_density": PackingQuantity(
-        "density of the particles' material", "sum m_i / sum V_i", lambda s: ratio(s.mass.sum(), s.volume.sum()),
-        units="kg m^-3", needs=("mass", "volume"),
+        "density of the particles' material",
+        "sum m_i / sum V_i",
+        lambda s: ratio(s.mass.sum(), s.volume.sum()),
+        units="kg m^-3",
+        needs=("mass", "volume"),
     ),
     "strain_rate": PackingQuantity(
-        "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, units="s^-1",
+        "deviatoric strain rate",
+        "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))",
+        _velocity_rate,
+        units="s^-1",
         needs=("velocity",),
     ),
-    "lacey_index": _of_phases("lacey", "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)"),
+    "lacey_index": _of_phases(
+        "lacey", "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)"
+    ),
     "concentration_variance": _of_phases(
         "variance", "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W"
     ),
     "random_concentration_variance": _of_phases(
-        "random_variance", "mean variance of the concentration where phases are at random",
+        "random_variance",
+        "mean variance of the concentration where phases are at random",
         "S_r^2 = (K - 1) / (N - 1) N sum w_i^2 (a_i - p)^2 / W^2",
     ),
     "segregated_concentration_variance": _of_phases(
-        "segregated_variance", "variance of the concentration where phases are apart", "S_0^2 = p (1 - p)"
+        "segregated_variance",
+        "variance of the concentration where phases are apart",
+        "S_0^2 = p (1 - p)",
     ),
     "mixing_entropy": _of_phases(
-        "entropy", "entropy of the cells over that of the region", "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a"
+        "entropy",
+        "entropy of the cells over that of the region",
+        "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a",
     ),
     "nearest_neighbour_index": _of_phases(
-        "neighbour_index", "neighbours of another phase over their number where phases are at random",
+        "neighbour_index",
+        "neighbours of another phase over their number where phases are at random",
         "sum_i u_i / sum_i ((N - N_a) / (N - 1)), u_i the share of another phase",
     ),
-}  # fmt: skip
+}

@@ -83,16 +83,24 @@ class Measure:
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of one step of a quantity: region, phase, its own dimensions."""
         lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
-        return (len(self.regions), self.phases, *(lengths.get(dim, 3) for dim in QUANTITIES[name].dims))
+        return (
+            len(self.regions),
+            self.phases,
+            *(lengths.get(dim, 3) for dim in QUANTITIES[name].dims),
+        )
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Quantities of one chunk of time."""
-        out = {name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names}
+        out = {
+            name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names
+        }
         for t, step in enumerate(steps_in(arrays, self.setup.periodic)):
             self.measure(*step, {name: a[t] for name, a in out.items()})
         return out
 
-    def measure(self, frame: Frame, lattice: Lattice, source: str, out: Mapping[str, NDArray]) -> None:
+    def measure(
+        self, frame: Frame, lattice: Lattice, source: str, out: Mapping[str, NDArray]
+    ) -> None:
         """Write the quantities of one frame into arrays (region, phase, ...)."""
         frame = without_frozen(frame)
         contacts = Contacts.of(frame, lattice, source) if "contact_i" in frame else None
@@ -102,7 +110,9 @@ class Measure:
             position, inside = _images_in(bounds, frame["position"], lattice, source)
             volume, here = self._volume(bounds, lattice.edges), frame
             if "velocity" in frame:
-                here = frame | {"velocity": frame["velocity"] + lattice.drift(position - frame["position"])}
+                here = frame | {
+                    "velocity": frame["velocity"] + lattice.drift(position - frame["position"])
+                }
             mixture = self._mixture(bounds, lattice, frame, position, inside, phase, source)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
@@ -112,9 +122,15 @@ class Measure:
                     out[name][r, p] = QUANTITIES[name].compute(sample)
 
     def _mixture(
-        self, bounds: Bounds, lattice: Lattice, frame: Frame, position: NDArray, inside: NDArray, phase: NDArray,
+        self,
+        bounds: Bounds,
+        lattice: Lattice,
+        frame: Frame,
+        position: NDArray,
+        inside: NDArray,
+        phase: NDArray,
         source: str,
-    ) -> Mixture | None:  # fmt: skip
+    ) -> Mixture | None:
         """Grains of a region by phase, where quantities need them; without bounds or box it is as large as they are."""
         if not any(QUANTITIES[name].of_phases for name in self.names):
             return None
@@ -137,9 +153,15 @@ class Measure:
 
         d43 = float(ratio((size**4).sum(), (size**3).sum()))
         return Mixture(
-            x - lower, phase[inside], frame["volume"][inside] if self.by_volume else np.ones(len(x)), lengths,
-            whole, self.cell or CELL * d43, self.neighbours, None if lattice.vectors is None else images,
-        )  # fmt: skip
+            x - lower,
+            phase[inside],
+            frame["volume"][inside] if self.by_volume else np.ones(len(x)),
+            lengths,
+            whole,
+            self.cell or CELL * d43,
+            self.neighbours,
+            None if lattice.vectors is None else images,
+        )
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
         """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
@@ -151,7 +173,9 @@ class Measure:
         return float(np.prod(lengths)) * (self.depth if isinstance(self.depth, float) else 1.0)
 
 
-def _images_in(bounds: Bounds, position: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
+def _images_in(
+    bounds: Bounds, position: NDArray, lattice: Lattice, source: str
+) -> tuple[NDArray, NDArray]:
     """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
     corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
     first, inside = corner.copy(), np.ones(len(position), bool)
@@ -185,15 +209,22 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
         partners=contacts.partners,
         held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=contacts.normal_force,
-        tangential_force=np.where(tangential > _ROUNDING * np.linalg.norm(contacts.force, axis=1), tangential, 0.0),
+        tangential_force=np.where(
+            tangential > _ROUNDING * np.linalg.norm(contacts.force, axis=1), tangential, 0.0
+        ),
         virial=contacts.sum_over_particles(virial_i, virial_j),
     )
 
 
 def _sample(
-    measure: Measure, frame: Frame, position: NDArray, contacts: Contacts | None, shared: SimpleNamespace,
-    member: NDArray, volume: float,
-) -> SimpleNamespace:  # fmt: skip
+    measure: Measure,
+    frame: Frame,
+    position: NDArray,
+    contacts: Contacts | None,
+    shared: SimpleNamespace,
+    member: NDArray,
+    volume: float,
+) -> SimpleNamespace:
     """Particles and contacts of one group, as the functions of the quantities take them.
 
     A contact counts half for each of its particles in the group, and whole for a particle at a wall.
@@ -206,18 +237,27 @@ def _sample(
         min_contacts=measure.min_contacts,
         max_connectivity=measure.max_connectivity,
         force_bins=measure.force_bins,
-        **{name: frame[name][member] for name in ("diameter", "volume", "mass", "velocity") if name in frame},
+        **{
+            name: frame[name][member]
+            for name in ("diameter", "volume", "mass", "velocity")
+            if name in frame
+        },
     )
     if contacts is not None:
         known = np.append(member, False)  # row -1 is that of a partner that is not there
         side_i, side_j = known[contacts.i], known[contacts.j]
         sides = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
-        weight = np.divide(side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0)
+        weight = np.divide(
+            side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0
+        )
         here = weight > 0
         s.weight, s.normal = weight[here], contacts.normal[here]
         push = shared.normal_force[here] > 0
         s.pushing = s.weight[push]
-        s.normal_force, s.tangential_force = shared.normal_force[here][push], shared.tangential_force[here][push]
+        s.normal_force, s.tangential_force = (
+            shared.normal_force[here][push],
+            shared.tangential_force[here][push],
+        )
         s.clusters = Clusters(contacts, member)
         s.partners, s.held = shared.partners[member], shared.held[member]
         s.virial = shared.virial[member].sum(axis=0)
@@ -280,7 +320,9 @@ class Mixture:
     def shares(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return W_k / W (k,), c_ka (parts, k) and p_a (parts,)."""
         total = np.bincount(self.cells, self.weight)
-        parts = np.array([np.bincount(self.cells, self.weight * a) for a in members]).reshape(len(members), -1)
+        parts = np.array([np.bincount(self.cells, self.weight * a) for a in members]).reshape(
+            len(members), -1
+        )
         return total / total.sum(), parts / total, parts.sum(axis=1) / total.sum()
 
     def variance(self, which: int) -> float:
@@ -298,7 +340,9 @@ class Mixture:
         members, count = self.members(which), len(self.phase)
         weight, _, share = self.shares(members)
         spread = (self.weight * (members - share[:, None])) ** 2
-        return float(ratio(len(weight) - 1, count - 1) * count * spread.sum() / self.weight.sum() ** 2)
+        return float(
+            ratio(len(weight) - 1, count - 1) * count * spread.sum() / self.weight.sum() ** 2
+        )
 
     def lacey(self, which: int) -> float:
         """Return Lacey's index; NaN, with a warning, where no cell holds two grains and all arrangements are alike."""
@@ -316,7 +360,9 @@ class Mixture:
             return message + "the region holds too few grains for an index of mixing"
         while (replace(self, cell=edge).cells.max() + 1) * ENOUGH > count:
             edge = float(f"{1.3 * edge:.2g}")
-        return message + f"take cell={edge:g} or more, which holds at least {ENOUGH} grains on average"
+        return (
+            message + f"take cell={edge:g} or more, which holds at least {ENOUGH} grains on average"
+        )
 
     def entropy(self, which: int) -> float:
         """Return the mean entropy of the cells over that of the region: 0 apart, 1 the same in all cells."""
@@ -334,7 +380,9 @@ class Mixture:
         tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
         near = np.asarray(tree.query(self.position, count + 1)[1])
         own = near == np.arange(len(near))[:, None]
-        own[~own.any(axis=1), -1] = True  # coincident grains may push the grain itself out of the list
+        own[~own.any(axis=1), -1] = (
+            True  # coincident grains may push the grain itself out of the list
+        )
         return self._unlike_of(near[~own].reshape(len(near), count))
 
     def _unlike_of(self, others: NDArray) -> NDArray:
@@ -352,13 +400,19 @@ class Mixture:
 
 
 def _nearest(
-    position: NDArray, lengths: NDArray, count: int, images: Callable[[float], tuple[NDArray, NDArray]]
+    position: NDArray,
+    lengths: NDArray,
+    count: int,
+    images: Callable[[float], tuple[NDArray, NDArray]],
 ) -> NDArray:
     """Rows of the nearest others of each grain (n, count), each of them once, whichever image is the nearest."""
     from scipy.spatial import cKDTree
 
     own = np.arange(len(position))[:, None]
-    reach, looked_at = float((lengths.prod() * count / len(position)) ** (1 / len(lengths))), 2 * count + 2
+    reach, looked_at = (
+        float((lengths.prod() * count / len(position)) ** (1 / len(lengths))),
+        2 * count + 2,
+    )
     while True:
         rows, places = images(reach)
         looked_at = min(looked_at, len(rows))
@@ -369,7 +423,9 @@ def _nearest(
             fresh[:, k] &= (found[:, :k] != found[:, k, None]).all(axis=1)
         first = np.argsort(~fresh, axis=1, kind="stable")[:, :count]
         # images further away than these are not among those that were looked at
-        if (np.take_along_axis(fresh, first, 1) & (np.take_along_axis(distance, first, 1) <= reach)).all():
+        if (
+            np.take_along_axis(fresh, first, 1) & (np.take_along_axis(distance, first, 1) <= reach)
+        ).all():
             return np.take_along_axis(found, first, 1)
         reach, looked_at = 2 * reach, 2 * looked_at
 

@@ -56,12 +56,16 @@ class SceneBackend(BackendEntrypoint):
         """
         scene = open_scene(filename_or_obj, engine=reader, chunks=None, **options)
         for values in scene.variables.values():
-            values.encoding["preferred_chunks"] = {d: 1 if d == "time" else n for d, n in values.sizes.items()}
+            values.encoding["preferred_chunks"] = {
+                d: 1 if d == "time" else n for d, n in values.sizes.items()
+            }
         names = [drop_variables] if isinstance(drop_variables, str) else drop_variables or []
         return scene.drop_vars(names, errors="ignore")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Return whether an engine recognises a file by its content."""
-        if not isinstance(filename_or_obj, (str, os.PathLike)) or not os.path.isfile(filename_or_obj):
+        if not isinstance(filename_or_obj, (str, os.PathLike)) or not os.path.isfile(
+            filename_or_obj
+        ):
             return False
         return is_recognised(os.fspath(filename_or_obj))

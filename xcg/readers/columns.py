@@ -46,7 +46,10 @@ PARTICLE_SLOTS: Slots = {
     "volume": ("volume",),
     "moment_of_inertia": (),
     # of LAMMPS' compute property/atom, and of LIGGGHTS
-    **{f"quat_{k}": names for k, *names in zip("wxyz", _QUATERNION, ("quat1", "quat2", "quat3", "quat4"), strict=True)},
+    **{
+        f"quat_{k}": names
+        for k, *names in zip("wxyz", _QUATERNION, ("quat1", "quat2", "quat3", "quat4"), strict=True)
+    },
     **_vector("half_axis"),
     **_vector("whole_axis", "shape?"),
     "exponent_1": ("block1", "blockiness1"),
@@ -100,14 +103,25 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
             if native := [name for name, columns in slots.items() if slot in columns]:
-                raise SceneError(f"names={{{column!r}: {slot!r}}}: that is a column; its variable is {native[0]!r}")
-            prefix = "contact_" if slot.startswith("contact_") else ""  # which all slots of contacts share
+                raise SceneError(
+                    f"names={{{column!r}: {slot!r}}}: that is a column; its variable is {native[0]!r}"
+                )
+            prefix = (
+                "contact_" if slot.startswith("contact_") else ""
+            )  # which all slots of contacts share
             alike = [word.removeprefix(prefix) for word in slots if word.startswith(prefix)]
-            close = [prefix + word for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)]
+            close = [
+                prefix + word
+                for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)
+            ]
             if close:
-                raise SceneError(f"names={{{column!r}: {slot!r}}}: did you mean {' or '.join(map(repr, close))}?")
+                raise SceneError(
+                    f"names={{{column!r}: {slot!r}}}: did you mean {' or '.join(map(repr, close))}?"
+                )
     mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
-    displaced = tuple(rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine))
+    displaced = tuple(
+        rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine)
+    )
     free = [column for column in ref.columns if column not in given]
     filled = {}
     for slot, candidates in slots.items():
@@ -127,7 +141,9 @@ def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
         f"for example names={{{likely!r}: {slot!r}}}"
     )
     if slot in CONTACT_SLOTS and any(map(_RAW.fullmatch, ref.columns)):
-        rows = "".join(f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES)
+        rows = "".join(
+            f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
+        )
         msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
     return SceneError(msg)
 
@@ -146,7 +162,11 @@ def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptio
 
     Where that force lies along all branches, they may hold its tangential part.
     """
-    left = [name for name in ref.columns if _RAW.fullmatch(name) and name not in (*filled.values(), *options.names)]
+    left = [
+        name
+        for name in ref.columns
+        if _RAW.fullmatch(name) and name not in (*filled.values(), *options.names)
+    ]
     if "contact_force_x" not in filled or len(left) < len(COMPONENTS):
         return ""
     mapping = f"{{{filled['contact_force_x']!r}: 'normal_force_x', {left[-3]!r}: 'tangential_force_x', ...}}"
@@ -160,7 +180,10 @@ def _axes(filled: Iterable[str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
-_SIZES = (("diameter", "radius", 2.0), *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS))
+_SIZES = (
+    ("diameter", "radius", 2.0),
+    *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS),
+)
 _ROUNDED = 1e-4  # dumps of LAMMPS have six digits
 
 
@@ -171,7 +194,10 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
             continue
         values = factor * frame.pop(other)
         there = frame.setdefault(name, values)
-        if there is not values and not (same := np.isclose(there, values, _ROUNDED, 0, equal_nan=True)).all():
+        if (
+            there is not values
+            and not (same := np.isclose(there, values, _ROUNDED, 0, equal_nan=True)).all()
+        ):
             row = int(np.argmin(same))
             raise SceneError(
                 f"{source_of(ref)}: {name} {there[row]:.6g} of row {row} is not {factor:g} times {other} "
@@ -190,11 +216,21 @@ def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 
 
-def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions) -> None:
+def warn_of_ignored(
+    ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions
+) -> None:
     """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
-    known = {*filled.values(), *options.names, *(column for columns in slots.values() for column in columns)}
+    known = {
+        *filled.values(),
+        *options.names,
+        *(column for columns in slots.values() for column in columns),
+    }
     known.update(*columns_of_walls(options).values())
-    arrays = {column.removesuffix("[1]") for column in ref.columns if slots is PARTICLE_SLOTS and column[:2] == "f_"}
+    arrays = {
+        column.removesuffix("[1]")
+        for column in ref.columns
+        if slots is PARTICLE_SLOTS and column[:2] == "f_"
+    }
     for array in sorted(arrays):
         numbered = [f"{array}[{k}]" for k in range(1, _WALL_ARRAY + 1)]
         if set(numbered) <= set(ref.columns) - known:
@@ -207,7 +243,11 @@ def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, optio
     ignored = [column for column in ref.columns if column not in known and _SUSPECT.search(column)]
     if ignored:
         first = ignored[0]
-        target = "contact_force_x" if slots is CONTACT_SLOTS else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
+        target = (
+            "contact_force_x"
+            if slots is CONTACT_SLOTS
+            else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
+        )
         warn_user(
             f"{source_of(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not "
             f"read; map them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. "
@@ -227,7 +267,9 @@ WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
 def columns_of_walls(options: ReadOptions) -> dict[str, list[str]]:
     """Columns that the contacts with each wall have among those of particles: the whole array, or the six given."""
     return {
-        wall: [given.replace("*", str(k + 1)) for k in range(_WALL_ARRAY)] if isinstance(given, str) else list(given)
+        wall: [given.replace("*", str(k + 1)) for k in range(_WALL_ARRAY)]
+        if isinstance(given, str)
+        else list(given)
         for wall, given in options.walls.items()
     }
 
@@ -245,7 +287,9 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
         found[wall] = found[wall][_FORCE_AND_POINT] if isinstance(given, str) else found[wall]
         lacking = [column for column in found[wall] if column not in ref.columns]
         if (isinstance(given, str) and "*" not in given) or len(found[wall]) != 6 or lacking:
-            there = f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
+            there = (
+                f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
+            )
             raise SceneError(
                 f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
                 f"contacts', such as 'f_{wall}[*]', or names of six columns, force and point{there}"
@@ -262,7 +306,14 @@ def wall_contacts_from(ref: StepRef, options: ReadOptions, engine: Columnar) -> 
     for number, six in enumerate(walls.values()):
         values = np.stack([table[column] for column in six], axis=1)
         row = np.flatnonzero((values != 0).any(axis=1))
-        parts.append((table[name][row], np.full(len(row), FIRST_WALL - number), values[row, :3], values[row, 3:]))
+        parts.append(
+            (
+                table[name][row],
+                np.full(len(row), FIRST_WALL - number),
+                values[row, :3],
+                values[row, 3:],
+            )
+        )
     return dict(zip(WALL_CONTACTS, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
 
@@ -272,7 +323,10 @@ def _own(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
     return {
         slot: column
         for column, slot in options.names.items()
-        if slot is not None and column in ref.columns and slot not in known and variable(slot).dims == (dim,)
+        if slot is not None
+        and column in ref.columns
+        and slot not in known
+        and variable(slot).dims == (dim,)
     }
 
 
@@ -292,7 +346,9 @@ class Columnar(Engine):
     NEEDS_ID: ClassVar[bool] = True
 
     @abstractmethod
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps in files with particles or contacts, from headers alone."""
 
     def read_columns(
@@ -304,13 +360,17 @@ class Columnar(Engine):
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
         refs = self.list_steps(paths, options, contacts=False)
-        warn_of_ignored(refs[0], self.particle_columns(refs[0], options), self.PARTICLE_SLOTS, options)
+        warn_of_ignored(
+            refs[0], self.particle_columns(refs[0], options), self.PARTICLE_SLOTS, options
+        )
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of contacts, and warn of columns that are probably not ignored on purpose."""
         refs = self.list_steps(paths, options, contacts=True)
-        warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
+        warn_of_ignored(
+            refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options
+        )
         return refs
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
@@ -330,11 +390,16 @@ class Columnar(Engine):
                 raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
         unwanted = options.unwanted
         turning = _axes(filled, "angular_velocity")
-        if 0 < len(turning) < 3 and turning != ["z"]:  # in a plane, grains turn about its normal alone
+        if 0 < len(turning) < 3 and turning != [
+            "z"
+        ]:  # in a plane, grains turn about its normal alone
             axis = next(axis for axis in COMPONENTS if axis not in turning)
             if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
                 raise _lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
-            unwanted = (*unwanted, "angular_velocity")  # the file's column was mapped to something else
+            unwanted = (
+                *unwanted,
+                "angular_velocity",
+            )  # the file's column was mapped to something else
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | _own(ref, options, "particle")
 
@@ -353,8 +418,14 @@ class Columnar(Engine):
         for slot in ("contact_i", "contact_j"):
             if slot not in filled:
                 raise _lacks(ref, "ids of both partners", slot)
-        if len(_axes(filled, "contact_branch")) < 3:  # a hint: without all of it, images follow from positions
-            filled = {slot: column for slot, column in filled.items() if not slot.startswith("contact_branch")}
+        if (
+            len(_axes(filled, "contact_branch")) < 3
+        ):  # a hint: without all of it, images follow from positions
+            filled = {
+                slot: column
+                for slot, column in filled.items()
+                if not slot.startswith("contact_branch")
+            }
         there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
         for slot, axes in there.items():
             if 0 < len(axes) < 3:
@@ -369,21 +440,29 @@ class Columnar(Engine):
                 f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
                 f"names={{'{part}': None, ...}} to take the first alone"
             )
-        unused = ("normal_force", "tangential_force") if there["contact_force"] else ("contact_force",)
+        unused = (
+            ("normal_force", "tangential_force") if there["contact_force"] else ("contact_force",)
+        )
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unused)}
         return read | _own(ref, options, "contact")
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that follow from what `read_contacts` returns."""
         columns = self.contact_columns(ref, options)
-        scalars = [slot for slot in columns if slot in _CONTACT_SCALARS or slot not in CONTACT_SLOTS]
+        scalars = [
+            slot for slot in columns if slot in _CONTACT_SCALARS or slot not in CONTACT_SLOTS
+        ]
         normal = "contact_normal_x" in columns or "end_i_x" in columns
         point = ["contact_point"] if "contact_point_x" in columns else []
         return [*scalars, "contact_force", *point, *(["contact_normal"] if normal else [])]
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
         """Columns of a step that are not read."""
-        read = self.contact_columns(ref, options) if contacts else self.particle_columns(ref, options)
+        read = (
+            self.contact_columns(ref, options) if contacts else self.particle_columns(ref, options)
+        )
         return [column for column in ref.columns if column not in read.values()]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -402,10 +481,10 @@ class Columnar(Engine):
                     if other == axis or not vector[k]:
                         continue
                     if f"scaled_{other}" not in values:
-                        what = (
-                            f"the box is tilted, so {axis} follows from {axis}s and {other}s, and {other}s is missing"
+                        raise SceneError(
+                            f"{source_of(ref)}: the box is tilted, so {axis} follows from {axis}s and "
+                            f"{other}s, and {other}s is missing; dump xs ys zs, or x y z"
                         )
-                        raise SceneError(f"{source_of(ref)}: {what}; dump xs ys zs, or x y z")
                     values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
         vectors = ("position", "velocity", "angular_velocity")
@@ -420,11 +499,19 @@ class Columnar(Engine):
         columns = self.contact_columns(ref, options)
         table = self.read_columns(ref, columns.values(), ref.rows, options)
         values = {slot: table[column] for slot, column in columns.items()}
-        frame: Frame = {s: v for s, v in values.items() if s in _CONTACT_SCALARS or s not in CONTACT_SLOTS}
-        frame |= {slot: _stacked(values, slot) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
+        frame: Frame = {
+            s: v for s, v in values.items() if s in _CONTACT_SCALARS or s not in CONTACT_SLOTS
+        }
+        frame |= {
+            slot: _stacked(values, slot) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns
+        }
         if "contact_force" not in frame:
-            frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
-        if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
+            frame["contact_force"] = frame.pop("normal_force") + frame.pop(
+                "tangential_force", np.zeros(3)
+            )
+        if (
+            "end_i" in frame
+        ):  # wrapped positions: the nearest image is taken where the periods are known
             frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
         large = frame["contact_i"][frame["contact_i"] >= 1e6]
         if len(large) > 10 and (large % 10 == 0).all():

@@ -87,7 +87,9 @@ class StepRef:
         """Make tuples of lists and arrays, as steps are hashed."""
         for name in ("box", "lattice", "gravity", "columns"):
             value = getattr(self, name)
-            if value is not None and not (type(value) is tuple and all(type(v) is not list for v in value)):
+            if value is not None and not (
+                type(value) is tuple and all(type(v) is not list for v in value)
+            ):
                 object.__setattr__(self, name, _tuples(np.asarray(value).tolist()))
 
 
@@ -209,7 +211,9 @@ class Engine(ABC):
 
     def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps in files with contacts with walls, where these are kept apart; `read_contacts` reads them."""
-        raise SceneError(f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts=")
+        raise SceneError(
+            f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts="
+        )
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls that are columns of a step of particles, for `read_contacts`."""
@@ -245,7 +249,9 @@ class Engine(ABC):
         """Length of the period along some axes from the contacts of a step, where files lack it."""
         return {}
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> Sequence[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> Sequence[str]:
         """Columns of a step that are not read, for what a scene says of itself; none by default."""
         return ()
 
@@ -302,14 +308,20 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
         try:
             given = table[engine].load()
         except (ImportError, AttributeError) as error:
-            raise SceneError(f"the engine {engine!r} ({table[engine].value}) cannot be imported: {error}") from error
+            raise SceneError(
+                f"the engine {engine!r} ({table[engine].value}) cannot be imported: {error}"
+            ) from error
     if isinstance(given, type) and issubclass(given, Engine):
         try:
             return given()
         except TypeError as error:
-            raise SceneError(f"engine={engine!r}: no object can be made of it without arguments ({error})") from None
+            raise SceneError(
+                f"engine={engine!r}: no object can be made of it without arguments ({error})"
+            ) from None
     if not isinstance(given, Engine):
-        raise SceneError(f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine")
+        raise SceneError(
+            f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
+        )
     return given
 
 
@@ -322,7 +334,9 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
         if all(engine.recognises(path) for path in firsts):
             return engine
     if empty := [path for path in firsts if not os.path.getsize(path)]:
-        raise SceneError(f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')")
+        raise SceneError(
+            f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')"
+        )
     raise SceneError(
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
         "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"

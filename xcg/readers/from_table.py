@@ -24,7 +24,11 @@ from xcg.scene.schema import Frame
 
 
 def scene_from_table(
-    particles: Any, *, contacts: Any = None, names: Mapping[str, str | None] | None = None, **options: Any
+    particles: Any,
+    *,
+    contacts: Any = None,
+    names: Mapping[str, str | None] | None = None,
+    **options: Any,
 ) -> xr.Dataset:
     """Build a scene from tables in memory, as pandas has them.
 
@@ -75,7 +79,10 @@ def scene_from_table(
         periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
         if periodic and options.get("box") is not None:
             boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
-            lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
+            lattices = [
+                Lattice.of({name: v[t] for name, v in boxes.items()}, periodic)
+                for t in range(len(steps))
+            ]
         tables["contacts"] = rows = _with_vectors(
             _table(contacts), grains, said, dict(zip(steps, lattices, strict=True))
         )
@@ -93,13 +100,20 @@ def scene_from_table(
             )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
-    twice = [name for name, value in options.items() if name in given and value is not None and name != "density"]
+    twice = [
+        name
+        for name, value in options.items()
+        if name in given and value is not None and name != "density"
+    ]
     if twice:
         raise SceneError(
             f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
             "names={'column': None}"
         )
-    refs = {what: [StepRef(what, len(table), columns=tuple(table.columns))] for what, table in tables.items()}
+    refs = {
+        what: [StepRef(what, len(table), columns=tuple(table.columns))]
+        for what, table in tables.items()
+    }
     ignored = printable(ignored_columns(Table(), refs, said))
     scene = scene_from_arrays(**(options | given))
     return scene.assign_attrs(ignored_columns=ignored) if ignored else scene
@@ -116,9 +130,13 @@ def _with_vectors(
     The line of centres leads to the nearest image in the lattice of the step.
     """
     magnitudes = ("normal_force", "tangential_force")
-    table = contacts.rename(columns={column: name for column, name in options.names.items() if name in magnitudes})
+    table = contacts.rename(
+        columns={column: name for column, name in options.names.items() if name in magnitudes}
+    )
     ref = StepRef("contacts", len(table), columns=tuple(table.columns))
-    ends = columns.assign(ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
+    ends = columns.assign(
+        ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options
+    )
     if "normal_force" not in table or len(ends) < 2:
         return contacts
     walls = _numbers(table, ends["contact_j"], "contacts") < 0
@@ -130,16 +148,22 @@ def _with_vectors(
         table = table[~walls]
     ids_i, ids_j = (_numbers(table, ends[end], "contacts") for end in ("contact_i", "contact_j"))
     clock = clock_of(tuple(table.columns), options.names)
-    keys = _numbers(table, next(iter(clock.values())), "contacts") if clock else np.zeros(len(table))
+    keys = (
+        _numbers(table, next(iter(clock.values())), "contacts") if clock else np.zeros(len(table))
+    )
     apart = np.zeros((len(table), 3))
     for key, (_, frame) in grains.items():
         rows, position = np.flatnonzero(keys == key), frame["position"]
         ids = frame.get("particle_id", np.arange(len(position)))
         unknown = np.setdiff1d(np.concatenate([ids_i[rows], ids_j[rows]]), ids)
         if unknown.size:
-            raise SceneError(f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it")
+            raise SceneError(
+                f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it"
+            )
         order = np.argsort(ids)
-        i, j = (order[rows_of(ids[order].astype(int), end[rows].astype(int))] for end in (ids_i, ids_j))
+        i, j = (
+            order[rows_of(ids[order].astype(int), end[rows].astype(int))] for end in (ids_i, ids_j)
+        )
         apart[rows, :2] = lattices[key].shortest(position[i] - position[j])[:, :2]
     x, y, _ = unit_vectors(apart).T
     along = _numbers(table, "normal_force", "contacts")
@@ -174,10 +198,14 @@ def _frames(
         runs_of({word: values[order] for word, values in rows.items()}, len(data), what)
         runs = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
     for k, chosen in enumerate(runs):
-        told = {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
+        told = (
+            {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
+        )
         ref = StepRef(what, len(chosen), step=int(told.get("step", k)), columns=tuple(data.columns))
         engine = _InMemory(data.iloc[chosen])
-        frame = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+        frame = (
+            engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+        )
         found[next(iter(told.values()), 0.0)] = told, frame
     return found
 
@@ -199,4 +227,6 @@ def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:
     try:
         return data[name].to_numpy(dtype="float64", na_value=np.nan)
     except (TypeError, ValueError) as error:
-        raise SceneError(f"{what}: column {name!r} holds other things than numbers ({error})") from None
+        raise SceneError(
+            f"{what}: column {name!r} holds other things than numbers ({error})"
+        ) from None

@@ -34,10 +34,15 @@ from xcg.scene.schema import ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
 from xcg.steps.mapping import picked
 
-Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
+Chunks: TypeAlias = (
+    int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
+)
 
 _TASK = 0.1  # seconds of work that make the scheduling of a task, and the writing of a chunk, small beside it
-_BYTE, _ROW = 1e-8, 1e-6  # seconds to parse a byte of text, and to compute fields of a particle or contact
+_BYTE, _ROW = (
+    1e-8,
+    1e-6,
+)  # seconds to parse a byte of text, and to compute fields of a particle or contact
 _EXPECTED = (
     "expected the number of steps in a chunk, -1 for all, 'auto', None for no dask, or such as {'time': 10}, as the "
     "rows of a step stay together"
@@ -65,7 +70,9 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
         raise SceneError(msg)
     if np.ndim(chunks):
         if (sizes < 1).any() or sizes.sum() != count:
-            raise SceneError(f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps")
+            raise SceneError(
+                f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps"
+            )
         return tuple(sizes.tolist())
     size = max(1, count) if sizes[0] == -1 else int(sizes[0])
     if size < 1:
@@ -79,7 +86,9 @@ def _sensible(series: Series) -> int:
     shared = Counter(ref.path for ref in refs)
     # bytes of a body, from its header, else its share of the file
     read = sum(ref.length or ref.size / shared[ref.path] for ref in refs) / len(series.steps)
-    held: int = sum(math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values())
+    held: int = sum(
+        math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values()
+    )
     rows = sum(ref.rows for ref in refs) / len(series.steps)
     return steps_in_a_task(rows, held, read * _BYTE)
 
@@ -99,28 +108,41 @@ class Step:
     time: float | None = None
 
 
-def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False) -> Frame:
+def read_step(
+    engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False
+) -> Frame:
     """Parse one body in the file's units."""
     if ref.size:
         _check_unchanged(ref)
     try:
-        found = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+        found = (
+            engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+        )
     except SceneError:
         raise
     except ValueError as error:  # of engines of users, such as NumPy's for texts
-        raise SceneError(f"{source_of(ref)}: the engine {engine.name!r} cannot read it: {error}") from error
+        raise SceneError(
+            f"{source_of(ref)}: the engine {engine.name!r} cannot read it: {error}"
+        ) from error
     if not isinstance(found, Mapping):
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives {'contacts' if contacts else 'particles'} as "
             f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
         )
     try:  # engines of users give lists and tables, too; masked arrays stay so, to be refused
-        frame = {str(name): found[name] if name in HINTS else np.asanyarray(found[name]) for name in found}
+        frame = {
+            str(name): found[name] if name in HINTS else np.asanyarray(found[name])
+            for name in found
+        }
     except ValueError as error:
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
         ) from None
-    wide = [name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and values.ndim > 1]
+    wide = [
+        name
+        for name, values in frame.items()
+        if name not in {*VARIABLES, *HINTS} and values.ndim > 1
+    ]
     if wide:  # lazy arrays of own variables have the shape of one number a row
         raise SceneError(
             f"{source_of(ref)}: {wide[0]!r} has shape {frame[wide[0]].shape}, expected one number a row; leave it out "
@@ -141,7 +163,11 @@ def _check_unchanged(ref: StepRef) -> None:
     else:
         if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
             return
-        now = f"has {state.st_size} bytes, but had {ref.size}" if state.st_size != ref.size else "was written again"
+        now = (
+            f"has {state.st_size} bytes, but had {ref.size}"
+            if state.st_size != ref.size
+            else "was written again"
+        )
     raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
@@ -174,11 +200,15 @@ class Source:
         """Check and complete the particles of one step."""
         if self.frozen is not None:
             if "species" not in frame:
-                raise SceneError(f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none")
+                raise SceneError(
+                    f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
+                )
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
         return complete_particles(frame, self.setup, source_of(ref))
 
-    def contacts(self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame) -> Frame:
+    def contacts(
+        self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame
+    ) -> Frame:
         """Read, check and complete the contacts of one step, from all its files."""
         parts = []
         for ref in refs:
@@ -189,7 +219,14 @@ class Source:
                 with self.once.active():
                     check_ends(raw, scaled, lattice.scaled(self.setup.scales[0]), source_of(ref))
             parts.append(
-                complete_contacts(raw, particles, lattice, self.setup, source_of(ref), allow_unknown=self.allow_unknown)
+                complete_contacts(
+                    raw,
+                    particles,
+                    lattice,
+                    self.setup,
+                    source_of(ref),
+                    allow_unknown=self.allow_unknown,
+                )
             )
             _require(parts[-1], names, ref)
             unread = self.engine.unread_forces(ref, self.options)
@@ -208,7 +245,9 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
     """Raise SceneError for a frame that lacks variables of other steps, or has more rows than its header promised."""
     rows = len(next(iter(frame.values())))
     if rows > ref.rows:
-        raise SceneError(f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most")
+        raise SceneError(
+            f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most"
+        )
     lacking = [name for name in names if name not in frame]
     if lacking:
         raise SceneError(
@@ -216,7 +255,9 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
         )
 
 
-def _chunk(steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], rows: int) -> Frame:
+def _chunk(
+    steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], rows: int
+) -> Frame:
     """Frames of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
     frames = []
     for t, step in enumerate(steps):
@@ -234,11 +275,15 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
     return {name: np.empty(variable(name, dtype).shape(0), dtype) for name, dtype in types.items()}
 
 
-def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
+def read_particle_chunk(
+    source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int
+) -> Frame:
     """Particles of the steps of a chunk, padded."""
 
     def read(_: int, step: Step) -> Frame:
-        frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
+        frame = source.complete(
+            read_step(source.engine, source.options, step.particles), step.particles
+        )
         _require(frame, list(types), step.particles)
         return frame
 
@@ -246,7 +291,12 @@ def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[st
 
 
 def read_contact_chunk(
-    source: Source, steps: Sequence[Step], names: Sequence[str], rows: int, boxes: Frame, particles: Frame
+    source: Source,
+    steps: Sequence[Step],
+    names: Sequence[str],
+    rows: int,
+    boxes: Frame,
+    particles: Frame,
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
 
@@ -287,15 +337,22 @@ class Series:
         particle_rows, contact_rows = self.rows()
         rows = {name: (dtype, particle_rows) for name, dtype in self.particle_types.items()}
         rows |= {name: (variable(name).dtype, contact_rows) for name in self.contact_names}
-        return {name: (dtype, (len(self.steps), *variable(name, dtype).shape(n))) for name, (dtype, n) in rows.items()}
+        return {
+            name: (dtype, (len(self.steps), *variable(name, dtype).shape(n)))
+            for name, (dtype, n) in rows.items()
+        }
 
     def token(self) -> str:
         """Token of a series, from the files and options that it reads."""
-        paths = sorted({ref.path for step in self.steps for ref in (step.particles, *step.contacts)})
+        paths = sorted(
+            {ref.path for step in self.steps for ref in (step.particles, *step.contacts)}
+        )
         modified = [os.stat(path).st_mtime_ns for path in paths]
         # as text, which dask digests ten times as fast as thousands of objects
         steps = repr(self.steps)
-        return tokenize(self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names)
+        return tokenize(
+            self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names
+        )
 
 
 def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
@@ -315,7 +372,11 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     for kind, wanted in kinds.items():
         layer, tasks = f"read-{kind}-{token}", dict[Any, Any]()
         types = {name: particle_types[name] for name in wanted}
-        reader = source.reading(unwanted=ROTATION) if kind == "particles" and kinds["rotation"] else source
+        reader = (
+            source.reading(unwanted=ROTATION)
+            if kind == "particles" and kinds["rotation"]
+            else source
+        )
         for k, part in enumerate(parts):
             tasks[layer, k] = (partial(read_particle_chunk, reader, steps[part], types, rows),)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
@@ -324,9 +385,13 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         particles, layer, tasks = layer, f"read-contacts-{token}", {}
         for k, part in enumerate(parts):
             edges = {name: values[part] for name, values in boxes.items()}
-            task = partial(read_contact_chunk, source, steps[part], series.contact_names, contact_rows, edges)
+            task = partial(
+                read_contact_chunk, source, steps[part], series.contact_names, contact_rows, edges
+            )
             tasks[layer, k] = (task, (particles, k))
-        graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
+        graph = HighLevelGraph(
+            {**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}}
+        )
         graphs |= dict.fromkeys(series.contact_names, (graph, layer))
     return {
         name: picked(*graphs[name], name, f"{name}-{token}", sizes, shape[1:], dtype)
@@ -342,10 +407,14 @@ _lock = threading.Lock()
 
 def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
     """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
-    series = replace(series, source=series.source.reading(alone=len(series.steps) == 1))  # dask may wrap the arrays
+    series = replace(
+        series, source=series.source.reading(alone=len(series.steps) == 1)
+    )  # dask may wrap the arrays
     token = series.token()
     return {
-        name: indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_Variable(series, token, name, *array)))
+        name: indexing.MemoryCachedArray(
+            indexing.LazilyIndexedArray(_Variable(series, token, name, *array))
+        )
         for name, array in series.arrays().items()
     }
 
@@ -353,18 +422,32 @@ def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
 class _Variable(BackendArray):
     """Variable of all steps."""
 
-    def __init__(self, series: Series, token: str, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
-        self.series, self.token, self.name, self.dtype, self.shape = series, token, name, np.dtype(dtype), shape
+    def __init__(
+        self, series: Series, token: str, name: str, dtype: DTypeLike, shape: tuple[int, ...]
+    ) -> None:
+        self.series, self.token, self.name, self.dtype, self.shape = (
+            series,
+            token,
+            name,
+            np.dtype(dtype),
+            shape,
+        )
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._values)
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._values
+        )
 
     def _values(self, key: tuple[Any, ...]) -> NDArray:
         wanted = np.arange(self.shape[0])[key[0]]
         parts = [self._step(int(t))[key[1:]] for t in np.atleast_1d(wanted)]
         if wanted.ndim == 0:
             return parts[0].copy()
-        return np.stack(parts) if parts else np.empty((0, *np.empty(self.shape[1:], self.dtype)[key[1:]].shape))
+        return (
+            np.stack(parts)
+            if parts
+            else np.empty((0, *np.empty(self.shape[1:], self.dtype)[key[1:]].shape))
+        )
 
     def _step(self, t: int) -> NDArray:
         series, steps, rows = self.series, self.series.steps[t : t + 1], self.series.rows()
@@ -375,7 +458,9 @@ class _Variable(BackendArray):
         def contacts() -> Frame:
             boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
             beside = _kept((self.token, t, "particles"), particles)
-            return read_contact_chunk(series.source, steps, series.contact_names, rows[1], boxes, beside)
+            return read_contact_chunk(
+                series.source, steps, series.contact_names, rows[1], boxes, beside
+            )
 
         read = particles if self.name in series.particle_types else contacts
         return _kept((self.token, t, read.__name__), read)[self.name][0]

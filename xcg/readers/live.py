@@ -23,7 +23,9 @@ from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS
 
 _ATOM, _LOCAL = 1, 2  # styles, and
-_ARRAY = 2  # type of data, as the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY
+_ARRAY = (
+    2  # type of data, as the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY
+)
 _PAIR, _IDS = "xcg_pair", "xcg_ids"
 _BRANCH, _NORMAL, _TANGENTIAL = ("dx", "dy", "dz"), ("fx", "fy", "fz"), ("p1", "p2", "p3")
 _PARTNERS = ("patom1", "patom2")
@@ -103,13 +105,20 @@ def scene_from_lammps(
     with _computes(lmp) if contacts is True else nullcontext(contacts or {}) as columns:
         arrays = _atoms(lmp)
         parts = [_pairs(lmp, columns, arrays)] if columns else []
-        parts += [_wall(lmp, fix, number, arrays["particle_id"]) for number, fix in enumerate(walls.values())]
+        parts += [
+            _wall(lmp, fix, number, arrays["particle_id"])
+            for number, fix in enumerate(walls.values())
+        ]
         if parts:
-            arrays |= {name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS}
+            arrays |= {
+                name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS
+            }
         if frozen is not None:
             arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
         low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
-        everywhere: dict[str, Any] = {name: _gathered(lmp, values) for name, values in arrays.items()}
+        everywhere: dict[str, Any] = {
+            name: _gathered(lmp, values) for name, values in arrays.items()
+        }
         scene = scene_from_arrays(
             **everywhere,
             time=[lmp.get_thermo("time")],
@@ -120,7 +129,9 @@ def scene_from_lammps(
             periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
             gravity=gravity,
             dimension=int(lmp.extract_setting("dimension")),
-            units=units_of_system(str(lmp.extract_global("units")), "LAMMPS has") if units is None else units,
+            units=units_of_system(str(lmp.extract_global("units")), "LAMMPS has")
+            if units is None
+            else units,
         )
     return scene.assign_attrs(engine="lammps", **(named_walls(walls) if walls else {}))
 
@@ -129,7 +140,10 @@ def scene_from_lammps(
 def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
     """Define computes of touching pairs, and remove them in the end; they are ready after ``run 0``."""
     granular = "gran" in str(lmp.extract_global("pair_style"))
-    columns = {_IDS: " ".join(_PARTNERS), _PAIR: " ".join((*_BRANCH, *_NORMAL, *(_TANGENTIAL if granular else ())))}
+    columns = {
+        _IDS: " ".join(_PARTNERS),
+        _PAIR: " ".join((*_BRANCH, *_NORMAL, *(_TANGENTIAL if granular else ()))),
+    }
     styles = {_IDS: "property/local", _PAIR: "pair/local"}
     there = [name for name in columns if lmp.has_id("compute", name)]
     if there:
@@ -151,18 +165,28 @@ def _atoms(lmp: Any) -> dict[str, NDArray]:
     """Atoms of this process as variables of the scene."""
     count = int(lmp.extract_global("nlocal"))
 
-    words = {"particle_id": "id", "species": "type", "position": "x", "velocity": "v", "angular_velocity": "omega"}
+    words = {
+        "particle_id": "id",
+        "species": "type",
+        "position": "x",
+        "velocity": "v",
+        "angular_velocity": "omega",
+    }
     words |= {"mass": "rmass", "radius": "radius"}
     there = {name: lmp.numpy.extract_atom(word) for name, word in words.items()}
     # ghosts follow; copies, as LAMMPS moves on
     found = {name: np.array(values[:count]) for name, values in there.items() if values is not None}
     if "radius" not in found:
-        raise SceneError("the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'")
+        raise SceneError(
+            "the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'"
+        )
     found["diameter"] = 2 * found.pop("radius")
     return found
 
 
-def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _pairs(
+    lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]
+) -> dict[str, NDArray]:
     """Contacts of this process from columns of computes; points lie on the branch between the centres."""
     table: dict[str, NDArray] = {}
     for compute, words in columns.items():
@@ -173,7 +197,9 @@ def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -
             raise SceneError(
                 f"contacts={dict(columns)!r}: compute {compute!r} has {values.shape[1]} columns, {len(names)} are named"
             )
-        table |= {name: values[:, k] if values.size else np.zeros(0) for k, name in enumerate(names)}
+        table |= {
+            name: values[:, k] if values.size else np.zeros(0) for k, name in enumerate(names)
+        }
     needed = (*_PARTNERS, *_BRANCH, *_NORMAL)
     lacking = [name for name in needed if name not in table]
     if lacking:
@@ -182,9 +208,13 @@ def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -
         )
     if len({len(values) for values in table.values()}) > 1:
         rows = {name: len(values) for name, values in table.items()}
-        raise SceneError(f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'")
+        raise SceneError(
+            f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'"
+        )
     i, j = (table[name].astype("int64") for name in _PARTNERS)
-    branch, force = (np.stack([table[name] for name in three], axis=1) for three in (_BRANCH, _NORMAL))
+    branch, force = (
+        np.stack([table[name] for name in three], axis=1) for three in (_BRANCH, _NORMAL)
+    )
     if all(name in table for name in _TANGENTIAL):
         force = force + np.stack([table[name] for name in _TANGENTIAL], axis=1)
     # a partner may be on another process: the point follows from the sizes of both
@@ -209,7 +239,11 @@ def _wall(lmp: Any, fix: str, number: int, ids: NDArray) -> dict[str, NDArray]:
     rows = np.flatnonzero(values[:, 0] > 0)
     partner = np.full(len(rows), FIRST_WALL - number)
     return dict(
-        zip(WALL_CONTACTS, (ids[rows].astype("int64"), partner, values[rows, 1:4], values[rows, 4:7]), strict=True)
+        zip(
+            WALL_CONTACTS,
+            (ids[rows].astype("int64"), partner, values[rows, 1:4], values[rows, 4:7]),
+            strict=True,
+        )
     )
 
 

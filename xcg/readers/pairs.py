@@ -22,7 +22,10 @@ from xcg.steps import faults as errors
 
 
 def index_files(
-    reader: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, from_headers: Sequence[str]
+    reader: Engine,
+    files: Mapping[str, Sequence[str]],
+    options: ReadOptions,
+    from_headers: Sequence[str],
 ) -> dict[str, list[StepRef]]:
     """Index each kind of file, and check that nothing changes along the way.
 
@@ -33,14 +36,18 @@ def index_files(
         refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
         if not refs:
             shown = f"{', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
-            raise SceneError(f"{kind}: no step in {shown}; are these files empty, or of another code?")
+            raise SceneError(
+                f"{kind}: no step in {shown}; are these files empty, or of another code?"
+            )
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}
     absent = sorted(set(options.names) - columns)
     if absent and columns:
         listed = f"columns are {' '.join(sorted(columns))}"
-        raise SceneError(f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}")
+        raise SceneError(
+            f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}"
+        )
     return indexed
 
 
@@ -64,7 +71,11 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
             raise SceneError(
                 f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
             )
-        wrong = [f"{name}={getattr(ref, name)!r}" for name, fits in _FITS.items() if not fits(getattr(ref, name))]
+        wrong = [
+            f"{name}={getattr(ref, name)!r}"
+            for name, fits in _FITS.items()
+            if not fits(getattr(ref, name))
+        ]
         if wrong:
             raise SceneError(
                 f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
@@ -88,14 +99,24 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []
     for ref in refs:
-        problems = [f"column '{name}' is in the first only" for name in pattern.columns if name not in ref.columns]
-        problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in pattern.columns]
+        problems = [
+            f"column '{name}' is in the first only"
+            for name in pattern.columns
+            if name not in ref.columns
+        ]
+        problems += [
+            f"column '{name}' is in the second only"
+            for name in ref.columns
+            if name not in pattern.columns
+        ]
         for name in same:
             one, other = getattr(pattern, name), getattr(ref, name)
             if (one is None) != (other is None):
                 problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
             elif name in ("periodic", "units") and one != other:
-                problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
+                problems.append(
+                    f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)"
+                )
         if not problems:
             kept.append(ref)
             continue
@@ -118,9 +139,13 @@ def pair_steps(
     if times is not None:
         given = floats(times)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
-            raise SceneError(f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step")
+            raise SceneError(
+                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step"
+            )
         known = given.tolist()
-    steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
+    steps = _in_order(
+        [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles"
+    )
     for kind in ("contacts", "walls"):
         if kind in indexed:
             steps = _join(steps, kind, indexed[kind], missing, together=together)
@@ -134,19 +159,29 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
         key = step.particles.step if step.time is None else step.time
         if key in unique:
             old, new = source_of(unique[key].particles), source_of(step.particles)
-            warn_user(f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=)")
+            warn_user(
+                f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=)"
+            )
         unique[key] = step
     return [unique[key] for key in sorted(unique)]
 
 
-def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, together: bool) -> list[Step]:
+def _join(
+    steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, together: bool
+) -> list[Step]:
     """Match contacts to steps: by time where both have one, else by number."""
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
-    one = together and len(steps) == len(others) == 1 and (steps[0].particles.named or others[0].named)
+    one = (
+        together
+        and len(steps) == len(others) == 1
+        and (steps[0].particles.named or others[0].named)
+    )
     if timed:
         partner = _same_time(steps, others)
-    elif one or (others[-1].step < 0 and len(others) == len(steps)):  # files that tell neither, in their order
+    elif one or (
+        others[-1].step < 0 and len(others) == len(steps)
+    ):  # files that tell neither, in their order
         partner = list(range(len(others)))
     else:
         rows = {ref.step: row for row, ref in enumerate(others)}
@@ -164,11 +199,18 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, to
     if missing == "empty":
         paired = list(zip(steps, partner, strict=True))
     elif lacking:
-        warn_user(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
+        warn_user(
+            f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}"
+        )
     if unused:
-        warn_user(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
+        warn_user(
+            f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}"
+        )
     _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
-    return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
+    return [
+        replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else [])))
+        for step, row in paired
+    ]
 
 
 def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
@@ -179,7 +221,9 @@ def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
             continue
         for k, a in enumerate(COMPONENTS):
             period = own[k][1] - own[k][0]
-            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(own[k], other[k], 0, 1e-4 * period):
+            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(
+                own[k], other[k], 0, 1e-4 * period
+            ):
                 warn_user(
                     f"{kind}: the box of {source_of(ref)} is {list(other[k])} along {a!r}, and that of the particles "
                     f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
@@ -193,7 +237,10 @@ def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
     there = np.array([ref.time for ref in others], float)
     far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])
     nearest = [int(np.argmin(np.abs(there - time))) for time in wanted]
-    return [row if abs(there[row] - time) <= far else -1 for row, time in zip(nearest, wanted, strict=True)]
+    return [
+        row if abs(there[row] - time) <= far else -1
+        for row, time in zip(nearest, wanted, strict=True)
+    ]
 
 
 def _some(refs: Sequence[StepRef]) -> str:
@@ -204,7 +251,10 @@ def origin_of(
     engine: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, steps: Sequence[Step]
 ) -> dict[str, str]:
     """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
-    named = {kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)" for kind, p in files.items()}
+    named = {
+        kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)"
+        for kind, p in files.items()
+    }
     contacts = next((step.contacts for step in steps if step.contacts), ())
     refs = {"particles": [step.particles for step in steps[:1]], "contacts": contacts}
     said = {
@@ -215,10 +265,18 @@ def origin_of(
     return {name: printable(text) for name, text in said.items() if text}
 
 
-def ignored_columns(engine: Engine, refs: Mapping[str, Iterable[StepRef]], options: ReadOptions) -> str:
+def ignored_columns(
+    engine: Engine, refs: Mapping[str, Iterable[StepRef]], options: ReadOptions
+) -> str:
     """List the columns that are not read, a line a kind of file."""
     left = {
-        kind: [name for ref in listed for name in engine.ignored_columns(ref, options, contacts=kind == "contacts")]
+        kind: [
+            name
+            for ref in listed
+            for name in engine.ignored_columns(ref, options, contacts=kind == "contacts")
+        ]
         for kind, listed in refs.items()
     }
-    return "\n".join(f"{kind}: {', '.join(dict.fromkeys(names))}" for kind, names in left.items() if names)
+    return "\n".join(
+        f"{kind}: {', '.join(dict.fromkeys(names))}" for kind, names in left.items() if names
+    )

@@ -29,7 +29,10 @@ PathLike: TypeAlias = str | os.PathLike[str]
 
 def natural_key(path: str) -> list[tuple[int, int, str]]:
     """Key that sorts the numbers in names by value: ``step9`` comes before ``step10``."""
-    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path)]
+    return [
+        (1, int(part), part) if part.isdecimal() else (0, 0, part)
+        for part in re.split(r"(\d+)", path)
+    ]
 
 
 def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[str]:
@@ -78,7 +81,9 @@ def _why_none(path: str) -> str:
         return problem
     if not os.path.isdir(folder):
         return f"{problem}; the folder {folder!r} does not exist"
-    there = sorted((entry.name for entry in Path(folder).iterdir() if entry.is_file()), key=natural_key)
+    there = sorted(
+        (entry.name for entry in Path(folder).iterdir() if entry.is_file()), key=natural_key
+    )
     if not there:
         return f"{problem}; the folder {folder!r} holds no files"
     similar = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or there[:3]
@@ -97,11 +102,18 @@ UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
 
 def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
-    named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
+    named = {
+        refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None
+    }
     if len(named) > 1:
         found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
-        raise SceneError(f"headers name different unit systems ({found}); give the factors to SI with units=")
-    return next((units_of_system(system, f"{name}: the header names") for system, name in named.items()), None)
+        raise SceneError(
+            f"headers name different unit systems ({found}); give the factors to SI with units="
+        )
+    return next(
+        (units_of_system(system, f"{name}: the header names") for system, name in named.items()),
+        None,
+    )
 
 
 def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None:
@@ -114,7 +126,9 @@ def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None
     return UNIT_SYSTEMS[system]
 
 
-def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
+def not_against_headers(
+    units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]
+) -> Any:
     """Return `units`; raise SceneError if they contradict the headers.
 
     Allowed all the same: factors where headers say lj, and "reduced" where they say si.
@@ -122,11 +136,15 @@ def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, 
     given = Setup.make(units=units)
     for refs in indexed.values():
         system = refs[0].units
-        scaled = (system == "lj" and isinstance(units, Mapping)) or (system == "si" and units == "reduced")
+        scaled = (system == "lj" and isinstance(units, Mapping)) or (
+            system == "si" and units == "reduced"
+        )
         if system not in UNIT_SYSTEMS or scaled:
             continue
         named = Setup.make(units=UNIT_SYSTEMS[system])
-        if given.unit_system != named.unit_system or not np.allclose(given.scales, named.scales, rtol=1e-12, atol=0):
+        if given.unit_system != named.unit_system or not np.allclose(
+            given.scales, named.scales, rtol=1e-12, atol=0
+        ):
             way_out = (
                 "give factors to SI, for example units={'length': 1.0, 'mass': 1.0, 'time': 1.0}"
                 if system == "lj"
@@ -152,7 +170,9 @@ _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
 
 
-def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]) -> list[list[StepRef]]:
+def remembered(
+    paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]
+) -> list[list[StepRef]]:
     """Return the steps of each file, from the index if it knows the file, else from its headers.
 
     Parameters
@@ -183,19 +203,31 @@ def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[S
             earlier = len(errors.recorded() or ())
             for ref in scan(path):  # where faults are tolerated, the steps before one stay
                 if len(steps) == _MOST_STEPS:  # more cannot be kept in memory and in a graph
-                    raise SceneError(f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out")
+                    raise SceneError(
+                        f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out"
+                    )
                 steps.append(replace(ref, **stamp))
             after = os.stat(path)
             same = (after.st_size, after.st_mtime_ns) == (state.st_size, state.st_mtime_ns)
-            if same and time.time_ns() - after.st_mtime_ns > _SETTLED and len(errors.recorded() or ()) == earlier:
-                learnt.setdefault(folder, {})[name] = stamp | {"steps": [_entry(ref) for ref in steps]}
+            if (
+                same
+                and time.time_ns() - after.st_mtime_ns > _SETTLED
+                and len(errors.recorded() or ()) == earlier
+            ):
+                learnt.setdefault(folder, {})[name] = stamp | {
+                    "steps": [_entry(ref) for ref in steps]
+                }
         except errors.FAULTS as error:
             if not errors.record_fault(path, error):
                 raise
     for folder, entries in learnt.items():
         place, before = known[folder]
         if place is not None:
-            there = {name: entry for name, entry in before.items() if os.path.exists(os.path.join(folder, name))}
+            there = {
+                name: entry
+                for name, entry in before.items()
+                if os.path.exists(os.path.join(folder, name))
+            }
             _save(place, there | entries)
     return found
 
@@ -203,11 +235,16 @@ def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[S
 def _entry(ref: StepRef) -> dict[str, Any]:
     """Return the items of a step that differ from the usual ones."""
     usual = {f.name: f.default for f in fields(StepRef) if f.name not in _LEFT_OUT}
-    return {name: getattr(ref, name) for name, default in usual.items() if getattr(ref, name) != default}
+    return {
+        name: getattr(ref, name) for name, default in usual.items() if getattr(ref, name) != default
+    }
 
 
 def index_steps(
-    paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]], timestep: object = None
+    paths: Sequence[str],
+    kind: str,
+    scan: Callable[[str], Iterable[StepRef]],
+    timestep: object = None,
 ) -> list[StepRef]:
     """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
 
@@ -217,7 +254,9 @@ def index_steps(
     refs: list[StepRef] = []
     for path, steps in zip(paths, remembered(paths, kind, scan), strict=True):
         name = Path(path)
-        digits = re.findall(r"\d+", name.name if name.suffix[1:].isdecimal() else name.stem)  # ".h5" is no number
+        digits = re.findall(
+            r"\d+", name.name if name.suffix[1:].isdecimal() else name.stem
+        )  # ".h5" is no number
         if len(steps) == 1 and steps[0].step < 0 and digits:
             steps = [replace(steps[0], step=int(digits[-1]), named=True)]
         refs += steps
@@ -225,13 +264,20 @@ def index_steps(
             errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
     if not refs:
         errors.raise_recorded()
-    refs = [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
+    refs = [
+        ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)
+    ]
     if timestep is None:
         return refs
     if not is_positive(timestep):
-        raise SceneError(f"timestep={timestep!r}: expected a positive number, the time between two steps")
+        raise SceneError(
+            f"timestep={timestep!r}: expected a positive number, the time between two steps"
+        )
     first = min(refs[0].step, 0)
-    return [replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref for ref in refs]
+    return [
+        replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref
+        for ref in refs
+    ]
 
 
 # --- the files of the index ------------------------------------------------------------------------------

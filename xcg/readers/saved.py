@@ -36,10 +36,16 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
         If there are more files beside it.
     """
     paths = [particles] if isinstance(particles, (str, os.PathLike)) else particles
-    if not isinstance(paths, Sequence) or not paths or Path(paths[0]).suffix.lower() not in _SUFFIXES:
+    if (
+        not isinstance(paths, Sequence)
+        or not paths
+        or Path(paths[0]).suffix.lower() not in _SUFFIXES
+    ):
         return None
     given = [os.path.expanduser(os.fspath(path)) for path in paths]
-    found = [path for one in given for path in ([one] if os.path.exists(one) else sorted(glob.glob(one)))]
+    found = [
+        path for one in given for path in ([one] if os.path.exists(one) else sorted(glob.glob(one)))
+    ]
     saved = [path for path in found if _may_be_saved(Path(path))]
     if saved and len(found) > 1:
         raise SceneError(
@@ -77,10 +83,15 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     engine = "zarr" if path.lower().endswith(".zarr") else "netcdf4"
     try:
         ds = xr.open_dataset(path, engine=engine, cache=chunks is None)
-        for name in {*ds.coords, *(BOX.keys() & ds.keys())}:  # numbers of steps and boxes, by which faults are told
+        for name in {
+            *ds.coords,
+            *(BOX.keys() & ds.keys()),
+        }:  # numbers of steps and boxes, by which faults are told
             ds.variables[name].load()
     except DAMAGED as error:
-        raise SceneError(f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})") from error
+        raise SceneError(
+            f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})"
+        ) from error
     if not ds.variables.keys() >= _OF_SCENES:
         held = ", ".join(map(str, list(ds.data_vars)[:5])) or "nothing"
         ds.close()
@@ -89,8 +100,12 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
         )
     if chunks is None:
         return ds
-    of_time = next(iter(ds["time"].dims), None)  # None for a step that was selected alone, "step" after swap_dims
-    sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (0,)  # there may be no step
+    of_time = next(
+        iter(ds["time"].dims), None
+    )  # None for a step that was selected alone, "step" after swap_dims
+    sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (
+        0,
+    )  # there may be no step
     whole: dict[Hashable, Any] = {dim: sizes if dim == of_time else -1 for dim in ds.dims}
     token = tokenize(path, os.stat(path).st_mtime_ns)
     lazy = {
@@ -105,7 +120,9 @@ def _lazy(values: xr.Variable, named: str, chunks: Mapping[Hashable, Any], key: 
     """Wrap a lazy variable so that its errors name it and its file; xarray's errors do not."""
     import dask.array as da  # slow to import
 
-    array = da.from_array(_Read(values, named), tuple(chunks[dim] for dim in values.dims), key, asarray=False)
+    array = da.from_array(
+        _Read(values, named), tuple(chunks[dim] for dim in values.dims), key, asarray=False
+    )
     return values.copy(data=array)
 
 

@@ -33,7 +33,12 @@ from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
-_OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
+_OF_SAVED = (
+    "particles",
+    "chunks",
+    "on_error",
+    "engine_options",
+)  # what a scene that was saved takes
 
 Paths = PathLike | Iterable[PathLike]
 
@@ -214,7 +219,9 @@ def open_scene(
     ... )  # doctest: +SKIP
     """
     given = locals()
-    tolerate = collecting if check_on_error(on_error) == "skip" else lambda: nullcontext(dict[Any, str]())
+    tolerate = (
+        collecting if check_on_error(on_error) == "skip" else lambda: nullcontext(dict[Any, str]())
+    )
     if engine is None and "mapping" not in engine_options and (saved := saved_path(particles)):
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
@@ -222,32 +229,63 @@ def open_scene(
         raise SceneError(f"missing={missing!r}: expected 'raise', 'skip' or 'empty'")
     in_columns = dict(walls) if isinstance(walls, Mapping) else {}
     about_walls = named_walls(in_columns) if in_columns else {}
-    kinds = {"particles": particles, "contacts": contacts, "walls": None if isinstance(walls, Mapping) else walls}
+    kinds = {
+        "particles": particles,
+        "contacts": contacts,
+        "walls": None if isinstance(walls, Mapping) else walls,
+    }
     with tolerate() as left_out:
-        files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
+        files = {
+            kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
+        }
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
-        extra = {**engine_options, "missing": "raise" if missing != "skip" and on_error == "raise" else "skip"}
+        extra = {
+            **engine_options,
+            "missing": "raise" if missing != "skip" and on_error == "raise" else "skip",
+        }
         options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
-        indexed = index_files(reader, files, options, [what for what, given in said.items() if given is None])
+        indexed = index_files(
+            reader, files, options, [what for what, given in said.items() if given is None]
+        )
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
-        together = all([str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None)
+        together = all(
+            [str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None
+        )
         missing = "skip" if missing == "raise" and left_out else missing
         steps = pair_steps(indexed, times, missing, together=together)
         if in_columns:
             beside = [reader.wall_step(step.particles, options) for step in steps]
-            steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
+            steps = [
+                replace(step, contacts=(*step.contacts, ref))
+                for step, ref in zip(steps, beside, strict=True)
+            ]
     if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
-        steps = [replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)]
-    with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
-        raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
+        steps = [
+            replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)
+        ]
+    with (
+        tolerate()
+    ):  # steps that cannot be read stay in the scene; their faults are told when they are computed
+        raw = _ends(
+            reader,
+            options,
+            steps,
+            partial(Setup.make, shape=shape, thickness=thickness, density=density),
+        )
     # most messages name the file already; of one with many steps, the place goes on with " from byte ..."
-    skipped = [c if p.partition(" from byte ")[0] in c else f"{p}: {c}" for p, c in left_out.items()]
+    skipped = [
+        c if p.partition(" from byte ")[0] in c else f"{p}: {c}" for p, c in left_out.items()
+    ]
     for cause in skipped:
         warn_user(f"left out: {cause}")
-    unnamed = units is None and reader.UNNAMED_UNITS and all(refs[0].units is None for refs in indexed.values())
+    unnamed = (
+        units is None
+        and reader.UNNAMED_UNITS
+        and all(refs[0].units is None for refs in indexed.values())
+    )
     if unnamed:
         warn_user(
             f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
@@ -260,7 +298,9 @@ def open_scene(
     if dimension == 2:
         plane = plane or flat or "xy"
     if periodic is not None and box is None and first.box is None:
-        periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
+        periodic = _within(
+            flat, periodic
+        )  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
         units=units_of_headers(indexed) if units is None else not_against_headers(units, indexed),
         gravity=gravity,
@@ -276,15 +316,29 @@ def open_scene(
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
         setup = replace(setup, gravity=(x, y, z))
     if box is None and first.box is None:
-        box = _recovered_box(reader, options, steps, setup.periodic, raw, skipping=on_error == "skip")
+        box = _recovered_box(
+            reader, options, steps, setup.periodic, raw, skipping=on_error == "skip"
+        )
     clock = [step.time for step in steps if step.time is not None]
     time = np.array(clock) * setup.scales[2] if clock else None
     domain = _domain(steps, box, lattice, shear_rate, setup, time)
-    source = Source(reader, options, setup, None if frozen is None else _frozen_species(frozen, raw), allow_unknown)
+    source = Source(
+        reader,
+        options,
+        setup,
+        None if frozen is None else _frozen_species(frozen, raw),
+        allow_unknown,
+    )
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     check_sizes(ends[0], setup)
-    types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
-    contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
+    types = {
+        name: ends[0][name].dtype
+        for name in dict.fromkeys([*VARIABLES, *ends[0]])
+        if name in ends[0]
+    }
+    contact_names = _contact_names(
+        source, next((step for step in steps if step.contacts), steps[0])
+    )
     series = Series(source, steps, domain, types, contact_names)
     arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
     numbers = [step.particles.step for step in steps]
@@ -297,7 +351,9 @@ def open_scene(
         measured=measure_frames(ends),
     )
     if not clock:
-        said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
+        said_nothing = (
+            "number of the time step, as the files do not tell the time (give timestep= or times=)"
+        )
         scene["time"].attrs.update(units="1", long_name=said_nothing)
     if unnamed:
         scene.attrs["assumed_units"] = "SI"
@@ -311,7 +367,9 @@ def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
     """Raise SceneError for options of a code's files beside a saved scene, which needs none."""
     parameters = inspect.signature(open_scene).parameters.items()
     described = [*given["engine_options"]]
-    described += [n for n, p in parameters if n not in _OF_SAVED and repr(given[n]) != repr(p.default)]
+    described += [
+        n for n, p in parameters if n not in _OF_SAVED and repr(given[n]) != repr(p.default)
+    ]
     if described:
         raise SceneError(
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
@@ -355,8 +413,12 @@ def _ends(
 def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
     for option in engine_options:
         if option not in engine.OPTIONS:
-            likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS])
-            raise SceneError(f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}")
+            likely = did_you_mean(
+                option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS]
+            )
+            raise SceneError(
+                f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}"
+            )
 
 
 def _flat_plane(frames: Sequence[Frame]) -> str | None:
@@ -370,22 +432,43 @@ def _flat_plane(frames: Sequence[Frame]) -> str | None:
 
 def _within(plane: str | None, periodic: str) -> str:
     """Periodic axes without that across a plane, along which two-dimensional boxes may be called periodic, too."""
-    return "".join(axis for axis in periodic if plane is None or axis in plane or axis not in COMPONENTS)
+    return "".join(
+        axis for axis in periodic if plane is None or axis in plane or axis not in COMPONENTS
+    )
 
 
 def _domain(
-    steps: Sequence[Step], box: Any, lattice: Any, shear_rate: Mapping[str, ArrayLike] | None, setup: Setup,
+    steps: Sequence[Step],
+    box: Any,
+    lattice: Any,
+    shear_rate: Mapping[str, ArrayLike] | None,
+    setup: Setup,
     time: NDArray | None,
-) -> dict[str, NDArray]:  # fmt: skip
+) -> dict[str, NDArray]:
     """Variables of the domain at each step, in the scene's units."""
-    if lattice is None and box is None and any(step.particles.lattice is not None for step in steps):
-        straight = [np.diag(np.diff(step.particles.box)[:, 0]) for step in steps if step.particles.box is not None]
-        lattice = [step.particles.lattice or cell.tolist() for step, cell in zip(steps, straight, strict=True)]
+    if (
+        lattice is None
+        and box is None
+        and any(step.particles.lattice is not None for step in steps)
+    ):
+        straight = [
+            np.diag(np.diff(step.particles.box)[:, 0])
+            for step in steps
+            if step.particles.box is not None
+        ]
+        lattice = [
+            step.particles.lattice or cell.tolist()
+            for step, cell in zip(steps, straight, strict=True)
+        ]
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
     found = domain_of(box, lattice, shear_rate, setup.periodic, len(steps), time, setup.scales[0])
     for t, step in enumerate(steps):
-        Lattice.of({name: values[t] for name, values in found.items()}, setup.periodic, source_of(step.particles))
+        Lattice.of(
+            {name: values[t] for name, values in found.items()},
+            setup.periodic,
+            source_of(step.particles),
+        )
     return found
 
 
@@ -407,7 +490,10 @@ def _recovered_box(
         if set(periodic) <= set(found):
             break
         try:
-            found = {**reader.recover_periods(ref, options), **found}  # the first that tells an axis counts
+            found = {
+                **reader.recover_periods(ref, options),
+                **found,
+            }  # the first that tells an axis counts
         except FAULTS:
             if not skipping:  # others may tell it
                 raise
@@ -416,8 +502,10 @@ def _recovered_box(
     box = {}
     for axis in periodic:
         k = COMPONENTS.index(axis)
-        middle = 0.5 * (min(f["position"][:, k].min() for f in raw.values() if len(f["position"]))
-                        + max(f["position"][:, k].max() for f in raw.values() if len(f["position"])))  # fmt: skip
+        middle = 0.5 * (
+            min(f["position"][:, k].min() for f in raw.values() if len(f["position"]))
+            + max(f["position"][:, k].max() for f in raw.values() if len(f["position"]))
+        )
         box[axis] = (middle - 0.5 * found[axis], middle + 0.5 * found[axis])
     said = ", ".join(f"{axis}: {found[axis]:.7g}" for axis in periodic)
     warn_user(
@@ -436,7 +524,9 @@ def _frozen_species(frozen: int | Sequence[int], raw: Mapping[StepRef, Frame]) -
     absent = sorted(set(species) - set(there.tolist()))
     if absent:
         found = ", ".join(str(int(number)) for number in there) or "none"
-        raise SceneError(f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {found}")
+        raise SceneError(
+            f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {found}"
+        )
     return species
 
 

@@ -17,9 +17,27 @@ from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, OF_STEP, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
-_PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
-_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap")
-_MISSING = -(2**31)  # a partner that is not in the scene counts as a wall, and as none that has a name
+_PARTICLES = (
+    "particle_id",
+    "position",
+    "velocity",
+    "diameter",
+    "density",
+    "mass",
+    "volume",
+    *_SHARED,
+)
+_CONTACTS = (
+    "contact_i",
+    "contact_j",
+    "contact_force",
+    "contact_point",
+    "contact_normal",
+    "overlap",
+)
+_MISSING = -(
+    2**31
+)  # a partner that is not in the scene counts as a wall, and as none that has a name
 
 
 @takes_scene
@@ -54,33 +72,57 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """
     require_scene(ds, ("mass", by_body), "group_bodies")
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:
-        raise SceneError(f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of particles")
+        raise SceneError(
+            f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of particles"
+        )
     particles = [name for name in _PARTICLES if name in ds]
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
-    outputs = [*particles, *(["diameter"] if "volume" in ds and "diameter" not in ds else []), *contacts]
-    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds} | {"body": ds[by_body]}
+    outputs = [
+        *particles,
+        *(["diameter"] if "volume" in ds and "diameter" not in ds else []),
+        *contacts,
+    ]
+    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds} | {
+        "body": ds[by_body]
+    }
     core = {name: [d for d in array.dims if d != "time"] for name, array in given.items()}
-    whole = [array.chunk(dict.fromkeys(core[name], -1)) if array.chunks else array for name, array in given.items()]
+    whole = [
+        array.chunk(dict.fromkeys(core[name], -1)) if array.chunks else array
+        for name, array in given.items()
+    ]
     setup = describe(ds).setup
     arrays = xr.apply_ufunc(
-        partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic), *whole,
-        input_core_dims=list(core.values()), output_core_dims=[list(variable(name).dims) for name in outputs],
-        dask="parallelized", output_dtypes=[np.dtype(variable(name).dtype) for name in outputs],
-    )  # fmt: skip
+        partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic),
+        *whole,
+        input_core_dims=list(core.values()),
+        output_core_dims=[list(variable(name).dims) for name in outputs],
+        dask="parallelized",
+        output_dtypes=[np.dtype(variable(name).dtype) for name in outputs],
+    )
     data = {name: ds[name] for name in BOX if name in ds}
     for name, array in zip(outputs, arrays, strict=True):
         row = variable(name)
-        data[name] = array.assign_attrs(units=units_in(row.units, setup.unit_system), long_name=row.long_name)
+        data[name] = array.assign_attrs(
+            units=units_in(row.units, setup.unit_system), long_name=row.long_name
+        )
     line = f"xcg: group_bodies({by_body!r})"
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}
     attrs["history"] = f"{attrs['history']}\n{line}" if "history" in attrs else line
-    grouped = xr.Dataset(data, {n: ds[n] for n in ("time", "step", "component") if n in ds.coords}, attrs)
+    grouped = xr.Dataset(
+        data, {n: ds[n] for n in ("time", "step", "component") if n in ds.coords}, attrs
+    )
     return measure(grouped) if grouped.chunks == {} else grouped
 
 
-def _over_time(*arrays: NDArray, names: list[str], outputs: list[str], periodic: str) -> tuple[NDArray, ...]:
+def _over_time(
+    *arrays: NDArray, names: list[str], outputs: list[str], periodic: str
+) -> tuple[NDArray, ...]:
     given = dict(zip(names, arrays, strict=True))
-    rows = {variable(name).dims[0]: given[name].shape[1] for name in ("particle_id", "contact_i") if name in given}
+    rows = {
+        variable(name).dims[0]: given[name].shape[1]
+        for name in ("particle_id", "contact_i")
+        if name in given
+    }
     out = {}
     for name in outputs:
         row = variable(name)
@@ -91,7 +133,11 @@ def _over_time(*arrays: NDArray, names: list[str], outputs: list[str], periodic:
             for side in ("contact_i", "contact_j"):
                 row_of_side = rows_of(frame["particle_id"], frame[side])
                 there = np.where(frame[side] < 0, frame[side], _MISSING)
-                frame[side] = np.where(row_of_side >= 0, id_of_row[row_of_side], there) if len(id_of_row) else there
+                frame[side] = (
+                    np.where(row_of_side >= 0, id_of_row[row_of_side], there)
+                    if len(id_of_row)
+                    else there
+                )
             outside = frame["contact_i"] != frame["contact_j"]
             bodies |= {name: frame[name][outside] for name in _CONTACTS if name in frame}
         for name in outputs:
@@ -99,7 +145,9 @@ def _over_time(*arrays: NDArray, names: list[str], outputs: list[str], periodic:
     return tuple(out.values())
 
 
-def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[dict[str, NDArray], NDArray]:
+def _bodies(
+    frame: dict[str, NDArray], lattice: Lattice, source: str
+) -> tuple[dict[str, NDArray], NDArray]:
     """Bodies of one frame, and the body's id of each sphere."""
     ids, body = frame["particle_id"], frame["body"]
     own = body < 0
@@ -124,7 +172,9 @@ def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[d
         bodies["volume"] = total(frame["volume"])
         bodies["density"] = bodies["mass"] / bodies["volume"]
         bodies["diameter"] = np.cbrt(6 / np.pi * bodies["volume"])
-    bodies = {name: frame[name][first] for name in ("density", "diameter", *_SHARED) if name in frame} | bodies
+    bodies = {
+        name: frame[name][first] for name in ("density", "diameter", *_SHARED) if name in frame
+    } | bodies
     for name in _SHARED:
         if name in frame:
             differ = frame[name] != bodies[name][group]

@@ -30,7 +30,9 @@ def _edges(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDArra
         box = [box.get(axis, (-np.inf, np.inf)) for axis in COMPONENTS]
     edges = floats(box)
     if edges.shape not in ((3, 2), (steps, 3, 2)):
-        raise SceneError(f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step")
+        raise SceneError(
+            f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step"
+        )
     if not (edges[..., 0] < edges[..., 1]).all():
         raise SceneError(f"box={box!r}: the lower edge of every axis must lie below the upper edge")
     return np.broadcast_to(edges, (steps, 3, 2)).copy()
@@ -91,7 +93,9 @@ def domain_of(
     if shear_rate is None:
         rates = _rates(vectors, periodic, time)
     else:  # the transposed gradient; images along axes without edges do not exist
-        rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(len(edges), shear_rate, "shear_rate")
+        rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(
+            len(edges), shear_rate, "shear_rate"
+        )
     tilted = (vectors * (1 - np.eye(3)))[:, [COMPONENTS.index(a) for a in periodic]].any()
     if tilted or rates.any():
         found["lattice"] = vectors
@@ -105,17 +109,23 @@ def _entries(steps: int, given: Mapping[str, ArrayLike], name: str) -> NDArray:
     wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
     out = np.zeros((steps, 3, 3))
     if wrong:
-        raise SceneError(f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers")
+        raise SceneError(
+            f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers"
+        )
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)
         if numbers.shape not in ((), (steps,)) or not np.isfinite(numbers).all():
-            raise SceneError(f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {steps} steps")
+            raise SceneError(
+                f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {steps} steps"
+            )
         out[:, j, i] = numbers
     return out
 
 
-def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], periodic: str, unit: float) -> NDArray:
+def _vectors(
+    edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], periodic: str, unit: float
+) -> NDArray:
     """Lattice vectors (t, 3, 3), given in some unit, checked against the edges."""
     lengths = edges[..., 1] - edges[..., 0]
     if isinstance(lattice, Mapping):
@@ -156,7 +166,9 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
         )
         return rates
     cells, largest = vectors[:, axes], 0.0
-    seen = np.zeros((2, len(time), len(axes), 3))  # rates before and after each step, of the vectors as written there
+    seen = np.zeros(
+        (2, len(time), len(axes), 3)
+    )  # rates before and after each step, of the vectors as written there
     for t, (one, two) in enumerate(pairwise(cells)):
         turned = same_vectors(one, two, axes)
         move = (turned @ two - one) * ~np.eye(3, dtype=bool)[axes]
@@ -170,7 +182,9 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
         )
     lengths = np.diff(time)[:, None, None]
     seen[0, 0], seen[1, -1] = seen[1, 0], seen[0, -1]
-    before, after = (np.concatenate(parts) for parts in ((lengths[:1], lengths), (lengths, lengths[-1:])))
+    before, after = (
+        np.concatenate(parts) for parts in ((lengths[:1], lengths), (lengths, lengths[-1:]))
+    )
     rates[:, axes] = (after * seen[0] + before * seen[1]) / (before + after)
     return rates
 

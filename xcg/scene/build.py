@@ -62,8 +62,16 @@ def to_dataset(
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
     coords = {
-        "time": ("time", np.asarray(time, float), {"units": second, "long_name": "time", "axis": "T"}),
-        "step": ("time", np.asarray(step, "int64"), {"units": "1", "long_name": "number of the time step"}),
+        "time": (
+            "time",
+            np.asarray(time, float),
+            {"units": second, "long_name": "time", "axis": "T"},
+        ),
+        "step": (
+            "time",
+            np.asarray(step, "int64"),
+            {"units": "1", "long_name": "number of the time step"},
+        ),
         "component": ("component", list(COMPONENTS)),
     }
     if any("direction" in variable.dims for variable in data.values()):
@@ -71,7 +79,9 @@ def to_dataset(
     if "lattice" in box:
         coords["vector"] = ("vector", list(VECTORS))
     edges = box.get("box")
-    if edges is not None and (edges == edges[:1]).all():  # attributes stay with every selection of steps
+    if (
+        edges is not None and (edges == edges[:1]).all()
+    ):  # attributes stay with every selection of steps
         measured = {"box_lower": edges[0, :, 0], "box_upper": edges[0, :, 1], **measured}
     about: dict[str, Any] = {
         "Conventions": "CF-1.11",
@@ -89,7 +99,11 @@ def to_dataset(
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
-    if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == len(variable(name).dims):
+    if (
+        isinstance(values, (list, tuple))
+        and len(values)
+        and np.ndim(values[0]) == len(variable(name).dims)
+    ):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
     dims = len(variable(name).dims)
@@ -110,7 +124,9 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
             f"{name!r} is one number, neither an argument nor an array: a variable of your own has a row for each "
             f"particle or contact, such as numpy.full(n, {values})"
         )
-    if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
+    if len(values) == len(rows) and all(
+        np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)
+    ):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
     if rows and set(rows) == {len(array)} and (len(rows) == 1 or not name.startswith("contact_")):
@@ -221,9 +237,16 @@ def scene_from_arrays(
     _refuse_misspelt(variables)
     one_density = density if density is not None and _is_one_number(density) else None
     setup = Setup.make(
-        units=units, gravity=gravity, dimension=dimension, plane=plane, periodic=periodic, thickness=thickness,
-        shape=shape, density=one_density, sides=sides,
-    )  # fmt: skip
+        units=units,
+        gravity=gravity,
+        dimension=dimension,
+        plane=plane,
+        periodic=periodic,
+        thickness=thickness,
+        shape=shape,
+        density=one_density,
+        sides=sides,
+    )
     given = {"position": position, **variables}
     if density is not None and one_density is None:
         given["density"] = density
@@ -231,17 +254,25 @@ def scene_from_arrays(
     for name, values in (*given.items(), ("time", time)):
         for part in values if isinstance(values, (list, tuple)) else [values]:
             refuse_mask(name, part)
-    steps = {name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES}
+    steps = {
+        name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES
+    }
     for name in (name for name in given if name not in VARIABLES):
         key = "position" if variable(name).dims[0] == "particle" else "contact_i"
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
-    times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
+    times = (
+        np.arange(total, dtype=float)
+        if time is None
+        else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
+    )
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
     for name, values in (("time", times), ("step", numbers)):
         if values.shape != (total,):
-            raise SceneError(f"{name}= has shape {values.shape}: expected one value for each of the {total} steps")
+            raise SceneError(
+                f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
+            )
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
     domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
@@ -249,17 +280,29 @@ def scene_from_arrays(
     particles, contacts = [], []
     for t in range(total):
         source = f"step {t}" if total > 1 else "scene"
-        particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t, source), setup, source))
-        images = Lattice.of({name: values[t] for name, values in domain.items()}, setup.periodic, source)
+        particles.append(
+            complete_particles(
+                _prefix(steps, particle_names, "particle_id", t, source), setup, source
+            )
+        )
+        images = Lattice.of(
+            {name: values[t] for name, values in domain.items()}, setup.periodic, source
+        )
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t, source)
-            contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
+            contacts.append(
+                complete_contacts(
+                    frame, particles[-1], images, setup, source, allow_unknown=allow_unknown
+                )
+            )
     if particles:
         check_sizes(particles[0], setup)
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)
-        for name in list(frames[0]) if frames else ():  # so that no more than one variable is there twice
+        for name in (
+            list(frames[0]) if frames else ()
+        ):  # so that no more than one variable is there twice
             arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
     return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
 
@@ -311,7 +354,9 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
         own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
-        prefix = "contact_" if name.startswith("contact_") else ""  # which all variables of contacts share
+        prefix = (
+            "contact_" if name.startswith("contact_") else ""
+        )  # which all variables of contacts share
         alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
         likely = "" if own else did_you_mean(name.removeprefix(prefix), alike, 0.77)
         if likely:
@@ -325,7 +370,9 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
             )
 
 
-def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int, source: str) -> Frame:
+def _prefix(
+    steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int, source: str
+) -> Frame:
     """Drop the rows of step t that `key` marks as padding; raise SceneError for other rows with its mark."""
     frame = {name: steps[name][t] for name in names}
     if key not in frame:
@@ -335,18 +382,28 @@ def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, 
         return frame
     other, what = _NOT_PADDING[key]
     there = frame.get(other, np.empty(0))
-    held = there != PADDING if other == "contact_j" else np.isfinite(there.reshape(len(there), -1)).any(axis=1)
+    held = (
+        there != PADDING
+        if other == "contact_j"
+        else np.isfinite(there.reshape(len(there), -1)).any(axis=1)
+    )
     if len(held) == len(valid) and (held & ~valid).any():
         row = int(np.flatnonzero(held & ~valid)[0])
         raise SceneError(
             f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
         )
     # other lengths are refused where the frame is completed
-    return {name: values[valid] if len(values) == len(valid) else values for name, values in frame.items()}
+    return {
+        name: values[valid] if len(values) == len(valid) else values
+        for name, values in frame.items()
+    }
 
 
 # what rows of padding have not, and what to do where they have it
 _NOT_PADDING = {
     "particle_id": ("position", "number particles from 0 on, or fill rows without data with NaN"),
-    "contact_i": ("contact_j", "a wall must stand as 'contact_j', with the force on the particle as 'contact_force'"),
+    "contact_i": (
+        "contact_j",
+        "a wall must stand as 'contact_j', with the force on the particle as 'contact_force'",
+    ),
 }

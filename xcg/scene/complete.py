@@ -18,7 +18,9 @@ from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variabl
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
 _WHOLE = 2.0**53  # from here on floats of 64 bits leave whole numbers out
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
-_SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
+_SAME_BRANCH = (
+    0.25  # a branch that is off by more of its length is another vector; it may be a time step old
+)
 _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
 REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
@@ -38,7 +40,11 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
-        repair = ". Every row must hold finite numbers: repair or drop it." if "not finite" in str(problems) else ""
+        repair = (
+            ". Every row must hold finite numbers: repair or drop it."
+            if "not finite" in str(problems)
+            else ""
+        )
         raise SceneError(f"{source}: {'; '.join(problems)}{repair}")
 
 
@@ -108,7 +114,9 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     """
     given = _typed(frame, setup, source)
     if not np.ndim(given.get("position", 0.0)):
-        raise SceneError(f"{source}: no positions; expected a variable 'position' with three components")
+        raise SceneError(
+            f"{source}: no positions; expected a variable 'position' with three components"
+        )
     count = len(given["position"])
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
     _check_rows(given, "particle", source)
@@ -121,14 +129,20 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
             repeated = np.flatnonzero(ids[1:] == ids[:-1])
             if repeated.size:
                 rows = order[repeated[0] : repeated[0] + 2]
-                twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+                twice = (
+                    f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+                )
                 raise SceneError(f"{source}: {twice}; ids must be unique")
         if ids[0] < 0:
             negative = f"particle id {ids[0]} in row {0 if order is None else order[0]} is negative"
             raise SceneError(f"{source}: {negative}; negative ids are kept for walls and padding")
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
-        if name in given and (given[name] <= 0).any() and not (may_be_zero and (given[name] >= 0).all()):
+        if (
+            name in given
+            and (given[name] <= 0).any()
+            and not (may_be_zero and (given[name] >= 0).all())
+        ):
             bad = int(np.flatnonzero(given[name] < 0 if may_be_zero else given[name] <= 0)[0])
             raise SceneError(
                 f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected "
@@ -165,7 +179,9 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
         elif "mass" not in frame and "density" in frame:
             frame["mass"] = frame["density"] * frame["volume"]
     if {"angular_velocity", "mass", "diameter"} <= set(frame) and "moment_of_inertia" not in frame:
-        frame["moment_of_inertia"] = frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
+        frame["moment_of_inertia"] = (
+            frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
+        )
 
 
 def complete_contacts(
@@ -207,13 +223,17 @@ def complete_contacts(
         and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
         both sides with the same force.
     """
-    given = _typed({name: values for name, values in frame.items() if name not in HINTS}, setup, source)
+    given = _typed(
+        {name: values for name, values in frame.items() if name not in HINTS}, setup, source
+    )
     if "wrapped_branch" in frame and "contact_normal" not in given:
         branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
         given["contact_normal"] = unit_vectors(lattice.shortest(branch))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
-        raise SceneError(f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names=")
+        raise SceneError(
+            f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names="
+        )
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]
@@ -241,26 +261,49 @@ def complete_contacts(
             f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
             "allow_unknown=True to treat unknown partners as walls"
         )
-    derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
+    derived = np.asarray(
+        frame.get("point_is_middle", np.full(len(i), "contact_point" not in given))
+    )
     if derived.any() or "contact_point" not in given:
-        given["contact_point"] = _derive_points(given, number, derived, particles, row_i, row_j, seen, lattice, source)
+        given["contact_point"] = _derive_points(
+            given, number, derived, particles, row_i, row_j, seen, lattice, source
+        )
     del row_i, row_j, unknown, derived
     return without_repeats(given, number, particles, lattice, setup.sides, source)
 
 
 def _derive_points(
-    contacts: Frame, number: NDArray, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray,
-    seen: NDArray | None, lattice: Lattice, source: str,
-) -> NDArray:  # fmt: skip
+    contacts: Frame,
+    number: NDArray,
+    derived: NDArray,
+    particles: Frame,
+    row_i: NDArray,
+    row_j: NDArray,
+    seen: NDArray | None,
+    lattice: Lattice,
+    source: str,
+) -> NDArray:
     """Contact points (n, 3), derived from the spheres for `derived` contacts (n,); by blocks that stay in the cache."""
-    points = contacts["contact_point"].copy() if "contact_point" in contacts else np.empty((len(row_i), 3))
+    points = (
+        contacts["contact_point"].copy()
+        if "contact_point" in contacts
+        else np.empty((len(row_i), 3))
+    )
     wanted = np.flatnonzero(derived)
     for first in range(0, len(wanted), _BLOCK):
         some = wanted[first : first + _BLOCK]
-        of_block = particles, row_i[some], row_j[some], None if seen is None else seen[some], lattice
+        of_block = (
+            particles,
+            row_i[some],
+            row_j[some],
+            None if seen is None else seen[some],
+            lattice,
+        )
         found = _plain_points(*of_block)
         if found is None:
-            block = {name: values[some] for name, values in contacts.items()} | {"row_of_file": number[some]}
+            block = {name: values[some] for name, values in contacts.items()} | {
+                "row_of_file": number[some]
+            }
             found = _contact_points(block, *of_block, source)
         if found is None:
             warn_once(
@@ -269,14 +312,16 @@ def _derive_points(
                 "edge that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they "
                 "are something else",
             )
-            return _derive_points(contacts, number, derived, particles, row_i, row_j, None, lattice, source)
+            return _derive_points(
+                contacts, number, derived, particles, row_i, row_j, None, lattice, source
+            )
         points[some] = found
     return points
 
 
 def _plain_points(
     particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice
-) -> NDArray | None:  # fmt: skip
+) -> NDArray | None:
     """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_contact_points`.
 
     A loop finds them in less than a tenth of the time. It knows neither tilted boxes nor partners that are not in the
@@ -291,9 +336,14 @@ def _plain_points(
 
 
 def _contact_points(
-    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
+    contacts: Frame,
+    particles: Frame,
+    row_i: NDArray,
+    row_j: NDArray,
+    seen: NDArray | None,
+    lattice: Lattice,
     source: str,
-) -> NDArray | None:  # fmt: skip
+) -> NDArray | None:
     """Points where spheres touch; for a partner that is not in the scene, from the given middle.
 
     None where branches that the data hold are not those between the positions.
@@ -320,7 +370,9 @@ def _contact_points(
         if wrong.size:
             row = both[wrong[0]]
             pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
-            raise SceneError(f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}")
+            raise SceneError(
+                f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
+            )
 
     centre, radius_i, radius_j = position[i], radius[i], radius[j]
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
@@ -340,8 +392,12 @@ def _contact_points(
 
 
 def _branches(
-    apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None]
-) -> NDArray | None:  # fmt: skip
+    apart: NDArray,
+    touching: NDArray,
+    seen: NDArray | None,
+    lattice: Lattice,
+    refuse: Callable[[NDArray, str], None],
+) -> NDArray | None:
     """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest.
 
     None where these are not near to what was seen.
@@ -351,7 +407,9 @@ def _branches(
         near = np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)
         return branch if near.all() else None
     branch = lattice.shortest(apart)
-    rows, _ = lattice.within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR))
+    rows, _ = lattice.within(
+        branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR)
+    )
     refuse(
         rows[1:][rows[1:] == rows[:-1]],
         "may be on either side, as the box is so small that the two touch twice; give 'contact_point', or the vector "
@@ -360,7 +418,9 @@ def _branches(
     return branch
 
 
-def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:
+def contact_points(
+    position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray
+) -> NDArray:
     """Points on the branches r_i - r_j of spheres, ``R_i - overlap / 2`` from the centre of i."""
     length = np.linalg.norm(branch, axis=1)
     share = share_of_i(np.where(length > 0, length, 1.0), radius_i, radius_j)

@@ -18,7 +18,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once, SceneError, did_you_mean
-from xcg.scene.schema import BOX, COMPONENTS, MEASURED, PADDING, VARIABLES, Variable, known_without_reading, variable
+from xcg.scene.schema import (
+    BOX,
+    COMPONENTS,
+    MEASURED,
+    PADDING,
+    VARIABLES,
+    Variable,
+    known_without_reading,
+    variable,
+)
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 
@@ -41,7 +50,11 @@ def takes_scene(task: Task[P, R]) -> Task[P, R]:
 
 
 def conformed(
-    name: str, signature: inspect.Signature, ds: xr.Dataset, args: Sequence[Any], options: Mapping[str, Any]
+    name: str,
+    signature: inspect.Signature,
+    ds: xr.Dataset,
+    args: Sequence[Any],
+    options: Mapping[str, Any],
 ) -> xr.Dataset:
     """Check the arguments of a call, and bring its scene to the form that tasks read.
 
@@ -61,7 +74,9 @@ def conformed(
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in known.values())
     for word in options:
         if word not in known and not open_ended:
-            raise TypeError(f"{name}() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}")
+            raise TypeError(
+                f"{name}() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}"
+            )
     try:
         signature.bind(ds, *args, **options)
     except TypeError as error:
@@ -69,7 +84,9 @@ def conformed(
     return conform(ds)
 
 
-def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = "") -> None:
+def require_scene(
+    ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = ""
+) -> None:
     """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing.
 
     `instead` ends the advice with what can be asked for without them.
@@ -97,9 +114,13 @@ def _way_to(missing: Set[str]) -> str:
         )
     if missing & {"mass", "density", "moment_of_inertia"}:
         ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
-    if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
+    if others := sorted(
+        missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}
+    ):
         way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
-        ways.append(way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing))
+        ways.append(
+            way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing)
+        )
     if "director" in missing:
         ways.append("quaternions to ds.cg.derive_director()")
     return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
@@ -128,7 +149,9 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     for name in map(str, scene.data_vars):
         given = scene.variables[name]
         row = _row_of(name, given.dims, given.dtype)
-        floats = given.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64"))
+        floats = given.dtype.kind == "f" and (
+            f"{name}_values" in scene.attrs or (row and row.dtype == "int64")
+        )
         if not (masked or floats) and (row is None or given.dims == ("time", *row.dims)):
             continue  # as nearly always
         array = scene[name]
@@ -148,7 +171,9 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
 def _renamed(ds: xr.Dataset) -> dict[str, str]:
     """Dimensions that ds.swap_dims named by a coordinate, with the names that tasks know them by."""
     labels = {"step": "time", "particle_id": "particle"}
-    return {label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes}
+    return {
+        label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes
+    }
 
 
 def _taken_away(ds: xr.Dataset) -> list[str]:
@@ -167,7 +192,9 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
         return series
     of_step = {"time", "component", "direction"}
     names = [
-        n for n in map(str, ds.data_vars) if n not in BOX and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
+        n
+        for n in map(str, ds.data_vars)
+        if n not in BOX and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
     ]
     found = {}
     for name in names:
@@ -182,7 +209,11 @@ def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable 
         return BOX[name]
     row = variable(name, dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}
-    return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
+    return (
+        row
+        if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"}
+        else None
+    )
 
 
 def as_selected(result: R, ds: xr.Dataset) -> R:
@@ -194,7 +225,11 @@ def as_selected(result: R, ds: xr.Dataset) -> R:
     selected: xr.Dataset = result
     if gone := {dim: 0 for dim in taken_away if dim in result.sizes}:
         selected = selected.isel(gone)
-    back = {dim: label for label, dim in renamed.items() if label in selected and selected[label].dims == (dim,)}
+    back = {
+        dim: label
+        for label, dim in renamed.items()
+        if label in selected and selected[label].dims == (dim,)
+    }
     return cast(R, selected.swap_dims(back) if back else selected)
 
 
@@ -290,10 +325,17 @@ def _in_range(diameter: NDArray, low: float, high: float, once: Once) -> NDArray
     return diameter
 
 
-def _mapped(function: Callable[[NDArray], NDArray], array: xr.DataArray, dtype: Any, *dims: Any) -> xr.DataArray:
+def _mapped(
+    function: Callable[[NDArray], NDArray], array: xr.DataArray, dtype: Any, *dims: Any
+) -> xr.DataArray:
     """Map a function over the values of a variable, chunk by chunk where it is lazy; `dims` are reduced."""
     return xr.apply_ufunc(
-        function, array, input_core_dims=[list(dims)], dask="parallelized", output_dtypes=[dtype], keep_attrs=True
+        function,
+        array,
+        input_core_dims=[list(dims)],
+        dask="parallelized",
+        output_dtypes=[dtype],
+        keep_attrs=True,
     )
 
 
@@ -312,5 +354,7 @@ def _whole(values: NDArray, name: str) -> NDArray:
     """Whole numbers from floats, NaN as padding."""
     padded = np.where(np.isnan(values), PADDING, values)
     if (padded != np.rint(padded)).any():
-        raise SceneError(f"'{name}' holds {padded[padded != np.rint(padded)][0]!r}, expected whole numbers")
+        raise SceneError(
+            f"'{name}' holds {padded[padded != np.rint(padded)][0]!r}, expected whole numbers"
+        )
     return padded.astype("int64")

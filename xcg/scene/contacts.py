@@ -68,7 +68,9 @@ class Contacts:
     threads: int = 1
 
     @classmethod
-    def of(cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1) -> Contacts:
+    def of(
+        cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1
+    ) -> Contacts:
         """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
@@ -77,7 +79,9 @@ class Contacts:
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
-        return cls(row_i, row_j, force, point, position, lattice, key_i, key_j, normal, threads=threads)
+        return cls(
+            row_i, row_j, force, point, position, lattice, key_i, key_j, normal, threads=threads
+        )
 
     @cached_property
     def branches(self) -> tuple[NDArray, NDArray]:
@@ -126,7 +130,10 @@ class Contacts:
             spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
             branches.append(branch)
         branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
-        branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
+        branch_i[both[spheres]], branch_j[both[spheres]] = (
+            branches[0][spheres],
+            branches[1][spheres],
+        )
         return replace(self, given_branches=(branch_i, branch_j))
 
     @property
@@ -142,7 +149,9 @@ class Contacts:
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
-            between(self.i[some], self.j[some], self.position, self.point[some], *periods, out[some])
+            between(
+                self.i[some], self.j[some], self.position, self.point[some], *periods, out[some]
+            )
 
         for_parts(len(out), write, self.threads)
         return out
@@ -234,7 +243,9 @@ class Contacts:
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
         total = np.zeros((len(self.position), 6))
-        add_unit_squares(self.i, self.j, self.between if self.given_normal is None else self.given_normal, total)
+        add_unit_squares(
+            self.i, self.j, self.between if self.given_normal is None else self.given_normal, total
+        )
         return total
 
     @property
@@ -271,7 +282,9 @@ class Contacts:
         Contacts without a particle come last.
         """
         keys = len(order) + 1
-        rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))  # row -1 is that of no particle
+        rank = np.full(
+            keys, len(order), short_integers(max(keys, len(self.i)))
+        )  # row -1 is that of no particle
         rank[order] = np.arange(len(order), dtype=rank.dtype)
         return counting_sort(rank[self.first_row], keys)
 
@@ -290,7 +303,9 @@ def named_walls(names: Iterable[str]) -> dict[str, Any]:
     names = list(names)
     wrong = [name for name in names if not isinstance(name, str) or len(name.split()) != 1]
     if wrong:
-        raise SceneError(f"walls: {wrong[0]!r} is no name of a wall: expected a word without blanks")
+        raise SceneError(
+            f"walls: {wrong[0]!r} is no name of a wall: expected a word without blanks"
+        )
     return {"wall_names": " ".join(names), "wall_ids": FIRST_WALL - np.arange(len(names))}
 
 
@@ -313,13 +328,25 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
     given = [walls] if isinstance(walls, str | int | np.integer) else list(walls)
     for wall in given:
         if isinstance(wall, str) and wall not in known:
-            there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
-            raise ValueError(unknown("wall", wall, known, f"{there}; or give numbers as in contact_j"))
+            there = (
+                f"the walls of this scene are {', '.join(known)}"
+                if known
+                else "no wall of this scene has a name"
+            )
+            raise ValueError(
+                unknown("wall", wall, known, f"{there}; or give numbers as in contact_j")
+            )
         if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
-            raise ValueError(f"walls: {plain(wall)} is no wall: expected names, or negative numbers as in contact_j")
+            raise ValueError(
+                f"walls: {plain(wall)} is no wall: expected names, or negative numbers as in contact_j"
+            )
     if not given:
-        raise ValueError("walls: none is given; expected names, or negative numbers as in contact_j")
-    return tuple(dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given))
+        raise ValueError(
+            "walls: none is given; expected names, or negative numbers as in contact_j"
+        )
+    return tuple(
+        dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given)
+    )
 
 
 @takes_scene
@@ -358,4 +385,6 @@ def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
     """
     require_scene(ds, ("contact_i", "contact_j"), "select_walls")
     kept = ds["contact_j"].isin(numbers_of_walls(ds, walls))
-    return ds.assign(contact_i=ds["contact_i"].where(kept, PADDING).assign_attrs(ds["contact_i"].attrs))
+    return ds.assign(
+        contact_i=ds["contact_i"].where(kept, PADDING).assign_attrs(ds["contact_i"].attrs)
+    )

@@ -17,7 +17,15 @@ from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
 from xcg.scene.frame import SIZES, with_measures
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
+from xcg.scene.schema import (
+    BOX,
+    COMPONENTS,
+    VARIABLES,
+    Setup,
+    known_without_reading,
+    units_in,
+    variable,
+)
 
 
 @dataclass(frozen=True)
@@ -88,12 +96,18 @@ class Description:
     @cached_property
     def rows(self) -> list[str]:
         """Names of the variables of particles and contacts."""
-        return [name for name, column in self.columns.items() if {"particle", "contact"} & set(column.dims)]
+        return [
+            name
+            for name, column in self.columns.items()
+            if {"particle", "contact"} & set(column.dims)
+        ]
 
     @cached_property
     def periods(self) -> dict[str, float]:
         """Period of the first step along the periodic axes (m)."""
-        return {a: self.edges[a][1] - self.edges[a][0] for a in self.setup.periodic if a in self.edges}
+        return {
+            a: self.edges[a][1] - self.edges[a][0] for a in self.setup.periodic if a in self.edges
+        }
 
     @property
     def layer_depth(self) -> float | str | None:
@@ -144,7 +158,11 @@ class Description:
                     f"groups={groups!r} are the values of an integer variable of the particles: say which with by="
                 )
             return ()
-        whole = [name for name, column in self.columns.items() if column.kind in "iu" and "particle" in column.dims]
+        whole = [
+            name
+            for name, column in self.columns.items()
+            if column.kind in "iu" and "particle" in column.dims
+        ]
         if by not in whole:
             shown = [name for name in whole if name != "particle_id"]
             raise ValueError(
@@ -180,10 +198,15 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     lasts, periods = _what_lasts(ds, setup, edges)
     for name in map(str, ds.data_vars):
         given = ds.variables[name]
-        texts = [None if (text := given.attrs.get(key)) is None else str(text) for key in ("units", "long_name")]
+        texts = [
+            None if (text := given.attrs.get(key)) is None else str(text)
+            for key in ("units", "long_name")
+        ]
         columns[name] = Column(tuple(map(str, given.dims)), given.dtype.kind, *texts)
     corners = [
-        tuple(np.ravel(ds.attrs[end]).tolist()) for end in ("particle_lower", "particle_upper") if end in ds.attrs
+        tuple(np.ravel(ds.attrs[end]).tolist())
+        for end in ("particle_lower", "particle_upper")
+        if end in ds.attrs
     ]
     cylindrical = ds.attrs.get("frame") == "cylindrical"
     return Description(
@@ -212,22 +235,40 @@ def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
         return {}
     if isinstance(ds[by].variable._data, np.ndarray):
         valid = ds["particle_id"].to_numpy() >= 0
-        return {by: tuple(np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist())}
-    return {by: tuple(np.ravel(ds.attrs.get(f"{by}_values", [])).tolist())} if known_without_reading(ds, by) else {}
+        return {
+            by: tuple(
+                np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
+            )
+        }
+    return (
+        {by: tuple(np.ravel(ds.attrs.get(f"{by}_values", [])).tolist())}
+        if known_without_reading(ds, by)
+        else {}
+    )
 
 
 def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Edges of the first box: of one in memory; of a lazy one the attributes, which hold a box that does not change."""
     box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
     given = ds.variables["box"] if "box" in ds else None
-    if given is not None and given.size and (given.chunks is None or lower is None or upper is None):
-        first = given.isel({dim: 0 for dim in given.dims if dim not in ("component", "bound")})  # "step", too
+    if (
+        given is not None
+        and given.size
+        and (given.chunks is None or lower is None or upper is None)
+    ):
+        first = given.isel(
+            {dim: 0 for dim in given.dims if dim not in ("component", "bound")}
+        )  # "step", too
         box = first.transpose("component", "bound").to_numpy()
     elif lower is not None and upper is not None:
         box = np.stack([lower, upper], axis=1)
     if box is None:
         return {}
-    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
+    return {
+        a: (float(low), float(high))
+        for a, (low, high) in zip(COMPONENTS, box, strict=True)
+        if high - low < np.inf
+    }
 
 
 def _what_lasts(
@@ -238,7 +279,11 @@ def _what_lasts(
     A lazy box is not read, as attributes hold a box that lasts.
     """
     if "box" in ds and ds.variables["box"].chunks is None:
-        box = {n: ds.variables[n].transpose("time", *row.dims).to_numpy() for n, row in BOX.items() if n in ds}
+        box = {
+            n: ds.variables[n].transpose("time", *row.dims).to_numpy()
+            for n, row in BOX.items()
+            if n in ds
+        }
         same = np.all([(steps == steps[:1]).all(axis=(0, 2)) for steps in box.values()], axis=0)
         if "lattice" in ds:
             x, y, z = np.full(3, np.inf)
@@ -248,7 +293,11 @@ def _what_lasts(
             return bool(same.all()), (x, y, z)
     else:
         same = np.full(3, "box_lower" in ds.attrs and "lattice" not in ds)
-    lasting = [a for a, lasts in zip(COMPONENTS, same, strict=True) if lasts and a in setup.periodic and a in edges]
+    lasting = [
+        a
+        for a, lasts in zip(COMPONENTS, same, strict=True)
+        if lasts and a in setup.periodic and a in edges
+    ]
     x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
     return bool(same.all()), (x, y, z)
 
@@ -281,10 +330,14 @@ class Summary:
     @classmethod
     def of(cls, title: str, rows: Iterable[tuple[str, str]]) -> Summary:
         """Make one of what there is to say."""
-        return cls(printable(title), tuple((label, printable(text)) for label, text in rows if text))
+        return cls(
+            printable(title), tuple((label, printable(text)) for label, text in rows if text)
+        )
 
     def __str__(self) -> str:
-        return "\n".join([self.title, *(f"  {label + ':':{_WIDTH}s}{text}" for label, text in self.rows)])
+        return "\n".join(
+            [self.title, *(f"  {label + ':':{_WIDTH}s}{text}" for label, text in self.rows)]
+        )
 
     def html(self) -> str:
         """Write a table, for notebooks."""
@@ -301,21 +354,34 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
     try:
         return _summary(conform(ds))
     except ValueError as error:
-        return Summary.of(f"a part of a scene: {error}", [("variables", ", ".join(map(str, ds.data_vars)))])
+        return Summary.of(
+            f"a part of a scene: {error}", [("variables", ", ".join(map(str, ds.data_vars)))]
+        )
 
 
 def _summary(ds: xr.Dataset) -> Summary:
-    steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
+    steps = (
+        ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)
+    )  # also by other dimensions
     particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0
     # one order, whatever that of a file is
-    there = [name for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)]) if name in ds.variables]
-    names = {dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
+    there = [
+        name
+        for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)])
+        if name in ds.variables
+    ]
+    names = {
+        dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS
+    }
     own = {
-        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
+        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")]
+        for dim in _ROWS
     }
     missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
-    sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
+    sizes = ", ".join(
+        f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs
+    )
     return Summary.of(
         f"scene of {steps} step{'s' * (steps != 1)} with up to {particles} particles and {contacts} contacts",
         [
@@ -326,7 +392,10 @@ def _summary(ds: xr.Dataset) -> Summary:
             ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
             ("sizes", sizes or "not measured"),
             ("box", _box(ds)),
-            ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),
+            (
+                "periodic",
+                f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}",
+            ),
         ],
     )
 
@@ -354,7 +423,11 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
         ("forces", str(ds.attrs.get("estimated_forces", ""))),
         ("time", _times(ds)),
         ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
-        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units") + assumed),
+        (
+            "units",
+            {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units")
+            + assumed,
+        ),
     ]
 
 
@@ -374,7 +447,9 @@ def _box(ds: xr.Dataset) -> str:
         return "changes with time"
     edges = describe(ds).edges
     unit = units_in("m", ds.attrs.get("unit_system", "SI")).removesuffix("1")
-    text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
+    text = ", ".join(
+        f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges
+    )
     text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
     changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
     return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"

@@ -40,13 +40,23 @@ def check_times(time: NDArray, purpose: str, way_out: str) -> None:
     _require_numbers(time, purpose)
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
-        found = f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}" if late.size else f"{time}"
-        raise SceneError(f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}")
+        found = (
+            f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}"
+            if late.size
+            else f"{time}"
+        )
+        raise SceneError(
+            f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
+        )
 
 
 def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
     """Raise SceneError for a series whose times do not rise, as after a selection or joining: rates would be wrong."""
-    check_times(ds["time"].to_numpy(), purpose, "order the steps with ds.sortby('time').drop_duplicates('time')")
+    check_times(
+        ds["time"].to_numpy(),
+        purpose,
+        "order the steps with ds.sortby('time').drop_duplicates('time')",
+    )
 
 
 def evenly_spaced(values: NDArray, what: str) -> float:
@@ -97,7 +107,11 @@ def frame_at(ds: xr.Dataset, position: int, names: Iterable[str]) -> tuple[Frame
     """Compute some variables of the step at a position: its frame, periodic images and name; errors as `step_at`."""
     step, wanted = step_at(ds, position, "time"), {*names, *OF_STEP}
     step = step[[name for name in step.variables if name in wanted]].compute()
-    arrays = {str(name): values.to_numpy()[None] for name, values in step.variables.items() if name in wanted}
+    arrays = {
+        str(name): values.to_numpy()[None]
+        for name, values in step.variables.items()
+        if name in wanted
+    }
     return next(steps_in(arrays, str(ds.attrs.get("periodic", ""))))
 
 
@@ -158,7 +172,9 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
     found: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
-        if row.dims[0] in rows:  # as loops are compiled for: files may hold bytes or axes the other way round
+        if (
+            row.dims[0] in rows
+        ):  # as loops are compiled for: files may hold bytes or axes the other way round
             found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, order="C", copy=False)
     for name in found:
         if name in VARIABLES:
@@ -200,7 +216,11 @@ def without_frozen(frame: Frame) -> Frame:
     if "frozen" not in frame:
         return frame
     free = frame["frozen"] != 1
-    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
+    particles = {
+        name: values[free]
+        for name, values in frame.items()
+        if not name.startswith(("contact", "overlap"))
+    }
     return {**frame, **particles}
 
 
@@ -240,7 +260,9 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     del order
     np.cumsum(share, out=share)
     sums = [(d**k).sum() for k in range(5)]
-    with np.errstate(invalid="ignore", divide="ignore"):  # powers of zero: NaN, which no width may be
+    with np.errstate(
+        invalid="ignore", divide="ignore"
+    ):  # powers of zero: NaN, which no width may be
         ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
     return {
         "d43": ratios[1],
@@ -284,7 +306,9 @@ MEASURED_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
 
 def without_attrs(ds: xr.Dataset, names: Collection[str]) -> xr.Dataset:
     """Return the scene without some of its attributes."""
-    return ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in names})
+    return ds.drop_attrs(deep=False).assign_attrs(
+        {k: v for k, v in ds.attrs.items() if k not in names}
+    )
 
 
 def with_measures(ds: xr.Dataset) -> xr.Dataset:
@@ -296,10 +320,15 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     are left out.
     """
     of = {name: attrs for name, attrs in MEASURED_ATTRIBUTES.items() if name in ds}
-    lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
+    lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(
+        ds.attrs
+    )
     if lost:
         ds = without_attrs(ds, lost)
-    order, given = ("time", "particle", ...), {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds}
+    order, given = (
+        ("time", "particle", ...),
+        {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds},
+    )
     arrays = {
         name: v.transpose(*order).to_numpy()
         for name, v in given.items()
@@ -311,7 +340,12 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
             valid = arrays["particle_id"][t] != PADDING
             rows = slice(None) if valid.all() else valid  # without a copy where they are all
             ends.append({name: a[t][rows] for name, a in arrays.items()})
-    outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
+    outside = {
+        attr
+        for name in of
+        if not all(_within(name, frame, ds.attrs) for frame in ends)
+        for attr in of[name]
+    }
     if outside:
         measured = measure_frames(ends)
         ds = ds.assign_attrs({attr: measured[attr] for attr in outside & set(measured)})
@@ -344,7 +378,9 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
         The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
     """
     require_scene(ds, (), "measure")
-    return _measure(without_attrs(ds, {attr for attrs in MEASURED_ATTRIBUTES.values() for attr in attrs}))
+    return _measure(
+        without_attrs(ds, {attr for attrs in MEASURED_ATTRIBUTES.values() for attr in attrs})
+    )
 
 
 @takes_scene
@@ -385,12 +421,18 @@ def size_statistics(ds: xr.Dataset) -> xr.Dataset:
     if not ds.sizes["particle"]:  # which dask takes no function over
         inputs = [a.compute() for a in inputs]
     table = xr.apply_ufunc(
-        _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
-        dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
-    )  # fmt: skip
+        _sizes_of_rows,
+        *inputs,
+        input_core_dims=[["particle"]] * 2,
+        output_core_dims=[["size"]],
+        dask="parallelized",
+        output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
+    )
     units = units_in("m", ds.attrs.get("unit_system", "SI"))
     out = {
-        name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name]) for k, name in enumerate(SIZES)
+        name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name])
+        for k, name in enumerate(SIZES)
     }
     return xr.Dataset(out)
 

@@ -63,7 +63,11 @@ class Lattice:
         rates = np.asarray(box.get("lattice_velocity", np.zeros((3, 3))), float)[axes]
         vectors = np.asarray(given, float)[axes]
         lengths = np.linalg.norm(vectors, axis=1)
-        if not (np.isfinite(vectors).all() and np.isfinite(rates).all() and _volume(vectors) > 1e-12 * lengths.prod()):
+        if not (
+            np.isfinite(vectors).all()
+            and np.isfinite(rates).all()
+            and _volume(vectors) > 1e-12 * lengths.prod()
+        ):
             raise SceneError(
                 f"{source}: the lattice vectors of the periodic axes {periodic!r} are {vectors.tolist()} (m), moving "
                 f"with {rates.tolist()} (m/s); expected finite vectors that span a volume"
@@ -79,11 +83,17 @@ class Lattice:
     @property
     def lengths(self) -> NDArray:
         """Length (3,) of the periodic axes in the box without its tilt (m), infinity along the others."""
-        return self.period if self.cell is None else np.where(self.cell.any(axis=1), np.diagonal(self.cell), np.inf)
+        return (
+            self.period
+            if self.cell is None
+            else np.where(self.cell.any(axis=1), np.diagonal(self.cell), np.inf)
+        )
 
     def length(self, axis: str) -> float:
         """Extent of the box along an axis (m); NaN where it has none."""
-        return np.nan if self.edges is None else float(np.diff(self.edges[COMPONENTS.index(axis)])[0])
+        return (
+            np.nan if self.edges is None else float(np.diff(self.edges[COMPONENTS.index(axis)])[0])
+        )
 
     @property
     def given(self) -> NDArray:
@@ -101,14 +111,20 @@ class Lattice:
     def basis(self) -> NDArray:
         """Vectors to the next images (k, 3), in any box."""
         periodic = np.isfinite(self.period)
-        return np.diag(np.where(periodic, self.period, 0.0))[periodic] if self.vectors is None else self.vectors
+        return (
+            np.diag(np.where(periodic, self.period, 0.0))[periodic]
+            if self.vectors is None
+            else self.vectors
+        )
 
     @cached_property
     def reduced(self) -> Reduced | None:
         """The lattice as compiled loops take it; None where periods along the axes are enough."""
         if self.vectors is None:
             return None
-        around = np.array([n for n in product((-1.0, 0.0, 1.0), repeat=len(self.vectors)) if any(n)])
+        around = np.array(
+            [n for n in product((-1.0, 0.0, 1.0), repeat=len(self.vectors)) if any(n)]
+        )
         around = around.reshape(3 ** len(self.vectors) - 1, len(self.vectors)) @ self.vectors
         return Reduced(np.ascontiguousarray(self.vectors), self._dual, around)
 
@@ -130,7 +146,9 @@ class Lattice:
         if self.reduced is None:
             return minimum_image(vector, self.period, to)
         out = np.empty((len(vector), 3))
-        nearest_images(np.ascontiguousarray(vector if to is None else vector - to, float), self.reduced, out)
+        nearest_images(
+            np.ascontiguousarray(vector if to is None else vector - to, float), self.reduced, out
+        )
         return out if to is None else out + to
 
     def numbers(self, vector: NDArray) -> NDArray:
@@ -139,7 +157,9 @@ class Lattice:
 
     def drift(self, shift: NDArray) -> NDArray | float:
         """Return the velocities (n, 3) of images shifted by lattice vectors (n, 3), or 0 where none moves (m/s)."""
-        return 0.0 if self.rates is None or not self.rates.any() else self.numbers(shift) @ self.rates
+        return (
+            0.0 if self.rates is None or not self.rates.any() else self.numbers(shift) @ self.rates
+        )
 
     def translations(self, length: float, source: str = "scene") -> NDArray:
         """Return all lattice vectors (m, 3) shorter than a length, but zero."""
@@ -180,7 +200,9 @@ class Lattice:
             return np.inf, ""
         k = int(np.argmin(lengths))
         if self.vectors is None:
-            return float(lengths[k]), f"along '{COMPONENTS[np.flatnonzero(np.isfinite(self.period))[k]]}'"
+            return float(
+                lengths[k]
+            ), f"along '{COMPONENTS[np.flatnonzero(np.isfinite(self.period))[k]]}'"
         return float(lengths[k]), f"along {self.vectors[k].tolist()}"
 
     # --- places ---
@@ -202,7 +224,10 @@ class Lattice:
         for k in np.flatnonzero(np.isfinite(lengths)):
             step = lengths[k] * np.eye(3)[k]
             number = self.numbers(step)
-            if np.abs(number @ self.vectors - step).max() <= _SAME * lengths[k] and not (number @ self.rates).any():
+            if (
+                np.abs(number @ self.vectors - step).max() <= _SAME * lengths[k]
+                and not (number @ self.rates).any()
+            ):
                 found[k] = lengths[k]
         return found
 
@@ -215,11 +240,22 @@ class Lattice:
             If no such box holds one image of each place, as where the vectors point in any direction.
         """
         position = position.copy()
-        cell = self.cell if self.cell is not None else np.diag(np.where(np.isfinite(self.period), self.period, 0.0))
+        cell = (
+            self.cell
+            if self.cell is not None
+            else np.diag(np.where(np.isfinite(self.period), self.period, 0.0))
+        )
         left = [k for k in range(3) if cell[k].any()]
         while left:
             # along this axis only its own vector leads, so that wrapping along the others leaves it as it is
-            free = next((k for k in reversed(left) if cell[k, k] and not any(cell[j, k] for j in left if j != k)), None)
+            free = next(
+                (
+                    k
+                    for k in reversed(left)
+                    if cell[k, k] and not any(cell[j, k] for j in left if j != k)
+                ),
+                None,
+            )
             if free is None:
                 raise SceneError(
                     f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors leads along alone"
@@ -244,7 +280,9 @@ class Lattice:
         vectors, rates, apart = self._along(active)
         flat, rates = (vectors * active)[apart], rates[apart]
         if not _independent(flat):
-            tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(axis=0)
+            tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(
+                axis=0
+            )
             shown = [a for a, leads in zip(COMPONENTS, tilted & active, strict=True) if leads]
             hidden = [a for a, leads in zip(COMPONENTS, tilted & ~active, strict=True) if leads]
             across, along = " and ".join(hidden), " and ".join(shown)
@@ -312,11 +350,15 @@ class Lattice:
         middle, half = 0.5 * (first + last), 0.5 * (last - first)
         home = self.numbers(position - middle)
         near = position - home @ vectors
-        bounds = [extreme(axis=0, initial=0.0) for extreme in ((near - middle).min, (near - middle).max)]
+        bounds = [
+            extreme(axis=0, initial=0.0) for extreme in ((near - middle).min, (near - middle).max)
+        ]
         # a translation by n leads from the extent of the positions into the limits where n is within these
         spread = np.abs(dual) @ (half + np.where(limited, 0.5 * (bounds[1] - bounds[0]), 0.0))
         centre = -dual @ np.where(limited, 0.5 * (bounds[0] + bounds[1]), 0.0)
-        numbers = _numbers(np.ceil(centre - spread - _SAME), np.floor(centre + spread + _SAME), source)
+        numbers = _numbers(
+            np.ceil(centre - spread - _SAME), np.floor(centre + spread + _SAME), source
+        )
         rows, found = [], []
         for number in numbers:
             shifted = near + number @ vectors
@@ -339,7 +381,9 @@ class Lattice:
         along, open_axes = vectors[~apart], hidden & ~self.cell.any(axis=1)
         if len(along) + open_axes.sum() < hidden.sum() or not np.isfinite(lengths[open_axes]).all():
             return np.nan
-        return _volume(np.concatenate([along, np.diag(np.where(open_axes, lengths, 0.0))[open_axes]]))
+        return _volume(
+            np.concatenate([along, np.diag(np.where(open_axes, lengths, 0.0))[open_axes]])
+        )
 
 
 def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
@@ -374,7 +418,11 @@ def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
             "damaged, or the kernel is too wide"
         )
     axes = [np.arange(first, last + 1) for first, last in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low)) if axes else np.zeros((1, 0))
+    return (
+        np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+        if axes
+        else np.zeros((1, 0))
+    )
 
 
 def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> NDArray:
@@ -384,7 +432,9 @@ def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> N
     the vectors belong to.
     """
     numbers = np.eye(len(axes))
-    for row, other in ((r, o) for r in range(len(axes)) for o in reversed(range(len(axes))) if r != o):
+    for row, other in (
+        (r, o) for r in range(len(axes)) for o in reversed(range(len(axes))) if r != o
+    ):
         if two[other, axes[row]] == 0:  # it leaves the length along the vector's own axis as it is
             away = numbers[row] @ two - one[row]
             numbers[row, other] -= np.rint(away[axes[other]] / two[other, axes[other]])
@@ -441,7 +491,9 @@ def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDA
     near = np.flatnonzero(short.any(axis=1))
     if not near.size:
         return np.arange(len(vector)), vector
-    shifts = np.array(list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)))))
+    shifts = np.array(
+        list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0))))
+    )
     images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
     inside = np.linalg.norm(images, axis=2) < reach[near, None]
     inside[:, 0] = True

@@ -34,7 +34,9 @@ MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
 
 
 @takes_scene
-def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: int = 0) -> xr.Dataset:
+def find_phases(
+    ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: int = 0
+) -> xr.Dataset:
     """Find phases as clusters of (diameter, density) (computes some steps).
 
     k-means for 2 to `max_phases` clusters on standardised diameters and densities; the number with the best mean
@@ -74,10 +76,14 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     count = ds.sizes["time"]
     some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()
-    properties = np.stack([read[name].to_numpy().ravel() for name in ("diameter", "density")], axis=1)
+    properties = np.stack(
+        [read[name].to_numpy().ravel() for name in ("diameter", "density")], axis=1
+    )
     properties = properties[np.isfinite(properties).all(axis=1)]
     if not len(properties):
-        raise SceneError(f"find_phases: no grains in steps {some.tolist()}; give phases by assign_phases(edges=[...])")
+        raise SceneError(
+            f"find_phases: no grains in steps {some.tolist()}; give phases by assign_phases(edges=[...])"
+        )
     mean = properties.mean(axis=0)
     scale = np.maximum(properties.std(axis=0), NOISE * np.abs(mean))
     labels, scores = _cluster((properties - mean) / scale, int(max_phases), seed)
@@ -85,7 +91,11 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     centres = centres[np.lexsort((centres[:, 1], centres[:, 0]))]
     nearest = partial(_nearest, centres=centres, scale=scale)
     assigned = _by_properties(
-        ds, ("diameter", "density"), nearest, "nearest (diameter, density)", range(1, len(centres) + 1)
+        ds,
+        ("diameter", "density"),
+        nearest,
+        "nearest (diameter, density)",
+        range(1, len(centres) + 1),
     )
     return assigned.assign_attrs(
         phase_diameter=centres[:, 0], phase_density=centres[:, 1], phase_scores=np.array(scores)
@@ -138,25 +148,37 @@ def assign_phases(
         Unless one of `edges` and `mapping` is given, or if edges do not rise.
     """
     if (edges is None) == (mapping is None):
-        raise ValueError("assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}")
+        raise ValueError(
+            "assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}"
+        )
     if edges is not None:
         if by != "species":
-            raise ValueError(f"by={by!r}: edges= are between diameters, and by= goes with mapping=; leave it out")
+            raise ValueError(
+                f"by={by!r}: edges= are between diameters, and by= goes with mapping=; leave it out"
+            )
         require_scene(ds, ("diameter",), "assign_phases")
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
-            raise ValueError(f"edges={plain(edges)}: expected diameters (m) that rise, such as [0.002, 0.004]")
+            raise ValueError(
+                f"edges={plain(edges)}: expected diameters (m) that rise, such as [0.002, 0.004]"
+            )
         _warn_of_empty(rising, ds.attrs)
         number = partial(np.digitize, bins=np.append(-np.inf, rising))
-        return _by_properties(ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2))
+        return _by_properties(
+            ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2)
+        )
     require_scene(ds, (by,), "assign_phases")
     given = mapping or {}
-    if not given or not all(is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()):
+    if not given or not all(
+        is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()
+    ):
         raise ValueError(
             f"mapping={plain(mapping)}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
         )
     table = {int(value): int(phase) for value, phase in given.items()}
-    return _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}", table.values())
+    return _by_properties(
+        ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}", table.values()
+    )
 
 
 @takes_scene
@@ -178,11 +200,18 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
     frame = step_at(ds[["diameter", "density", "phase"]], step, "step").compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
     plt = extra("matplotlib.pyplot", "plot", "drawing")
-    figure, axes = plt.subplots(1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained")
+    figure, axes = plt.subplots(
+        1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained"
+    )
     left = np.atleast_1d(axes)[0]
     for value in np.atleast_1d(ds.attrs["phase_values"]):
         here = frame["phase"].to_numpy() == value
-        left.scatter(frame["diameter"].to_numpy()[here], frame["density"].to_numpy()[here], s=8, label=f"{value}")
+        left.scatter(
+            frame["diameter"].to_numpy()[here],
+            frame["density"].to_numpy()[here],
+            s=8,
+            label=f"{value}",
+        )
     if "phase_diameter" in ds.attrs:
         left.plot(ds.attrs["phase_diameter"], ds.attrs["phase_density"], "k+", ms=12)
     set_label(left.xaxis, label_of(ds["diameter"], "diameter"))
@@ -232,11 +261,16 @@ def _silhouette(points: NDArray, labels: NDArray, rng: np.random.Generator) -> f
 # --- from properties to phases ---------------------------------------------------------------------------
 
 
-def _by_properties(ds: xr.Dataset, names: Sequence[str], function: Any, how: str, phases: Iterable[int]) -> xr.Dataset:
+def _by_properties(
+    ds: xr.Dataset, names: Sequence[str], function: Any, how: str, phases: Iterable[int]
+) -> xr.Dataset:
     """Add ``phase``, one of some `phases`, from some variables of each grain, chunk by chunk."""
     inputs = [ds["particle_id"], *(ds[name] for name in names)]
     phase = xr.apply_ufunc(
-        partial(_unless_padding, function=function), *inputs, dask="parallelized", output_dtypes=["int64"]
+        partial(_unless_padding, function=function),
+        *inputs,
+        dask="parallelized",
+        output_dtypes=["int64"],
     )
     phase.attrs = {"units": "1", "long_name": f"phase, {how}"}
     assigned = ds.assign(phase=phase.transpose(*ds["particle_id"].dims))
@@ -253,12 +287,19 @@ def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
 def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: NDArray) -> NDArray:
     from scipy.spatial import cKDTree
 
-    return np.asarray(cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]) + 1
+    return (
+        np.asarray(
+            cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]
+        )
+        + 1
+    )
 
 
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
     unknown = sorted(set(np.unique(values).tolist()) - set(table))
     if unknown:
-        raise SceneError(f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur")
+        raise SceneError(
+            f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur"
+        )
     found, row = np.unique(values, return_inverse=True)
     return np.array([table[int(value)] for value in found], "int64")[row]

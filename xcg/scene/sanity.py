@@ -56,14 +56,22 @@ def without_repeats(
     copy = _copies(contacts, number, rows, pair, centre, lattice, source)
     dropped = rows[copy]
     if sides != "separate":
-        first, second, apart, unlike = _mirrored(contacts, rows[~copy], pair[~copy], centre[~copy], lattice)
+        first, second, apart, unlike = _mirrored(
+            contacts, rows[~copy], pair[~copy], centre[~copy], lattice
+        )
         if unlike.size:
             _warn_of_unlike(contacts, unlike, source)
         if first.size:
             _warn_of_mirrored(apart, sides, source)
-            contacts = _with_means(contacts, first, second, lattice) if sides == "mean" else contacts
+            contacts = (
+                _with_means(contacts, first, second, lattice) if sides == "mean" else contacts
+            )
             dropped = np.concatenate([dropped, second])
-    return {name: np.delete(values, dropped, axis=0) for name, values in contacts.items()} if dropped.size else contacts
+    return (
+        {name: np.delete(values, dropped, axis=0) for name, values in contacts.items()}
+        if dropped.size
+        else contacts
+    )
 
 
 def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
@@ -111,8 +119,14 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _copies(
-    contacts: Frame, number: NDArray, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice, source: str
-) -> NDArray:  # fmt: skip
+    contacts: Frame,
+    number: NDArray,
+    rows: NDArray,
+    pair: NDArray,
+    centre: NDArray,
+    lattice: Lattice,
+    source: str,
+) -> NDArray:
     """Return a mask of the rows that repeat a contact (n,): the same force, from either side, at the same point.
 
     Parameters
@@ -138,7 +152,9 @@ def _copies(
         if not one.size:
             break
         other = one + distance
-        together = np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
+        together = (
+            np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
+        )
         one, other = one[together], other[together]
         turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
         same = np.linalg.norm(force[one] - force[other], axis=1) <= least
@@ -165,7 +181,10 @@ def _mirrored(
     """
     point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
     turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]
-    size, radius = np.linalg.norm(force, axis=1), np.linalg.norm(lattice.shortest(point - centre), axis=1)
+    size, radius = (
+        np.linalg.norm(force, axis=1),
+        np.linalg.norm(lattice.shortest(point - centre), axis=1),
+    )
     least = _SMALL_FORCE * size.mean() if size.size else 0.0
     free, found, apart, beside = np.ones(len(rows), bool), [], [], []
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
@@ -185,7 +204,11 @@ def _mirrored(
             beside.append(np.stack([some, other], axis=1)[near & ~same])
             free[some[same]] = free[other[same]] = False
             found.append(np.sort([rows[some[same]], rows[other[same]]], axis=0))
-            apart.append(np.divide(mismatch[same], larger[same], out=np.zeros(same.sum()), where=larger[same] > 0))
+            apart.append(
+                np.divide(
+                    mismatch[same], larger[same], out=np.zeros(same.sum()), where=larger[same] > 0
+                )
+            )
     first, second = np.concatenate(found, axis=1) if found else np.empty((2, 0), int)
     unlike = np.concatenate(beside) if beside else np.empty((0, 2), int)
     unlike = rows[unlike[free[unlike].all(axis=1)]]
@@ -261,7 +284,9 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
     if setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
         return
     some = _sample(len(frame["position"]))
-    d, mass, volume = (np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume"))
+    d, mass, volume = (
+        np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume")
+    )
     if (
         len(d) < _FEW
         or np.std(d) < _VARIED * np.mean(d)
@@ -271,7 +296,8 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
     if np.std(mass / d**2) < _SAME * np.mean(mass / d**2):
         warn_user(
             "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "
-            "those of spheres: give shape='disc' and thickness=" + (" and dimension=2" if setup.dimension == 3 else "")
+            "those of spheres: give shape='disc' and thickness="
+            + (" and dimension=2" if setup.dimension == 3 else "")
         )
 
 
@@ -279,7 +305,9 @@ def _sample(rows: int) -> slice:
     return slice(None, None, max(1, rows // SAMPLE))
 
 
-def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str) -> None:
+def check_contacts(
+    frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str
+) -> None:
     """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
 
     Parameters
@@ -301,8 +329,12 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
     side_i[row_i < 0] = side_j[row_j < 0] = 0.0
     far, pulling, pushing = np.empty(0, int), 0, 0
     if "diameter" in frame:
-        larger = np.maximum(*(np.where(row < 0, 0.0, frame["diameter"][row]) for row in (row_i, row_j)))
-        away = np.sqrt(np.maximum(*(np.einsum("nk,nk->n", side, side) for side in (side_i, side_j))))
+        larger = np.maximum(
+            *(np.where(row < 0, 0.0, frame["diameter"][row]) for row in (row_i, row_j))
+        )
+        away = np.sqrt(
+            np.maximum(*(np.einsum("nk,nk->n", side, side) for side in (side_i, side_j)))
+        )
         distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
         far = np.flatnonzero(distance > _FAR)
     if "contact_force" in frame:
@@ -330,11 +362,16 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
 def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
     """Return whether all forces between particles lie along the line of their centres; False for few contacts."""
     some = _sample(len(contacts["contact_i"]))
-    i, j = (rows_of(particles["particle_id"], contacts[name][some]) for name in ("contact_i", "contact_j"))
+    i, j = (
+        rows_of(particles["particle_id"], contacts[name][some])
+        for name in ("contact_i", "contact_j")
+    )
     pairs = (i >= 0) & (j >= 0)
     branch = lattice.shortest(particles["position"][i[pairs]] - particles["position"][j[pairs]])
     force = contacts["contact_force"][some][pairs]
-    across, along, pull = (np.linalg.norm(vectors, axis=1) for vectors in (np.cross(branch, force), branch, force))
+    across, along, pull = (
+        np.linalg.norm(vectors, axis=1) for vectors in (np.cross(branch, force), branch, force)
+    )
     return len(force) >= _FEW and bool((across <= _CENTRAL * along * pull).all())
 
 
@@ -354,7 +391,8 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
     """
     some = _sample(len(raw["contact_i"]))
     row_i, row_j = (
-        rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64")) for name in ("contact_i", "contact_j")
+        rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
+        for name in ("contact_i", "contact_j")
     )
     pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
     ends = lattice.shortest(raw["wrapped_branch"][some][pairs])

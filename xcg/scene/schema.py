@@ -60,18 +60,32 @@ VARIABLES: dict[str, Variable] = {
     "particle_id": Variable(_PARTICLE, "1", "identifier of the particle", "int64"),
     "position": Variable((*_PARTICLE, "component"), "m", "position of the particle centre"),
     "velocity": Variable((*_PARTICLE, "component"), "m s^-1", "velocity of the particle"),
-    "angular_velocity": Variable((*_PARTICLE, "component"), "s^-1", "angular velocity of the particle"),
+    "angular_velocity": Variable(
+        (*_PARTICLE, "component"), "s^-1", "angular velocity of the particle"
+    ),
     "diameter": Variable(_PARTICLE, "m", "diameter"),
     "density": Variable(_PARTICLE, "kg m^-3", "density of the particle's material"),
     "mass": Variable(_PARTICLE, "kg", "mass"),
     "volume": Variable(_PARTICLE, "m^3", "volume"),
     "moment_of_inertia": Variable(_PARTICLE, "kg m^2", "moment of inertia about the centre"),
     "species": Variable(_PARTICLE, "1", "species", "int64"),
-    "body_id": Variable(_PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"),
-    "frozen": Variable(_PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"),
-    "director": Variable((*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"),
-    **{f"quat_{k}": Variable(_PARTICLE, "1", f"{k} of the quaternion that turns the grain's axes") for k in "wxyz"},
-    **{f"half_axis_{k}": Variable(_PARTICLE, "m", f"half-axis of the grain along its {k}") for k in COMPONENTS},
+    "body_id": Variable(
+        _PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"
+    ),
+    "frozen": Variable(
+        _PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"
+    ),
+    "director": Variable(
+        (*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"
+    ),
+    **{
+        f"quat_{k}": Variable(_PARTICLE, "1", f"{k} of the quaternion that turns the grain's axes")
+        for k in "wxyz"
+    },
+    **{
+        f"half_axis_{k}": Variable(_PARTICLE, "m", f"half-axis of the grain along its {k}")
+        for k in COMPONENTS
+    },
     "exponent_1": Variable(_PARTICLE, "1", "exponent n1 of a superquadric: 2 for ellipsoids"),
     "exponent_2": Variable(_PARTICLE, "1", "exponent n2 of a superquadric: 2 for ellipsoids"),
     "coordination_number": Variable(_PARTICLE, "1", "number of contact partners"),
@@ -80,18 +94,26 @@ VARIABLES: dict[str, Variable] = {
     "contact_force": Variable((*_CONTACT, "component"), "N", "contact force on particle i"),
     "contact_point": Variable((*_CONTACT, "component"), "m", "contact point"),
     "contact_normal": Variable((*_CONTACT, "component"), "1", "unit normal from j to i"),
-    "contact_wall_velocity": Variable((*_CONTACT, "component"), "m s^-1", "velocity of the wall at the contact"),
+    "contact_wall_velocity": Variable(
+        (*_CONTACT, "component"), "m s^-1", "velocity of the wall at the contact"
+    ),
     "overlap": Variable(_CONTACT, "m", "overlap"),
     # an input only: it says on which side of a grain the contact point is, and is not kept
-    "contact_branch": Variable((*_CONTACT, "component"), "m", "vector from j to i, in the image that touches"),
+    "contact_branch": Variable(
+        (*_CONTACT, "component"), "m", "vector from j to i, in the image that touches"
+    ),
 }
 # Read only where they are asked for, as few fields need them.
 ROTATION = ("angular_velocity", "moment_of_inertia")
 # the domain of a step; the lattice is there where edges are not along x, y and z, its velocity where images move
 BOX: dict[str, Variable] = {
     "box": Variable(("component", "bound"), "m", "edges of the domain"),
-    "lattice": Variable(("vector", "component"), "m", "vectors a, b, c to the next periodic images"),
-    "lattice_velocity": Variable(("vector", "component"), "m s^-1", "rate at which the lattice vectors change"),
+    "lattice": Variable(
+        ("vector", "component"), "m", "vectors a, b, c to the next periodic images"
+    ),
+    "lattice_velocity": Variable(
+        ("vector", "component"), "m s^-1", "rate at which the lattice vectors change"
+    ),
 }
 OF_STEP = (*BOX, "step")  # what tasks take of a step besides its rows
 VECTORS = ("a", "b", "c")
@@ -128,7 +150,9 @@ def powers_of(units: str) -> Powers:
             f"units={units!r}: expected '1' or a product of {', '.join(_UNITS)} with whole powers, such as 'kg m^-3'; "
             "for angles, in radians, '1'"
         )
-    length, mass, time = (sum(power * _UNITS[name][k] for name, power in factors.items()) for k in range(3))
+    length, mass, time = (
+        sum(power * _UNITS[name][k] for name, power in factors.items()) for k in range(3)
+    )
     return length, mass, time
 
 
@@ -145,7 +169,12 @@ def factors_of_unit(units: str) -> dict[str, int] | None:
 
 def product_of_units(factors: Mapping[str, int]) -> str:
     """Return the unit with some factors and powers; "1" without any."""
-    return " ".join(f"{name}{f'^{power}' if power != 1 else ''}" for name, power in factors.items() if power) or "1"
+    return (
+        " ".join(
+            f"{name}{f'^{power}' if power != 1 else ''}" for name, power in factors.items() if power
+        )
+        or "1"
+    )
 
 
 _NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m^-2", "W m^-3")}
@@ -249,15 +278,26 @@ class Setup:
                 )
             scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
         elif units is not None and str(units).upper() != "SI":
-            raise SceneError(f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}")
+            raise SceneError(
+                f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
+            )
         if gravity is not None:
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
         given["periodic"] = "".join(sorted(set(given.get("periodic") or "")))
-        made = cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
+        made = cls(
+            gravity=gravity,
+            dimension=dimension,
+            plane=plane,
+            scales=scales,
+            unit_system=unit_system,
+            **given,
+        )
         if set(made.periodic) - set(COMPONENTS):
-            raise SceneError(f"periodic={made.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'")
+            raise SceneError(
+                f"periodic={made.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'"
+            )
         if dimension not in (2, 3) or len(plane) != dimension or set(plane) - set(COMPONENTS):
             raise SceneError(
                 f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
@@ -266,17 +306,23 @@ class Setup:
         if made.shape not in get_args(Shape):
             raise SceneError(f"shape={made.shape!r}: expected 'sphere' or 'disc'")
         if made.sides not in get_args(Sides):
-            raise SceneError(f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}")
+            raise SceneError(
+                f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}"
+            )
         for name, value in (("density", made.density), ("thickness", made.thickness)):
             if value is not None and not is_positive(value):
                 raise SceneError(f"{name}={value!r}: expected a positive number")
         if made.shape == "disc" and made.thickness is None:
-            raise SceneError("discs need thickness=: their volume is pi d^2/4 times the thickness of the layer")
+            raise SceneError(
+                "discs need thickness=: their volume is pi d^2/4 times the thickness of the layer"
+            )
         return made
 
     def factor(self, powers: Powers) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
-        return float(math.prod(scale**power for scale, power in zip(self.scales, powers, strict=True)))
+        return float(
+            math.prod(scale**power for scale, power in zip(self.scales, powers, strict=True))
+        )
 
 
 CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")

@@ -148,7 +148,9 @@ def guarded(
             from dask.core import get  # only lazy scenes have keys
 
             try:
-                arrays = dict(arrays) | dict(zip(keys, get(graph, list(keys.values())), strict=True))
+                arrays = dict(arrays) | dict(
+                    zip(keys, get(graph, list(keys.values())), strict=True)
+                )
             except FAULTS as error:  # of none of its steps alone
                 if numbers is None:
                     raise  # how many steps there are is not known

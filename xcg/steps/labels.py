@@ -22,22 +22,41 @@ from xcg.steps.faults import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
 ABOUT = (
-    "Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files",
-    "frame", "frame_axes", "frame_origin", "estimated_forces",
-)  # fmt: skip
+    "Conventions",
+    "engine",
+    "files",
+    "periodic",
+    "gravity",
+    "unit_system",
+    "dimension",
+    "plane",
+    "skipped_files",
+    "frame",
+    "frame_axes",
+    "frame_origin",
+    "estimated_forces",
+)
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
 def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
     """Shape of one step, and type, of each variable."""
     lengths = {**sizes, **dict.fromkeys(AXES, 3)}
-    return {name: (tuple(lengths[dim] for dim in row.dims), row.dtype) for name, row in variables.items()}
+    return {
+        name: (tuple(lengths[dim] for dim in row.dims), row.dtype)
+        for name, row in variables.items()
+    }
 
 
-def empty_results(variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int) -> dict[str, NDArray]:
+def empty_results(
+    variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int
+) -> dict[str, NDArray]:
     """Arrays of padding, time first."""
     found = results_of(variables, sizes).items()
-    return {name: np.full((steps, *shape), variables[name].fill, dtype) for name, (shape, dtype) in found}
+    return {
+        name: np.full((steps, *shape), variables[name].fill, dtype)
+        for name, (shape, dtype) in found
+    }
 
 
 def label(
@@ -89,7 +108,9 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
     skipped = result.coords.get(SKIPPED)
     if skipped is None or skipped.chunks is not None or not skipped.to_numpy().any():
         return result
-    numbers = result["step"].to_numpy() if "step" in result.coords else np.arange(result.sizes["time"])
+    numbers = (
+        result["step"].to_numpy() if "step" in result.coords else np.arange(result.sizes["time"])
+    )
     return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
 
 
@@ -97,12 +118,16 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
     shown = {}
     for name, value in given.items():
-        if isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values()):
+        if isinstance(value, Mapping) and any(
+            np.ndim(one) and hasattr(one, "dtype") for one in value.values()
+        ):
             shown[name] = format_call("dict", value)
         else:
             array = hasattr(value, "dtype") and np.ndim(value)
             shown[name] = f"<array {np.shape(value)}>" if array else printable(repr(value))
-    return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace("\n", " ")
+    return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace(
+        "\n", " "
+    )
 
 
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
@@ -143,7 +168,11 @@ class PhaseLabels(pd.Index):
 
 
 def _as_text(label: Any) -> Any:
-    return str(label) if isinstance(label, (int, np.integer)) and not isinstance(label, bool) else label
+    return (
+        str(label)
+        if isinstance(label, (int, np.integer)) and not isinstance(label, bool)
+        else label
+    )
 
 
 def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
@@ -159,7 +188,9 @@ def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
 
 def summary_of_result(ds: xr.Dataset) -> Summary:
     """Return a summary of a result, also if averaged, sliced, or opened from a file, without computing it."""
-    if not {"history", "kernel"} & set(ds.attrs) and not {"time", "phase", *COMPONENTS} & set(map(str, ds.coords)):
+    if not {"history", "kernel"} & set(ds.attrs) and not {"time", "phase", *COMPONENTS} & set(
+        map(str, ds.coords)
+    ):
         return Summary.of(
             "neither a scene nor a result: no 'position', no coordinates",
             [("variables", ", ".join(map(str, ds.data_vars)) or "none")],
@@ -170,7 +201,11 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
     count = ds.sizes.get("time", 1)
     steps = (
-        f"{count} step{'s' * (count != 1)}" if "time" in ds.dims else "one step" if "time" in ds.coords else "all times"
+        f"{count} step{'s' * (count != 1)}"
+        if "time" in ds.dims
+        else "one step"
+        if "time" in ds.coords
+        else "all times"
     )
     along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
     over = ds.attrs.get("averaged_steps")
@@ -181,9 +216,20 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
         [
             ("fields", ", ".join(map(str, ds.data_vars)) or "none"),
             *((a, _nodes(ds[a])) for a in axes),
-            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in of_frame if a in ds.coords and not ds[a].ndim)),
+            (
+                "fixed",
+                ", ".join(
+                    f"{a} = {float(ds[a]):.6g}"
+                    for a in of_frame
+                    if a in ds.coords and not ds[a].ndim
+                ),
+            ),
             ("averaged", ", ".join(averaged)),
-            *((dim, ", ".join(map(str, np.atleast_1d(ds[dim])))) for dim in PHASES if dim in ds.coords),
+            *(
+                (dim, ", ".join(map(str, np.atleast_1d(ds[dim]))))
+                for dim in PHASES
+                if dim in ds.coords
+            ),
             *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
             ("kernel", _kernel(ds)),
             *rows_of_origin(ds),
@@ -209,6 +255,10 @@ def _kernel(ds: xr.Dataset) -> str:
     """Return name, width and cutoff; one of each for groups that have their own."""
     if "kernel" not in ds.attrs:
         return ""
-    lengths = ((name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs)
-    shown = (f"{name} {' and '.join(f'{value:.6g}' for value in values)}" for name, values in lengths)
+    lengths = (
+        (name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs
+    )
+    shown = (
+        f"{name} {' and '.join(f'{value:.6g}' for value in values)}" for name, values in lengths
+    )
     return ", ".join([str(ds.attrs["kernel"]), *shown])

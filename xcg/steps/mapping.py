@@ -67,7 +67,10 @@ def map_over_time(
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
     once, variables = Once(), ds.variables
-    inputs = {name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore") for name in names}
+    inputs = {
+        name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
+        for name in names
+    }
     skip = on_error != "raise" and check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
@@ -75,13 +78,17 @@ def map_over_time(
     if not ds.sizes["time"]:
         return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
     if any(given.chunks is not None for given in inputs.values()):
-        return _lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
+        return _lazy_results(
+            inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error
+        )
     arrays = {name: given.to_numpy() for name, given in inputs.items()}
     with once.active():
         return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
 
 
-def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _with_warnings_once(
+    once: Once, compute: Compute, arrays: Mapping[str, NDArray]
+) -> dict[str, NDArray]:
     """Compute a chunk; warnings of `xcg.common.messages.warn_once` are given once for all chunks."""
     with once.active():
         return compute(arrays)
@@ -101,7 +108,11 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     """Return the number of threads of a chunk of time: all for a single chunk, else one."""
-    return threads if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names) else 1
+    return (
+        threads
+        if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names)
+        else 1
+    )
 
 
 def chunks_of_time(ds: xr.Dataset) -> list[slice]:
@@ -131,7 +142,13 @@ def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
 
 
 def picked(
-    graph: HighLevelGraph, layer: str, name: str, key: str, chunks: Sequence[int], shape: tuple[int, ...], dtype: Any
+    graph: HighLevelGraph,
+    layer: str,
+    name: str,
+    key: str,
+    chunks: Sequence[int],
+    shape: tuple[int, ...],
+    dtype: Any,
 ) -> da.Array:
     """Array of the entries `name` of the mappings that the tasks ``(layer, 0)``, ``(layer, 1)``, ... return.
 
@@ -152,7 +169,13 @@ def picked(
 
     axes = tuple(range(1 + len(shape)))
     picks: Any = blockwise(
-        itemgetter(name), key, axes, layer, (0,), numblocks={layer: (len(chunks),)}, new_axes=dict.fromkeys(axes[1:], 1)
+        itemgetter(name),
+        key,
+        axes,
+        layer,
+        (0,),
+        numblocks={layer: (len(chunks),)},
+        new_axes=dict.fromkeys(axes[1:], 1),
     )
     picks.origin = layer, name
     whole = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {layer}})
@@ -181,7 +204,9 @@ class Gathered:
         sources: list[tuple[str, int]] = []
         entries = {}
         for name, array in arrays.items():
-            found = getattr(array.dask.layers.get(array.name), "origin", None)  # of what is `picked`
+            found = getattr(
+                array.dask.layers.get(array.name), "origin", None
+            )  # of what is `picked`
             layer, entry = found or (array.name, "")
             source = (layer, 1 if found else array.ndim)
             if source not in sources:
@@ -195,7 +220,10 @@ class Gathered:
 
     def take(self, values: Sequence[Any]) -> dict[str, NDArray]:
         """Arrays by name, from the values of the keys."""
-        return {name: values[k][entry] if entry else values[k] for name, (k, entry) in self.entries.items()}
+        return {
+            name: values[k][entry] if entry else values[k]
+            for name, (k, entry) in self.entries.items()
+        }
 
 
 def _lazy_results(
@@ -219,7 +247,9 @@ def _lazy_results(
     tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
     gathered = Gathered.of(lazy)
     # tasks that record faults hold the graphs of their inputs, whose faults they record, too
-    below = HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
+    below = (
+        HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
+    )
     for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
         here = {n: a[start:stop] for n, a in fixed.items()}
         if skip:
@@ -240,7 +270,9 @@ def _in_chunks(inputs: Mapping[str, xr.Variable]) -> tuple[dict[str, da.Array], 
     """Lazy arrays, whole but along time, where they have the finest chunks of all; and arrays in memory."""
     found: dict[str, Any] = {n: v._data for n, v in inputs.items() if v.chunks is not None}
     finest = max((a.chunks[0] for a in found.values()), key=len)
-    lazy = {n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()}
+    lazy = {
+        n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()
+    }
     return lazy, {n: v.to_numpy() for n, v in inputs.items() if n not in found}
 
 
@@ -298,8 +330,16 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
     redraws = is_interactive()
     how: dict[str, Any] = {"file": sys.stderr, "bar_format": _BAR, "delay": 0}
     if not redraws:
-        how = {"file": _LogLines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
-        how |= {"maxinterval": float("inf"), "delay": 1e-9}  # which leaves out the line before the first step
+        how = {
+            "file": _LogLines(sys.stderr),
+            "bar_format": _LINE,
+            "mininterval": 0,
+            "miniters": _SHARE * count,
+        }
+        how |= {
+            "maxinterval": float("inf"),
+            "delay": 1e-9,
+        }  # which leaves out the line before the first step
     how |= {"delay": _LONG} if wanted is None else {}
     quiet = done >= count or not (redraws if wanted is None else wanted)
     with tqdm(total=count, initial=done, disable=quiet, unit=f" {what}", ascii="-#", **how) as bar:

@@ -29,13 +29,26 @@ FCF_COLUMNS = (
     "linkNodes,"
 )
 _FCF = (
-    "position", "diameter", "chain_id", "parent_id", "major_stress", "major_direction", "principal_stress",
+    "position",
+    "diameter",
+    "chain_id",
+    "parent_id",
+    "major_stress",
+    "major_direction",
+    "principal_stress",
     "principal_direction",
-)  # fmt: skip
+)
 VTK_VARIABLES = (
-    "position", "diameter", "chain_id", "links", "major_stress", "major_direction", "link_chain", "contact_j",
+    "position",
+    "diameter",
+    "chain_id",
+    "links",
+    "major_stress",
+    "major_direction",
+    "link_chain",
+    "contact_j",
     "contact_force",
-)  # fmt: skip
+)
 
 
 def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
@@ -82,7 +95,12 @@ def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
 def _fcf_rows(arrays: Frame) -> Iterator[str]:
     principal, direction = -arrays["principal_stress"], arrays["principal_direction"]
     numbers = np.concatenate(
-        [-arrays["major_stress"][:, None], arrays["major_direction"], principal, direction.reshape(len(direction), 9)],
+        [
+            -arrays["major_stress"][:, None],
+            arrays["major_direction"],
+            principal,
+            direction.reshape(len(direction), 9),
+        ],
         axis=1,
     )
     for p in np.flatnonzero(arrays["chain_id"] >= 0):
@@ -97,7 +115,9 @@ def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) ->
     """Name the file of each step, and refuse names that are taken, before any step is computed; errors as `to_csv`."""
     pattern, count = os.fspath(path), with_time(fc).sizes.get("time", 1)
     if count > 1 and "{step}" not in pattern:
-        raise ValueError(f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name")
+        raise ValueError(
+            f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"
+        )
     numbers = np.atleast_1d(fc["step"].to_numpy()).tolist() if "step" in fc.coords else range(count)
     files = [Path(pattern.replace("{step}", str(number))) for number in numbers]
     if len(set(files)) < count:
@@ -216,7 +236,10 @@ def polydata_of(step: ChainStep) -> Any:
     points.SetData(numpy_to_vtk(mesh.points, deep=True))
     poly.SetPoints(points)
     offsets = 2 * np.arange(len(mesh.lines) + 1)
-    lines.SetData(numpy_to_vtkIdTypeArray(offsets, deep=True), numpy_to_vtkIdTypeArray(mesh.lines.ravel(), deep=True))
+    lines.SetData(
+        numpy_to_vtkIdTypeArray(offsets, deep=True),
+        numpy_to_vtkIdTypeArray(mesh.lines.ravel(), deep=True),
+    )
     poly.SetLines(lines)
     for target, values in (
         (poly.GetPointData(), mesh.point_data),

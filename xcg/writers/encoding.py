@@ -37,7 +37,11 @@ class Encoding:
 
     @classmethod
     def of(
-        cls, ds: xr.Dataset, dtype: DTypeLike | None = None, digits: int | None = None, compression: int | None = None
+        cls,
+        ds: xr.Dataset,
+        dtype: DTypeLike | None = None,
+        digits: int | None = None,
+        compression: int | None = None,
     ) -> Encoding:
         """Check the arguments of `xcg.save`, and choose a level of compression where none is given.
 
@@ -54,9 +58,13 @@ class Encoding:
             raise ValueError(f"dtype={dtype!r}: expected 'float32' or 'float64'")
         most = _MOST_DIGITS[4 if kind == "float32" else 8]
         if digits is not None and not (isinstance(digits, int) and 1 <= digits <= most):
-            raise ValueError(f"digits={digits!r}: expected a whole number from 1 to {most} for {kind or 'float64'}")
+            raise ValueError(
+                f"digits={digits!r}: expected a whole number from 1 to {most} for {kind or 'float64'}"
+            )
         if compression is not None and compression not in range(10):
-            raise ValueError(f"compression={compression!r}: expected a level from 1 to 9, or 0 for none")
+            raise ValueError(
+                f"compression={compression!r}: expected a level from 1 to 9, or 0 for none"
+            )
         if compression is None:  # see the table in docs/saving.md
             padded = "particle" in ds.dims or "contact" in ds.dims
             compression = int(padded or digits is not None or kind == "float32")
@@ -90,11 +98,17 @@ class Encoding:
             return ds
         error = max(0.5 * 10.0**-self.digits, _SINGLE if self.dtype == "float32" else 0.0)
         note = f"rounded to {self.digits} significant digits: relative error of at most {error:.2g}"
-        floats = {name: data for name, data in ds.data_vars.items() if data.dtype.kind == "f" and "time" in data.dims}
+        floats = {
+            name: data
+            for name, data in ds.data_vars.items()
+            if data.dtype.kind == "f" and "time" in data.dims
+        }
         return ds.assign({name: data.assign_attrs(precision=note) for name, data in floats.items()})
 
 
 def _bits(digits: int, *, twice: bool) -> int:
     """Bits of the mantissa that the digits take; `twice` where numbers are rounded to single precision before."""
-    share = 10.0**-digits - (2 * _SINGLE if twice else 0.0)  # twice the error that is left for these bits
+    share = 10.0**-digits - (
+        2 * _SINGLE if twice else 0.0
+    )  # twice the error that is left for these bits
     return math.ceil(-math.log2(share)) if share > 0 else _MANTISSA[4]

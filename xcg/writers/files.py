@@ -149,9 +149,13 @@ def _disk_named(path: Path, part: Path) -> Iterator[None]:
         number = getattr(error, "errno", None)
         if number in _FULL or free < _LITTLE:
             full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
-            raise OSError(f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again") from error
+            raise OSError(
+                f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again"
+            ) from error
         if isinstance(error, RuntimeError) and "HDF" in str(error):
-            raise OSError(f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?") from error
+            raise OSError(
+                f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?"
+            ) from error
         raise
 
 
@@ -174,7 +178,9 @@ def whole_folder(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
         If it cannot be written, as where the disk is full.
     """
     if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
-        raise FileExistsError(f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it")
+        raise FileExistsError(
+            f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it"
+        )
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         aside = path.with_name(f".{path.name}.replaced")
@@ -238,7 +244,9 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
     with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
         kept.mkdir(exist_ok=True)
         yield kept
-        kept.rename(part_of(kept))  # at once, so that no half of it is taken for a run to go on with
+        kept.rename(
+            part_of(kept)
+        )  # at once, so that no half of it is taken for a run to go on with
         for gone in leftovers(kept):
             shutil.rmtree(gone, ignore_errors=True)
 
@@ -254,7 +262,9 @@ def _part(path: Path) -> Iterator[Path]:
         failed = False
     finally:
         remove(part)
-        for _ in range(100 if failed else 0):  # after one of them failed, tasks may write to a folder for a moment
+        for _ in range(
+            100 if failed else 0
+        ):  # after one of them failed, tasks may write to a folder for a moment
             time.sleep(0.05)
             if not part.exists():
                 break
@@ -298,6 +308,8 @@ def locked(path: Path, what: str) -> Iterator[None]:
             path.write_text(str(os.getpid()))
         yield
     finally:
-        path.unlink(missing_ok=True)  # before it is released, so that nobody locks a file without a name
+        path.unlink(
+            missing_ok=True
+        )  # before it is released, so that nobody locks a file without a name
         temporary.discard(path)
         lock.release()

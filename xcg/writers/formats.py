@@ -29,7 +29,9 @@ from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
 if TYPE_CHECKING:
     import h5py
 
-_HEADER = 1 << 16  # bytes besides values, which the NetCDF library writes; it does not recover from a full disk
+_HEADER = (
+    1 << 16
+)  # bytes besides values, which the NetCDF library writes; it does not recover from a full disk
 _ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
 
@@ -62,7 +64,9 @@ class Hdf5Store:
     The file is brought to its state after the last task that ended.
     """
 
-    def __init__(self, path: Path, arrays: Sequence[StoredArray], layout: StoreLayout, root: str = "/") -> None:
+    def __init__(
+        self, path: Path, arrays: Sequence[StoredArray], layout: StoreLayout, root: str = "/"
+    ) -> None:
         recover(path)
         self.path, self.arrays, self.root = path, arrays, root
         self.encoding, self.threads, self.lock = layout.encoding, layout.threads, lock_for(path)
@@ -71,7 +75,9 @@ class Hdf5Store:
         """Write the values of these steps."""
         values = {name: joined(part) for name, part in parts.items()}
         here = [array for array in self.arrays if array.variable in values]
-        ready = for_each(here, lambda array: self._packed(array, values[array.variable]), self.threads)
+        ready = for_each(
+            here, lambda array: self._packed(array, values[array.variable]), self.threads
+        )
         with self.lock, hdf5_file(self.path, "r+", journal=True) as file:
             for array, chunks in zip(here, ready, strict=True):
                 if isinstance(chunks, np.ndarray):
@@ -86,20 +92,30 @@ class Hdf5Store:
         with self.lock, hdf5_file(self.path, "r+", journal=True) as file:
             file[self.root].attrs.update(attrs)
 
-    def _packed(self, array: StoredArray, values: NDArray) -> NDArray | list[tuple[tuple[int, ...], Any]]:
+    def _packed(
+        self, array: StoredArray, values: NDArray
+    ) -> NDArray | list[tuple[tuple[int, ...], Any]]:
         """Bytes of whole chunks and their places; values as they are where the library has to convert them."""
         values = self.encoding.reduced(values if array.values is None else array.values(values))
         values = values.view("i1") if values.dtype.kind == "b" else values
         if values.dtype.kind not in "fiu" or not values.dtype.isnative:
             return values
         packed = []
-        for place in product(*(range(0, n, size) for n, size in zip(values.shape, array.chunk, strict=True))):
-            part = values[tuple(slice(k, k + size) for k, size in zip(place, array.chunk, strict=True))]
+        for place in product(
+            *(range(0, n, size) for n, size in zip(values.shape, array.chunk, strict=True))
+        ):
+            part = values[
+                tuple(slice(k, k + size) for k, size in zip(place, array.chunk, strict=True))
+            ]
             if part.shape != array.chunk:  # beyond the end
                 whole = np.zeros(array.chunk, part.dtype)
                 whole[tuple(map(slice, part.shape))] = part
                 part = whole
-            data = deflated(part, self.encoding.level) if self.encoding.level else np.ascontiguousarray(part)
+            data = (
+                deflated(part, self.encoding.level)
+                if self.encoding.level
+                else np.ascontiguousarray(part)
+            )
             packed.append((place, data))
         return packed
 
@@ -127,7 +143,9 @@ class Sink(io.FileIO):
     def __init__(self, path: Path, mode: str, *, journal: bool = False) -> None:
         super().__init__(path, mode)
         self.problem: OSError | None = None
-        self._end = os.fstat(self.fileno()).st_size if journal else 0  # what is before is changed in the end only
+        self._end = (
+            os.fstat(self.fileno()).st_size if journal else 0
+        )  # what is before is changed in the end only
         self._changes: list[tuple[int, bytes]] = []
 
     def write(self, data: Any) -> int:
@@ -222,9 +240,15 @@ def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
     ds, level = layout.ds, layout.encoding.level
     if not begun:
         packed = {"zlib": True, "complevel": level, "shuffle": True} if level else {}
-        how: dict[str, Any] = {name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over}
+        how: dict[str, Any] = {
+            name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over
+        }
         # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
-        how |= {str(name): {"dtype": "S1"} for name, data in ds.variables.items() if data.dtype.kind in "OUT"}
+        how |= {
+            str(name): {"dtype": "S1"}
+            for name, data in ds.variables.items()
+            if data.dtype.kind in "OUT"
+        }
         reserve(path, _HEADER)
         # What this returns would write the zeros of the outline; it is let go, which closes the file.
         layout.outline().to_netcdf(path, engine="netcdf4", encoding=how, compute=False)
@@ -271,10 +295,14 @@ class _Plain:
         said = json.loads((folder / "zarr.json").read_text())
         dtype, fill = said["data_type"], said["fill_value"]
         as_they_are = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
-        known = dtype in ("float32", "float64", "int64") and (fill == "NaN" or not isinstance(fill, str))
+        known = dtype in ("float32", "float64", "int64") and (
+            fill == "NaN" or not isinstance(fill, str)
+        )
         if not known or said["codecs"] != as_they_are:
             return None
-        return cls(np.dtype(dtype), tuple(said["chunk_grid"]["configuration"]["chunk_shape"]), float(fill))
+        return cls(
+            np.dtype(dtype), tuple(said["chunk_grid"]["configuration"]["chunk_shape"]), float(fill)
+        )
 
     def write(self, folder: Path, parts: Sequence[NDArray], first: int) -> None:
         """Write the chunk that begins with a step; its file appears when it is whole."""
@@ -293,7 +321,9 @@ class _Plain:
     def _is_blank(self, values: NDArray) -> bool:
         """Return whether all values are fill values; zeros of another sign differ."""
         for some in (values.reshape(-1)[:1], values):  # a first look is enough for nearly all
-            blank = np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
+            blank = (
+                np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
+            )
             if not blank.all():
                 return False
         return True
@@ -343,7 +373,9 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", _NOT_STANDARD)
-            layout.outline().to_zarr(path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False)
+            layout.outline().to_zarr(
+                path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False
+            )
     plain = {name: found for name in layout.over if (found := _Plain.of(path / name))}
     return _Zarr(path, layout.encoding, plain)
 
@@ -352,7 +384,11 @@ def _steps_together(layout: StoreLayout) -> int:
     """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
     chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
     size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
-    return chunk * max(1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
+    return chunk * max(
+        1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk))
+    )
 
 
-ZARR = Format("Zarr", _begin_zarr, together=lambda layout: _steps_together(layout), whole=whole_folder)
+ZARR = Format(
+    "Zarr", _begin_zarr, together=lambda layout: _steps_together(layout), whole=whole_folder
+)

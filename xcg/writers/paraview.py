@@ -23,12 +23,24 @@ from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import each_step, shown
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_file, check_target, hidden_folder, publish, whole_file, write_by_vtk
+from xcg.writers.files import (
+    check_file,
+    check_target,
+    hidden_folder,
+    publish,
+    whole_file,
+    write_by_vtk,
+)
 from xcg.writers.vtkhdf import Image, arrays_of, checked, times_of, with_components
 
 
 def write_pvd(
-    ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool, progress: bool | None = False
+    ds: xr.Dataset,
+    path: Path,
+    encoding: Encoding,
+    *,
+    overwrite: bool,
+    progress: bool | None = False,
 ) -> None:
     """Write fields as ``name.pvd`` and ``name_0000.vti``, ``name_0001.vti``, ... beside it, step after step.
 
@@ -42,13 +54,17 @@ def write_pvd(
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
 
     if "chain_id" in ds:
-        raise ValueError(f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp")
+        raise ValueError(
+            f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp"
+        )
     fields = encoding.noted(checked(ds))
     Image.of(fields)  # what is no image is refused before anything is written
     with shown(fields.sizes.get("time", 1), progress) as bar:
 
         def write(step: xr.Dataset, file: Path) -> None:
-            write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), file, overwrite=overwrite)
+            write_by_vtk(
+                vtkXMLImageDataWriter(), image_of(step, encoding.reduced), file, overwrite=overwrite
+            )
             bar.update()
 
         write_series(fields, path, ".vti", write, overwrite=overwrite)
@@ -79,7 +95,12 @@ def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarra
 
 
 def write_series(
-    fields: xr.Dataset, path: Path, suffix: str, write: Callable[[xr.Dataset, Path], None], *, overwrite: bool
+    fields: xr.Dataset,
+    path: Path,
+    suffix: str,
+    write: Callable[[xr.Dataset, Path], None],
+    *,
+    overwrite: bool,
 ) -> None:
     """Compute and write steps one by one, as ``name_0000`` and so on with a suffix, and their list as ``name.pvd``.
 
@@ -147,7 +168,11 @@ _CLOSE = 1e-6  # of the mesh's size: single precision of files
 
 
 def to_vtu(
-    fields: xr.Dataset, mesh: str | os.PathLike[str], path: str | os.PathLike[str], *, overwrite: bool = False
+    fields: xr.Dataset,
+    mesh: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """Write fields onto the mesh whose points or cells they are at, for ParaView.
 
@@ -205,9 +230,18 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
         )
     without = [str(name) for name, data in fields.data_vars.items() if dims[0] not in data.dims]
     if without or not fields.data_vars:
-        raise ValueError(f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars")
-    size, counts = fields.sizes[dims[0]], {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()}
-    fits = [kind for kind, count in counts.items() if count == size and dims[0] in (kind, *({dims[0]} - set(counts)))]
+        raise ValueError(
+            f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars"
+        )
+    size, counts = (
+        fields.sizes[dims[0]],
+        {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()},
+    )
+    fits = [
+        kind
+        for kind, count in counts.items()
+        if count == size and dims[0] in (kind, *({dims[0]} - set(counts)))
+    ]
     if len(fits) != 1:
         raise ValueError(
             f"{os.fspath(path)} has {counts['point']} points and {counts['cell']} cells, and the fields have {size} "
@@ -216,7 +250,9 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
     return dims[0], fits == ["cell"]
 
 
-def _check_places(fields: xr.Dataset, dim: str, places: NDArray, path: str | os.PathLike[str]) -> None:
+def _check_places(
+    fields: xr.Dataset, dim: str, places: NDArray, path: str | os.PathLike[str]
+) -> None:
     """Raise ValueError for fields at other places, as of another mesh or order."""
     size = np.ptp(places, axis=0).max()
     for k, a in enumerate(COMPONENTS):
@@ -245,7 +281,9 @@ def _bare_grid(mesh: Any) -> Any:
     return grid
 
 
-def _write_mesh_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells: bool, overwrite: bool) -> None:
+def _write_mesh_step(
+    dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells: bool, overwrite: bool
+) -> None:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
@@ -256,8 +294,12 @@ def _write_mesh_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells
     target = grid.GetCellData() if cells else grid.GetPointData()
     for array in arrays_of(step):
         data = array.part(step[array.variable].variable)
-        values = data.transpose(dim, *(d for d in ("component", "direction") if d in data.dims)).to_numpy()
-        found = numpy_to_vtk(np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True)
+        values = data.transpose(
+            dim, *(d for d in ("component", "direction") if d in data.dims)
+        ).to_numpy()
+        found = numpy_to_vtk(
+            np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True
+        )
         found.SetName(array.name)
         target.AddArray(found)
     write_by_vtk(vtkXMLUnstructuredGridWriter(), grid, path, overwrite=overwrite)

@@ -31,9 +31,25 @@ from xcg.writers.store import write_file
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
-_SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic",
-         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per",
-         "extent")  # fmt: skip
+_SAME = (
+    "kernel",
+    "width",
+    "cutoff",
+    "kernel_dimension",
+    "gradient",
+    "unit_system",
+    "averaged_axes",
+    "periodic",
+    "sampling",
+    "temperature",
+    "deviatoric",
+    "size",
+    "pressure_dims",
+    "shear_dims",
+    "rtol",
+    "per",
+    "extent",
+)
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
@@ -106,10 +122,16 @@ class Recorder:
         Steps in it.
     """
 
-    def __init__(self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool) -> None:
+    def __init__(
+        self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool
+    ) -> None:
         if path.suffix not in _FORMATS:
-            why = "; no HDF5 file, which is damaged where a process ends that writes to it" * (path.suffix == ".h5")
-            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr){why}")
+            why = "; no HDF5 file, which is damaged where a process ends that writes to it" * (
+                path.suffix == ".h5"
+            )
+            raise ValueError(
+                f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr){why}"
+            )
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
@@ -126,9 +148,13 @@ class Recorder:
             raise
 
     def _continue(self) -> None:
-        with xr.open_dataset(self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None) as there:
+        with xr.open_dataset(
+            self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None
+        ) as there:
             if "time" not in there.dims:
-                raise SceneError(f"{self.path}: this is no record of fields over time; overwrite=True replaces it")
+                raise SceneError(
+                    f"{self.path}: this is no record of fields over time; overwrite=True replaces it"
+                )
             _check_asked(self._request, there)
             self._remember(there)
 
@@ -152,7 +178,9 @@ class Recorder:
         SceneError
             If it is not later than the last step, or its fields have other names, nodes or kernels.
         """
-        for part in [ds.isel(time=steps) for steps in chunks_of_time(ds)] if "time" in ds.dims else [ds]:
+        for part in (
+            [ds.isel(time=steps) for steps in chunks_of_time(ds)] if "time" in ds.dims else [ds]
+        ):
             # fields first: of a lazy scene they need only some variables
             for one in each_step(_fields(part, self._request) if "position" in ds else part):
                 self._add(one)
@@ -166,7 +194,9 @@ class Recorder:
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
         over_time = {str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}
-        values = {n: x if n in fields.coords else self._encoding.reduced(x) for n, x in over_time.items()}
+        values = {
+            n: x if n in fields.coords else self._encoding.reduced(x) for n, x in over_time.items()
+        }
         if before is None:
             stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})
             self._create(self.path, storable(stored.drop_encoding()), self._overwrite)
@@ -184,7 +214,10 @@ class Recorder:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -200,7 +233,11 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
         return fields.transpose("time", ...)
     if "time" not in fields.coords:
         raise SceneError("the fields lack the coordinate 'time'; add it by assign_coords(time=...)")
-    step = {"step": ("time", [fields["step"].item()], fields["step"].attrs)} if "step" in fields.coords else {}
+    step = (
+        {"step": ("time", [fields["step"].item()], fields["step"].attrs)}
+        if "step" in fields.coords
+        else {}
+    )
     return fields.expand_dims("time").assign_coords(step)
 
 
@@ -210,25 +247,43 @@ def _check_asked(request: Request, there: xr.Dataset) -> None:
     bounds, extent = request.bounds or {}, json.loads(there.attrs.get("extent", "{}"))
     for a, length in (request.extent or {}).items():
         asked[f"extent along {a}"] = length, extent.get(a, np.nan)
-    spacing = request.spacing if isinstance(request.spacing, Mapping) else dict.fromkeys("xyz", request.spacing)
+    spacing = (
+        request.spacing
+        if isinstance(request.spacing, Mapping)
+        else dict.fromkeys("xyz", request.spacing)
+    )
     for a, step in spacing.items():
         if step is not None and there.sizes.get(a, 0) > 1:
             found = float(there[a][1] - there[a][0])
             length = there.sizes[a] * found
-            around = a in there.attrs.get("periodic", "") and a not in bounds  # the nearest that divides the period
-            asked[f"spacing along {a}"] = length / max(1, np.floor(length / step + 0.5)) if around else step, found
+            around = (
+                a in there.attrs.get("periodic", "") and a not in bounds
+            )  # the nearest that divides the period
+            asked[f"spacing along {a}"] = (
+                length / max(1, np.floor(length / step + 0.5)) if around else step,
+                found,
+            )
     if not isinstance(request.width, str | Mapping | None):
         asked["width"] = request.width, there.attrs["width"]
     for a, (low, high) in bounds.items():
-        if a in there.dims:  # the last node lies before its bound where the spacing does not divide the range
+        if (
+            a in there.dims
+        ):  # the last node lies before its bound where the spacing does not divide the range
             x = there[a].to_numpy()
             step = x[1] - x[0] if len(x) > 1 else np.inf
-            asked[a] = ((low, high), (x[0], high if 0 <= high - x[-1] < step * (1 - 1e-6) else x[-1]))
+            asked[a] = (
+                (low, high),
+                (x[0], high if 0 <= high - x[-1] < step * (1 - 1e-6) else x[-1]),
+            )
     for name, (wanted, found) in asked.items():
         if not np.allclose(wanted, found, rtol=1e-6, atol=0):
-            raise SceneError(f"{name} {wanted} is not {found}, as of the steps that are there; leave it out")
+            raise SceneError(
+                f"{name} {wanted} is not {found}, as of the steps that are there; leave it out"
+            )
     if request.by is not None and "phase" not in there.dims:
-        raise SceneError(f"by={request.by!r}: the steps that are there have no phases; record to another file")
+        raise SceneError(
+            f"by={request.by!r}: the steps that are there have no phases; record to another file"
+        )
 
 
 def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
@@ -244,7 +299,9 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
         fixed["width"] = float(fields.attrs["width"])
     if request.by is not None and request.groups is None:
-        fixed["groups"] = [int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"]
+        fixed["groups"] = [
+            int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"
+        ]
     return replace(request, **fixed)
 
 
@@ -267,7 +324,9 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
                 problems.append(f"{name!r} has other values")
     for name in _SAME:
         if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
-            problems.append(f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}")
+            problems.append(
+                f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}"
+            )
     if problems:
         raise SceneError(
             f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
@@ -328,6 +387,10 @@ def record(
     """
     for word in options:
         if word not in (known := inspect.signature(coarse_grain).parameters):
-            raise TypeError(f"record() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}")
+            raise TypeError(
+                f"record() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}"
+            )
     request = Request(fields, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
-    return Recorder(Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite)
+    return Recorder(
+        Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite
+    )

@@ -24,14 +24,26 @@ class Writer(Protocol):
     ``encoding.reduced(values)`` gives them as they are asked for. The file should appear only when it is whole.
     """
 
-    def __call__(self, ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> object:
+    def __call__(
+        self, ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
+    ) -> object:
         """Write a Dataset."""
 
 
 _WRITERS: dict[str, Writer | Format] = {
-    ".nc": NETCDF, ".h5": NETCDF, ".zarr": ZARR, ".vtkhdf": VTKHDF, ".pvd": write_pvd
-}  # fmt: skip
-_NAMES = {".nc": "NetCDF", ".h5": "HDF5", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
+    ".nc": NETCDF,
+    ".h5": NETCDF,
+    ".zarr": ZARR,
+    ".vtkhdf": VTKHDF,
+    ".pvd": write_pvd,
+}
+_NAMES = {
+    ".nc": "NetCDF",
+    ".h5": "HDF5",
+    ".zarr": "Zarr",
+    ".vtkhdf": "VTKHDF",
+    ".pvd": "images for any ParaView",
+}
 
 
 def register_writer(suffix: str, write: Writer) -> None:
@@ -60,11 +72,15 @@ def register_writer(suffix: str, write: Writer) -> None:
     >>> xcg.register_writer(".csv", write_csv)
     """
     if not suffix.startswith(".") or len(suffix) < 2:
-        raise ValueError(f"suffix={suffix!r}: expected the end of a name with its dot, such as '.csv'")
+        raise ValueError(
+            f"suffix={suffix!r}: expected the end of a name with its dot, such as '.csv'"
+        )
     if suffix in _WRITERS and _WRITERS[suffix] != write:
         raise ValueError(f"suffix={suffix!r} is taken; choose another one")
     if not callable(write):
-        raise ValueError(f"write={write!r}: expected a function write(ds, path, encoding, overwrite=...)")
+        raise ValueError(
+            f"write={write!r}: expected a function write(ds, path, encoding, overwrite=...)"
+        )
     _WRITERS[suffix] = write
 
 
@@ -140,7 +156,9 @@ def save(
     if path.suffix not in _WRITERS:
         known = ", ".join(f"{end} ({_NAMES[end]})" if end in _NAMES else end for end in _WRITERS)
         raise ValueError(f"{path}: expected a name that ends with {known}")
-    with_units = [str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")]
+    with_units = [
+        str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")
+    ]
     if with_units:
         raise TypeError(
             f"{', '.join(with_units)}: expected plain numbers, not quantities of pint; "
@@ -152,9 +170,19 @@ def save(
     if writer is VTKHDF and "chain_id" in ds:
         writer = write_vtkhdf
     if isinstance(writer, Format):
-        write_file(ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress)
+        write_file(
+            ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress
+        )
     elif resume:
-        raise ValueError(f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only")
+        raise ValueError(
+            f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
+        )
     else:
-        writer(ds, path, encoding, overwrite=overwrite, **({"progress": progress} if writer is write_pvd else {}))
+        writer(
+            ds,
+            path,
+            encoding,
+            overwrite=overwrite,
+            **({"progress": progress} if writer is write_pvd else {}),
+        )
     return path

@@ -79,20 +79,35 @@ class StoreLayout:
 
     @classmethod
     def of(
-        cls, ds: xr.Dataset, encoding: Encoding, together: Callable[[StoreLayout], int] | None = None
+        cls,
+        ds: xr.Dataset,
+        encoding: Encoding,
+        together: Callable[[StoreLayout], int] | None = None,
     ) -> StoreLayout:
         """Prepare a Dataset; `together` chooses the steps in a chunk on disk, by default those in a chunk of it."""
         ds = encoding.noted(storable(ds.drop_encoding()))
         # texts and dates are left to xarray, which writes them as something else; coordinates in memory are small
         numbers = {
-            name: v for name, v in ds.variables.items() if v.dtype.kind in "biufc" and "time" in v.dims and v.size
+            name: v
+            for name, v in ds.variables.items()
+            if v.dtype.kind in "biufc" and "time" in v.dims and v.size
         }
-        over = [str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None]
+        over = [
+            str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None
+        ]
         ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
-        ds = _aligned(ds.assign(dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
-        chunks = (ds.variables[name].chunksizes["time"][0] for name in over if ds.variables[name].chunks is not None)
-        layout = cls(ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1))))
+        ds = _aligned(
+            ds.assign(dask.compute(rest)[0]), over
+        )  # at once, as one task computes all fields of a step
+        chunks = (
+            ds.variables[name].chunksizes["time"][0]
+            for name in over
+            if ds.variables[name].chunks is not None
+        )
+        layout = cls(
+            ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1)))
+        )
         return layout if together is None else replace(layout, steps=together(layout))
 
     @property
@@ -116,7 +131,10 @@ class StoreLayout:
         empty = {}
         for name in self.over:
             data = self.ds[name].variable
-            chunks, tasks = tuple((n,) for n in data.shape), {(f"empty-{name}", *(0,) * data.ndim): None}
+            chunks, tasks = (
+                tuple((n,) for n in data.shape),
+                {(f"empty-{name}", *(0,) * data.ndim): None},
+            )
             nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
             empty[name] = data.copy(data=nothing)
         return self.ds.assign(empty)
@@ -129,7 +147,9 @@ def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
     """
     lazy = {name: ds.variables[name] for name in over if ds.variables[name].chunks is not None}
     steps = math.lcm(*(v.chunksizes["time"][0] for v in lazy.values()))
-    return ds.assign({name: v.chunk({**dict.fromkeys(v.dims, -1), "time": steps}) for name, v in lazy.items()})
+    return ds.assign(
+        {name: v.chunk({**dict.fromkeys(v.dims, -1), "time": steps}) for name, v in lazy.items()}
+    )
 
 
 @dataclass(frozen=True)
@@ -165,7 +185,11 @@ def lock_for(path: Path) -> AbstractContextManager[Any]:
 
 def _config() -> AbstractContextManager[Any]:
     """Select threads for writing where dask's own scheduler of processes is set: processes cannot share a lock."""
-    return dask.config.set(scheduler="threads") if get_dask_scheduler() == "multiprocessing" else nullcontext()
+    return (
+        dask.config.set(scheduler="threads")
+        if get_dask_scheduler() == "multiprocessing"
+        else nullcontext()
+    )
 
 
 def joined(parts: Sequence[NDArray]) -> NDArray:
@@ -237,7 +261,9 @@ def write_files(
     for path in files:
         check_target(path, overwrite=overwrite)
     # without `work` nothing is resumed, and values in memory need not be hashed
-    state = state_of(ds, encoding, [kind.name for kind in files.values()]) if work else dict[str, str]()
+    state = (
+        state_of(ds, encoding, [kind.name for kind in files.values()]) if work else dict[str, str]()
+    )
     together = None
     for kind in files.values():
         ds, together = kind.check(ds), kind.together
@@ -261,7 +287,11 @@ def write_files(
             yield from _fill(layout, write, batch)
         if skipped := log.skipped():
             steps = _numbers(layout.ds)[list(skipped)]
-            because = [f"step {n}: {cause}" for n, cause in zip(steps, skipped.values(), strict=True) if cause]
+            because = [
+                f"step {n}: {cause}"
+                for n, cause in zip(steps, skipped.values(), strict=True)
+                if cause
+            ]
             for store in stores:
                 store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
 
@@ -282,7 +312,9 @@ class _WriteTask:
         for store in self.stores:
             store(parts, steps)
         if noted:
-            skipped = np.flatnonzero(joined(parts[SKIPPED])) + steps.start if SKIPPED in parts else ()
+            skipped = (
+                np.flatnonzero(joined(parts[SKIPPED])) + steps.start if SKIPPED in parts else ()
+            )
             causes = skips_heard()
             self.log.add(steps, {int(t): causes.get(int(self.numbers[t]), "") for t in skipped})
 
@@ -295,7 +327,9 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator
     arrays = {name: ds.variables[name].data for name in layout.lazy}
     for first in range(0, ds.sizes["time"] if now else 0, layout.steps):
         part = slice(first, min(first + layout.steps, ds.sizes["time"]))
-        if (part.start, part.stop) in done or (arrays and done):  # what is in memory was written before the tasks
+        if (part.start, part.stop) in done or (
+            arrays and done
+        ):  # what is in memory was written before the tasks
             continue
         write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
     if not arrays:
@@ -308,7 +342,11 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator
 
 
 def graph_of(
-    arrays: Mapping[str, da.Array], write: _WriteTask, steps: int, done: Set[tuple[int, int]], batch: int | None
+    arrays: Mapping[str, da.Array],
+    write: _WriteTask,
+    steps: int,
+    done: Set[tuple[int, int]],
+    batch: int | None,
 ) -> tuple[HighLevelGraph, str, list[str]]:
     """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch."""
     gathered = Gathered.of(arrays)
@@ -328,12 +366,18 @@ def graph_of(
     for first in range(0, len(todo), batch or len(todo) or 1):
         waits.append(f"wait-{token}-{first}")
         tasks[waits[-1]] = (_wait, todo[first : first + (batch or len(todo))])
-    return HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())), _WRITES + token, waits
+    return (
+        HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())),
+        _WRITES + token,
+        waits,
+    )
 
 
 def _take_and_write(write: _WriteTask, gathered: Gathered, steps: slice, *given: Any) -> None:
     a_chunk = len(gathered.sources)
-    parts = [gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)]
+    parts = [
+        gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)
+    ]
     write({name: [part[name] for part in parts] for name in parts[0]}, steps)
 
 
@@ -370,7 +414,10 @@ class Log:
         before = json.loads(file.read_text())
         wrong = [key for key in sorted({*before, *state}) if before.get(key) != state.get(key)]
         if wrong:
-            changed = [f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}" for key in wrong]
+            changed = [
+                f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}"
+                for key in wrong
+            ]
             raise Mismatch(
                 self.folder,
                 f"{self.folder} is of a save that was interrupted, of another scene or call ({'; '.join(changed)}); "
@@ -397,7 +444,11 @@ class Log:
 
     def skipped(self) -> dict[int, str]:
         """Return the steps that were skipped, by their place in time, and why."""
-        return dict(sorted((int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()))
+        return dict(
+            sorted(
+                (int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()
+            )
+        )
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         file = self.folder / "done.jsonl"
@@ -415,9 +466,15 @@ def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict
     state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding)}
     for name, data in ds.variables.items():
         state[f"shape of {name!r}"] = f"{dict(data.sizes)} {data.dtype}"
-        state[f"values of {name!r}"] = data.data.name if data.chunks is not None else tokenize(data.to_numpy())
-    attrs = {name: value for name, value in ds.attrs.items() if name != "history"}  # which has the time of the call
-    return state | {f"attribute {name!r}": str(np.asarray(value).tolist()) for name, value in attrs.items()}
+        state[f"values of {name!r}"] = (
+            data.data.name if data.chunks is not None else tokenize(data.to_numpy())
+        )
+    attrs = {
+        name: value for name, value in ds.attrs.items() if name != "history"
+    }  # which has the time of the call
+    return state | {
+        f"attribute {name!r}": str(np.asarray(value).tolist()) for name, value in attrs.items()
+    }
 
 
 def _short(text: str | None) -> str:

@@ -29,9 +29,15 @@ STRONGEST = 98  # percentile of the forces of the widest tubes, so that single o
 _SPHERE = {"radius": 0.5, "theta_resolution": 16, "phi_resolution": 12}
 FAINT = 0.04  # opacity of grains when contacts or chains are drawn
 _BAR = {
-    "vertical": True, "position_x": 0.85, "position_y": 0.25, "width": 0.05, "height": 0.5, "fmt": "%.3g",
-    "title_font_size": 20, "label_font_size": 18,
-}  # fmt: skip
+    "vertical": True,
+    "position_x": 0.85,
+    "position_y": 0.25,
+    "width": 0.05,
+    "height": 0.5,
+    "fmt": "%.3g",
+    "title_font_size": 20,
+    "label_font_size": 18,
+}
 _LETTERS = 14  # in a line of the title of a bar
 
 
@@ -83,20 +89,30 @@ def to_pyvista(
     """
     pv = extra("pyvista", "view", "to_pyvista")
     if "position" not in ds and chains is not None:
-        raise ValueError("chains= is drawn with a scene: call to_pyvista on the scene that the chains were found in")
+        raise ValueError(
+            "chains= is drawn with a scene: call to_pyvista on the scene that the chains were found in"
+        )
     if "chain_id" in ds:
         return _links(pv, ds, time, shapes=shapes)
     if "position" in ds:
         return _blocks(pv, conform(ds), time, shapes=shapes, chains=chains)
     if {"r", "theta"} & {*map(str, ds.dims)}:
-        raise ValueError("these fields are on a cylinder, and an image has x, y and z: draw them with f.cg.plot")
+        raise ValueError(
+            "these fields are on a cylinder, and an image has x, y and z: draw them with f.cg.plot"
+        )
     step = checked(step_at(ds, time, "time")).compute()
-    return _noted(pv.wrap(image_of(step)), step, {array.name: array.variable for array in arrays_of(step)})
+    return _noted(
+        pv.wrap(image_of(step)), step, {array.name: array.variable for array in arrays_of(step)}
+    )
 
 
 def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
     """Record the time of a mesh, and the units of its arrays."""
-    units = {array: str(step[name].attrs["units"]) for array, name in variables.items() if "units" in step[name].attrs}
+    units = {
+        array: str(step[name].attrs["units"])
+        for array, name in variables.items()
+        if "units" in step[name].attrs
+    }
     times = {name: step[name].values.item() for name in ("time", "step") if name in step.coords}
     mesh.user_dict = {"units": units, **times}
     return mesh
@@ -104,7 +120,10 @@ def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
 
 def _blocks(pv: Any, ds: xr.Dataset, time: int, *, shapes: bool, chains: xr.Dataset | None) -> Any:
     """Grains, contacts, chains and box of a step."""
-    rows = {dim: [str(name) for name in ds.data_vars if dim in ds[name].dims] for dim in ("particle", "contact")}
+    rows = {
+        dim: [str(name) for name in ds.data_vars if dim in ds[name].dims]
+        for dim in ("particle", "contact")
+    }
     frame, lattice, source = frame_at(ds, time, [*rows["particle"], *rows["contact"]])
     step, found = step_at(ds, time, "time"), pv.MultiBlock()
     grains = pv.PolyData(frame["position"])
@@ -119,9 +138,13 @@ def _blocks(pv: Any, ds: xr.Dataset, time: int, *, shapes: bool, chains: xr.Data
         if "contact_force" in frame:
             values["force_magnitude"] = np.linalg.norm(frame["contact_force"], axis=1)
         start, end, contact = _branches(Contacts.of(frame, lattice, source))
-        lines = _lines(pv, start, end, {name: of_contact[contact] for name, of_contact in values.items()})
+        lines = _lines(
+            pv, start, end, {name: of_contact[contact] for name, of_contact in values.items()}
+        )
         lines = _tubes(pv, lines, sizes) if shapes else lines
-        variables = {name: "contact_force" if name == "force_magnitude" else name for name in values}
+        variables = {
+            name: "contact_force" if name == "force_magnitude" else name for name in values
+        }
         found["contacts"] = _noted(lines, step, variables)
     if chains is not None:
         found["chains"] = _links(pv, chains, time, shapes=shapes)
@@ -161,12 +184,18 @@ def _tubes(pv: Any, lines: Any, sizes: NDArray) -> Any:
     """Tubes in place of lines, with radii by the force, for grains of these diameters."""
     if not lines.n_lines:
         return lines
-    start, end = np.asarray(lines.points)[np.asarray(lines.lines).reshape(-1, 3)[:, 1:]].transpose(1, 0, 2)
+    start, end = np.asarray(lines.points)[np.asarray(lines.lines).reshape(-1, 3)[:, 1:]].transpose(
+        1, 0, 2
+    )
     values = {name: np.asarray(lines.cell_data[name]) for name in lines.cell_data}
     force = values.get("force_magnitude", np.ones(len(start)))
     largest = np.percentile(force, STRONGEST) or force.max(initial=0.0) or 1.0
     apart = _lines(pv, start, end, values)
-    radius = WIDEST * sizes.mean() / 2 if len(sizes) else 0.05 * np.linalg.norm(end - start, axis=1).mean()
+    radius = (
+        WIDEST * sizes.mean() / 2
+        if len(sizes)
+        else 0.05 * np.linalg.norm(end - start, axis=1).mean()
+    )
     apart.point_data["radius"] = np.repeat(radius * np.clip(force / largest, THINNEST, 1.0), 2)
     return apart.tube(scalars="radius", absolute=True, n_sides=8)
 
@@ -178,8 +207,17 @@ def _links(pv: Any, fc: xr.Dataset, time: int, *, shapes: bool) -> Any:
     (step,) = steps_of(one, VTK_VARIABLES)
     links = pv.wrap(polydata_of(step))
     links = _tubes(pv, links, 2 * np.asarray(links.point_data["radius"])) if shapes else links
-    of = {"stress": "major_stress", "force": "contact_force", "force_magnitude": "contact_force", "radius": "diameter"}
-    return _noted(links, one, {name: of.get(name, name) for name in links.array_names if of.get(name, name) in one})
+    of = {
+        "stress": "major_stress",
+        "force": "contact_force",
+        "force_magnitude": "contact_force",
+        "radius": "diameter",
+    }
+    return _noted(
+        links,
+        one,
+        {name: of.get(name, name) for name in links.array_names if of.get(name, name) in one},
+    )
 
 
 def view(
@@ -245,9 +283,19 @@ def view(
     >>> f.cg.view("density")  # doctest: +SKIP
     """
     pv = extra("pyvista", "view", "a picture in 3D")
-    parts = {"component": component, "direction": direction, "phase": None if phase == "bulk" else phase}
-    if ignored := [name for name, part in parts.items() if part is not None and ("position" in ds or "chain_id" in ds)]:
-        raise ValueError(f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains")
+    parts = {
+        "component": component,
+        "direction": direction,
+        "phase": None if phase == "bulk" else phase,
+    }
+    if ignored := [
+        name
+        for name, part in parts.items()
+        if part is not None and ("position" in ds or "chain_id" in ds)
+    ]:
+        raise ValueError(
+            f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains"
+        )
     target = pv.Plotter() if plotter is None else plotter
     style = {"cmap": cmap, "clim": clim}
     if "position" in ds and "chain_id" not in ds:
@@ -256,14 +304,23 @@ def view(
         links: Any = to_pyvista(ds, time)
         _draw(target, links, field or "stress", links.user_dict["units"], style)
     else:
-        _draw_field(target, ds, field, time, {"component": component, "direction": direction, "phase": phase}, style)
+        _draw_field(
+            target,
+            ds,
+            field,
+            time,
+            {"component": component, "direction": direction, "phase": phase},
+            style,
+        )
     target.add_axes()
     if plotter is None:
         target.show()
     return target
 
 
-def _draw(plotter: Any, mesh: Any, array: str, units: Mapping[str, str], style: Mapping[str, Any]) -> None:
+def _draw(
+    plotter: Any, mesh: Any, array: str, units: Mapping[str, str], style: Mapping[str, Any]
+) -> None:
     """Draw a mesh coloured by one of its arrays, or by the magnitude of that."""
     names = [*mesh.point_data, *mesh.cell_data]
     if array not in names and mesh.n_points:
@@ -272,17 +329,30 @@ def _draw(plotter: Any, mesh: Any, array: str, units: Mapping[str, str], style: 
         text = array.replace("_", " ") + (", magnitude" if mesh[array].ndim > 1 else "")
         unit = f"[{units[array]}]" if units.get(array, "1") != "1" else ""
         title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
-        drawn = plotter.add_mesh(mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style)
+        drawn = plotter.add_mesh(
+            mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style
+        )
         # by the normals of spheres and tubes, which smooth_shading would compute anew
         drawn.prop.interpolation = "Gouraud"
 
 
 def _draw_scene(
-    plotter: Any, ds: xr.Dataset, field: str | None, time: int, contacts: bool, chains: xr.Dataset | None,
+    plotter: Any,
+    ds: xr.Dataset,
+    field: str | None,
+    time: int,
+    contacts: bool,
+    chains: xr.Dataset | None,
     style: Mapping[str, Any],
-) -> None:  # fmt: skip
+) -> None:
     blocks: Any = to_pyvista(ds, time, chains=chains)
-    before = {"contacts": "force_magnitude"} if contacts else {"chains": "stress"} if chains is not None else {}
+    before = (
+        {"contacts": "force_magnitude"}
+        if contacts
+        else {"chains": "stress"}
+        if chains is not None
+        else {}
+    )
     if not blocks["particles"].n_points:
         return
     if before and field is None:
@@ -292,7 +362,9 @@ def _draw_scene(
         before = {"particles": named} | before
     for block, array in before.items():
         if block not in blocks.keys():  # noqa: SIM118
-            raise ValueError(f"contacts={contacts!r}: the scene has no contacts; ds.cg.find_contacts() finds them")
+            raise ValueError(
+                f"contacts={contacts!r}: the scene has no contacts; ds.cg.find_contacts() finds them"
+            )
         _draw(plotter, blocks[block], array, blocks[block].user_dict["units"], style)
     if "box" in blocks.keys():  # noqa: SIM118
         plotter.add_mesh(blocks["box"], color="black", line_width=1)
@@ -302,20 +374,29 @@ def _draw_scene(
 
 
 def _draw_field(
-    plotter: Any, f: xr.Dataset, field: str | None, time: int, part: Mapping[str, Any], style: dict[str, Any]
+    plotter: Any,
+    f: xr.Dataset,
+    field: str | None,
+    time: int,
+    part: Mapping[str, Any],
+    style: dict[str, Any],
 ) -> None:
     """Draw a field, through the middle of a volume."""
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), "")
     if name not in f:
         raise ValueError(unknown("field", name, f.data_vars, "others are listed by print(f)"))
-    chosen = {dim: label for dim, label in part.items() if label is not None and dim in f[name].dims}
+    chosen = {
+        dim: label for dim, label in part.items() if label is not None and dim in f[name].dims
+    }
     try:
         image: Any = to_pyvista(f[[name]].sel(chosen), time)
     except KeyError as error:
         raise ValueError(f"{chosen}: {name!r} has no part of this name, {error}") from error
     resolved = sum(nodes > 1 for nodes in image.dimensions)
     if resolved < 2:
-        raise ValueError(f"a picture in 3D needs two axes or three, and {name!r} has {resolved}: use f.cg.plot")
+        raise ValueError(
+            f"a picture in 3D needs two axes or three, and {name!r} has {resolved}: use f.cg.plot"
+        )
     unknown_at = np.isnan(image[name].reshape(image.n_points, -1)).any(axis=1)
     known = image.extract_points(~unknown_at, adjacent_cells=False)
     if resolved == 3 and known.n_points:

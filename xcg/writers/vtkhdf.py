@@ -153,7 +153,9 @@ class _Array:
         present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
         values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
         shape = image.shape(self.components)
-        return values.reshape((sizes["time"], *shape[1:]) if image.temporal else shape).astype(self.dtype)
+        return values.reshape((sizes["time"], *shape[1:]) if image.temporal else shape).astype(
+            self.dtype
+        )
 
 
 def arrays_of(fields: xr.Dataset) -> list[_Array]:
@@ -226,10 +228,14 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
 def _numbers(fields: xr.Dataset, name: str) -> NDArray:
     """Return a coordinate as finite numbers."""
     if name not in fields.coords:
-        raise ValueError(f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)")
+        raise ValueError(
+            f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)"
+        )
     values = fields[name].to_numpy()
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        bad = values.ravel()[0] if values.dtype.kind not in "fiu" else values[~np.isfinite(values)][0]
+        bad = (
+            values.ravel()[0] if values.dtype.kind not in "fiu" else values[~np.isfinite(values)][0]
+        )
         raise ValueError(f"coordinate '{name}' holds {bad!r}; expected finite numbers")
     return values.astype("float64")
 
@@ -262,7 +268,9 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
         return _numbers(fields, "time").reshape(1) if "time" in fields.coords else None
     times = _numbers(fields, "time")
     if not times.size:
-        raise ValueError("fields has no time steps (the size of 'time' is 0); expected at least one")
+        raise ValueError(
+            "fields has no time steps (the size of 'time' is 0); expected at least one"
+        )
     if not (np.diff(times) > 0).all():
         row = int(np.argmin(np.diff(times))) + 1
         raise ValueError(
@@ -279,9 +287,13 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
     image, rows = Image.of(layout.ds), arrays_of(layout.ds)
     found = []
     for row in rows:
-        chunk = _blocks(image.shape(row.components), row.dtype.itemsize, layout.steps if image.temporal else 0)
+        chunk = _blocks(
+            image.shape(row.components), row.dtype.itemsize, layout.steps if image.temporal else 0
+        )
         values = partial(_on_disk, row, layout.ds[row.variable].dims, image)
-        found.append(StoredArray(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal))
+        found.append(
+            StoredArray(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal)
+        )
     if not begun:
         with hdf5_file(path, "w") as file:
             _lay_out(file, layout, image, rows, [array.chunk for array in found])
@@ -294,7 +306,11 @@ def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDAr
 
 
 def _lay_out(
-    file: h5py.File, layout: StoreLayout, image: Image, arrays: list[_Array], chunks: list[tuple[int, ...]]
+    file: h5py.File,
+    layout: StoreLayout,
+    image: Image,
+    arrays: list[_Array],
+    chunks: list[tuple[int, ...]],
 ) -> None:
     """Write all but the values over time."""
     fields, encoding = layout.ds, layout.encoding
@@ -306,7 +322,11 @@ def _lay_out(
     root.attrs["Spacing"] = image.spacing
     root.attrs["Direction"] = np.eye(3).ravel()
     data = root.create_group("PointData")
-    packed = {"compression": "gzip", "compression_opts": encoding.level, "shuffle": True} if encoding.level else {}
+    packed = (
+        {"compression": "gzip", "compression_opts": encoding.level, "shuffle": True}
+        if encoding.level
+        else {}
+    )
     for array, chunk in zip(arrays, chunks, strict=True):
         shape, dtype = image.shape(array.components), encoding.type_of(array.dtype)
         target = data.create_dataset(array.name, shape, dtype, chunks=chunk, **packed)
@@ -320,7 +340,9 @@ def _lay_out(
         offsets = steps.create_group("PointDataOffsets")
         for array in arrays:
             offsets[array.name] = np.arange(len(image.times))
-        steps.create_group("CellDataOffsets")  # missed by the reader even where there are no cell data
+        steps.create_group(
+            "CellDataOffsets"
+        )  # missed by the reader even where there are no cell data
     _describe(file.create_group("xcg"), fields.attrs)
 
 

@@ -16,7 +16,9 @@ import xcg
 
 ds = xcg.datasets.open("bedload")  # with the drag on each grain along x, as the code wrote it
 names = ["density", "velocity", "stress", xcg.Sum("drag")]
-f = ds.cg.coarse_grain(names, axes="z", width=5e-4, bounds={"z": (0, 0.01)}, spacing=1e-4, for_averages=True)
+f = ds.cg.coarse_grain(
+    names, axes="z", width=5e-4, bounds={"z": (0, 0.01)}, spacing=1e-4, for_averages=True
+)
 m = f.cg.time_average().compute()
 z = 1e3 * m.z
 
@@ -66,7 +68,9 @@ friction = -stress.sel(component="x") / stress.sel(component="z")
 start = m.z.sel(bed).where(friction.sel(bed) > 0.32).min()
 shields = float(drag[0] / (1500 * 9.81 * 0.001))
 print(f"Shields number {shields:.2f}; friction exceeds 0.32 above z = {1e3 * start:.1f} mm")
-print(f"velocity there: {float(speed.sel(z=start)):.1e} m/s, at the top {float(speed.max()):.2f} m/s")
+print(
+    f"velocity there: {float(speed.sel(z=start)):.1e} m/s, at the top {float(speed.max()):.2f} m/s"
+)
 
 # %%
 # Below that height grains do not stop at once: they creep, slower and slower with depth.

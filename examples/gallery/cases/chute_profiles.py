@@ -19,9 +19,20 @@ from scipy.optimize import curve_fit
 import xcg
 
 ds = xcg.datasets.open("chute")  # with force_z, the total force on each grain, for the check
-wanted = ["density", "volume_fraction", "velocity", "inertial_number", "contact_stress", "granular_temperature"]
+wanted = [
+    "density",
+    "volume_fraction",
+    "velocity",
+    "inertial_number",
+    "contact_stress",
+    "granular_temperature",
+]
 wanted.append(xcg.Sum("force_z"))
-f = ds.cg.coarse_grain(wanted, errors=True, axes="z", bounds={"z": (0, 25)}, spacing=0.25).isel(time=0).compute()
+f = (
+    ds.cg.coarse_grain(wanted, errors=True, axes="z", bounds={"z": (0, 25)}, spacing=0.25)
+    .isel(time=0)
+    .compute()
+)
 V = f.velocity.sel(component="x")
 
 # %%
@@ -49,9 +60,15 @@ plt.show()
 
 inertial = flow.inertial_number.median()
 from_I = float(inertial * np.sqrt(flow.volume_fraction.mean() * np.cos(np.radians(24))))
-print(f"A = {A:.3f} by the velocity, {from_I:.3f} by the inertial number, whose median is {inertial:.2f}")
-print(f"largest difference of the velocity from the fit: {abs(bagnold(flow.z, V0, A, h) - V).max():.2f}")
-print(f"noise of the velocity in this step: {f.velocity_error.sel(z=slice(2, 20), component='x').mean():.2f}")
+print(
+    f"A = {A:.3f} by the velocity, {from_I:.3f} by the inertial number, whose median is {inertial:.2f}"
+)
+print(
+    f"largest difference of the velocity from the fit: {abs(bagnold(flow.z, V0, A, h) - V).max():.2f}"
+)
+print(
+    f"noise of the velocity in this step: {f.velocity_error.sel(z=slice(2, 20), component='x').mean():.2f}"
+)
 
 # %%
 # The band is the noise of one step (:doc:`standard errors </width>`). That of the velocity is too small to be

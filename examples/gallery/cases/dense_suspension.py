@@ -20,7 +20,9 @@ import numpy as np
 
 import xcg
 
-ds = xcg.datasets.open("suspension")  # mean diameter, rate of shear and viscosity of the fluid are 1
+ds = xcg.datasets.open(
+    "suspension"
+)  # mean diameter, rate of shear and viscosity of the fluid are 1
 names = ["volume_fraction", "viscous_number", "effective_viscosity"]
 options = {"fluid_viscosity": 1.0, "shear_dims": "xy", "pressure_dims": "y"}
 f = ds.cg.coarse_grain(names, axes="y", width=1.0, for_averages=True, **options).compute()
@@ -46,7 +48,9 @@ plt.show()
 fig, ax = plt.subplots()
 ax.errorbar(J, eta, yerr=m.effective_viscosity_error, fmt="o", label="coarse-grained")
 ax.plot(curve, mu_c / curve, "k-", label="contacts, Boyer et al.")
-ax.set(xscale="log", yscale="log", xlabel="viscous number $J$", ylabel=r"viscosity $\eta_s$ [$\eta_f$]")
+ax.set(
+    xscale="log", yscale="log", xlabel="viscous number $J$", ylabel=r"viscosity $\eta_s$ [$\eta_f$]"
+)
 ax.legend()
 plt.show()
 

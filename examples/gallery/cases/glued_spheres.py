@@ -48,7 +48,9 @@ for axis in "zx":
     for f, what in ((spheres, "spheres"), (bodies, "bodies")):
         carried = float(abs(f.contact_stress.sel(component=axis, direction="z").sel(inner)).mean())
         load = float(weight_above(f, axis).sel(inner).mean())
-        print(f"sigma_{axis}z by {what}: {carried:.3f}, weight {load:.3f}, ratio {carried / load:.4f}")
+        print(
+            f"sigma_{axis}z by {what}: {carried:.3f}, weight {load:.3f}, ratio {carried / load:.4f}"
+        )
 
 # %%
 # A sum over spheres misses a part of the stress, and friction is off with it. Bodies leave less than a tenth of a per

@@ -21,7 +21,10 @@ from scipy.sparse.linalg import spsolve
 import xcg
 
 ds = xcg.datasets.open("silo").compute()
-k, stiffness = 1.0, 5e9  # conductivity of glass (W/m/K); effective modulus of Hertz's law for a contact of glass (Pa)
+k, stiffness = (
+    1.0,
+    5e9,
+)  # conductivity of glass (W/m/K); effective modulus of Hertz's law for a contact of glass (Pa)
 now = ds.isel(time=0)
 z, radius = now.position.sel(component="z").values, now.diameter.values / 2
 
@@ -30,7 +33,10 @@ z, radius = now.position.sel(component="z").values, now.diameter.values / 2
 # other side, and conduct nothing.
 
 row = {number: n for n, number in enumerate(now.particle_id.values)}
-i, j = (np.array([row.get(number, -1) for number in now[name].values]) for name in ("contact_i", "contact_j"))
+i, j = (
+    np.array([row.get(number, -1) for number in now[name].values])
+    for name in ("contact_i", "contact_j")
+)
 inside = (i >= 0) & (j >= 0)
 i, j, force = i[inside], j[inside], np.linalg.norm(now.contact_force.values[inside], axis=1)
 a = (0.75 * force * radius[i] * radius[j] / (radius[i] + radius[j]) / stiffness) ** (1 / 3)
@@ -63,10 +69,14 @@ cut = ds.cg.coarse_grain(asked, at={"y": 0.0}, axes="xz", spacing=0.002).isel(ti
 filled = cut.volume_fraction > 0.2
 
 fig, ax = plt.subplots(figsize=(4.5, 7))
-cut.temperature.where(filled).plot(ax=ax, x="x", y="z", cmap="coolwarm", cbar_kwargs={"label": "temperature [K]"})
+cut.temperature.where(filled).plot(
+    ax=ax, x="x", y="z", cmap="coolwarm", cbar_kwargs={"label": "temperature [K]"}
+)
 q = cut.conduction_contact_heat.where(filled).isel(x=slice(1, None, 3), z=slice(1, None, 5))
 along, up = (q.sel(component=c).transpose("z", "x") for c in "xz")
-ax.quiver(q.x, q.z, along, up, angles="xy", scale_units="xy", scale=float(up.mean()) / 0.007, width=0.012)
+ax.quiver(
+    q.x, q.z, along, up, angles="xy", scale_units="xy", scale=float(up.mean()) / 0.007, width=0.012
+)
 ax.set(xlabel="$x$ [m]", ylabel="$z$ [m]", aspect="equal", title="", xticks=[-0.02, 0, 0.02])
 plt.show()
 
@@ -124,7 +134,9 @@ k = 2 * np.pi / (high - low)
 start = 300 + 30 * np.cos(k * (gas.position.isel(time=0).sel(component="z", drop=True) - low))
 gas = gas.assign(temperature=start.broadcast_like(gas.diameter).assign_attrs(units="K"))
 names = [xcg.Flux("temperature", "number"), xcg.Mean("temperature", "number")]
-f = gas.cg.coarse_grain([*names, "number_density", "granular_temperature", "volume_fraction"], axes="z", width="2 d43")
+f = gas.cg.coarse_grain(
+    [*names, "number_density", "granular_temperature", "volume_fraction"], axes="z", width="2 d43"
+)
 
 wave = 2 * (f.temperature * np.cos(k * (f.z - low))).mean("z")
 convective = 2 * (f.flux_temperature.sel(component="z") * np.sin(k * (f.z - low))).mean("z")
@@ -140,7 +152,9 @@ theory = 1.019 * 3 / (8 * n * chi) * np.sqrt(f.granular_temperature.mean("z") / 
 fig, ax = plt.subplots()
 ax.plot(f.time[1:], diffusivity[1:], "o", label="flux of heat over the slope of the temperature")
 ax.plot(f.time, theory, "k-", label="kinetic theory")
-ax.set(xlabel=r"time [$d / \sqrt{T_0}$]", ylabel=r"diffusivity $D$ [$d \sqrt{T_0}$]", ylim=(0, None))
+ax.set(
+    xlabel=r"time [$d / \sqrt{T_0}$]", ylabel=r"diffusivity $D$ [$d \sqrt{T_0}$]", ylim=(0, None)
+)
 ax.legend()
 plt.show()
 
@@ -149,7 +163,9 @@ plt.show()
 # do not depend on velocities, so nothing is carried yet; the first interval is left out.
 
 faded = float(np.log(wave[1] / wave[-1]))
-print(f"the wave faded by exp(-{faded:.2f}), by the flux exp(-{k**2 * float(diffusivity[1:].integrate('time')):.2f})")
+print(
+    f"the wave faded by exp(-{faded:.2f}), by the flux exp(-{k**2 * float(diffusivity[1:].integrate('time')):.2f})"
+)
 print(f"diffusivity over that of kinetic theory: {float((diffusivity / theory)[1:].mean()):.2f}")
 
 # %%

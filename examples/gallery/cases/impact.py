@@ -14,8 +14,17 @@ import matplotlib.pyplot as plt
 import xcg
 
 ds = xcg.datasets.open("impact")  # species 1 are the grains, 2 is the sphere
-ring = {"axes": "rz", "frame": xcg.Cylindrical(), "bounds": {"r": (0, 0.016), "z": (0, 0.032)}, "spacing": 0.0005}
-f = ds.isel(time=0).cg.coarse_grain(["pressure", "velocity"], by="species", width=0.002, **ring).compute()
+ring = {
+    "axes": "rz",
+    "frame": xcg.Cylindrical(),
+    "bounds": {"r": (0, 0.016), "z": (0, 0.032)},
+    "spacing": 0.0005,
+}
+f = (
+    ds.isel(time=0)
+    .cg.coarse_grain(["pressure", "velocity"], by="species", width=0.002, **ring)
+    .compute()
+)
 
 # %%
 # An average over the angle about the axis of the fall, of the grains alone, after 1 ms. The line is the sphere.
@@ -24,7 +33,13 @@ sphere = ds.isel(particle=-1).compute()
 fig, ax = plt.subplots()
 f.sel(phase=1).cg.plot("pressure", ax=ax, arrows=None)
 ax.add_patch(plt.Circle((0, float(sphere.position[0, 2])), 0.005, fill=False, lw=2))
-ax.set(title="1 ms after the start", xlim=(0, 0.016), ylim=(0, 0.032), xlabel="radius $r$ [m]", ylabel="height $z$ [m]")
+ax.set(
+    title="1 ms after the start",
+    xlim=(0, 0.016),
+    ylim=(0, 0.032),
+    xlabel="radius $r$ [m]",
+    ylabel="height $z$ [m]",
+)
 plt.show()
 
 # %%

@@ -55,7 +55,14 @@ mean = fields.cg.time_average().compute()
 
 fig, (ax, right) = plt.subplots(1, 2, sharey=True, layout="constrained")
 V = mean.velocity.sel(component="x")
-ax.errorbar(V, mean.z, xerr=2 * mean.velocity_error.sel(component="x"), fmt="o", ms=3, label="two standard errors")
+ax.errorbar(
+    V,
+    mean.z,
+    xerr=2 * mean.velocity_error.sel(component="x"),
+    fmt="o",
+    ms=3,
+    label="two standard errors",
+)
 ax.set(xlabel="velocity $V_x$ [$d/t$]", ylabel="height $z$ [$d$]")
 ax.legend()
 shear, normal = (-mean.stress.sel(component=a, direction="z") for a in "xz")

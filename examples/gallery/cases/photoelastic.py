@@ -40,10 +40,22 @@ for frame, step in enumerate(ds.time):
     error = 1 + rng.normal(scale=0.05, size=(2, i.size))
     measured = (force * n).sum(axis=1) * error[0], (force * across).sum(axis=1) * error[1]
     forces.append(
-        pd.DataFrame({"frame": frame, "id1": i, "id2": j, "normal_force": measured[0], "tangential_force": measured[1]})
+        pd.DataFrame(
+            {
+                "frame": frame,
+                "id1": i,
+                "id2": j,
+                "normal_force": measured[0],
+                "tangential_force": measured[1],
+            }
+        )
     )
 discs, contacts = pd.concat(seen), pd.concat(forces)
-print(discs.head(3).to_string(index=False), contacts.head(3).round(3).to_string(index=False), sep="\n\n")
+print(
+    discs.head(3).to_string(index=False),
+    contacts.head(3).round(3).to_string(index=False),
+    sep="\n\n",
+)
 
 # %%
 # From here on nothing is known but the tables, the size of a pixel and the box. The unit of mass keeps that of forces,
@@ -53,7 +65,9 @@ names = {"frame": "step", "particle": "particle_id"}
 units = {"length": pixel, "mass": 1 / pixel}
 layer = {"dimension": 2, "thickness": 1.0, "shape": "disc", "density": 1.0}
 box = {"box": ds.box.values / pixel, "periodic": "xy"}
-experiment = xcg.scene_from_table(discs, contacts=contacts, names=names, units=units, **box, **layer)
+experiment = xcg.scene_from_table(
+    discs, contacts=contacts, names=names, units=units, **box, **layer
+)
 print(experiment.cg)
 
 # %%
@@ -75,7 +89,9 @@ for ax, (title, p) in zip(axes, maps.items(), strict=False):
     ax.set(title=title, xlabel="$x$ [$d$]", aspect="equal")
 fig.colorbar(image, ax=axes[:2], label="pressure over the applied stress")
 difference = maps["by the tables"] - maps["by the simulation"]
-image = axes[2].pcolormesh(difference.x, difference.y, difference.T, cmap="RdBu", vmin=-0.1, vmax=0.1)
+image = axes[2].pcolormesh(
+    difference.x, difference.y, difference.T, cmap="RdBu", vmin=-0.1, vmax=0.1
+)
 axes[2].set(title="difference", xlabel="$x$ [$d$]", aspect="equal")
 fig.colorbar(image, ax=axes[2], label="difference of the pressure")
 axes[0].set(ylabel="$y$ [$d$]")
@@ -86,14 +102,21 @@ plt.show()
 # in the stress. Strains see the error of positions in full: a tenth of a pixel in both frames, over a few diameters.
 
 scale = float(maps["by the simulation"].mean())
-at_nodes, of_mean = (100 * float(x) / scale for x in ((difference**2).mean() ** 0.5, difference.mean()))
+at_nodes, of_mean = (
+    100 * float(x) / scale for x in ((difference**2).mean() ** 0.5, difference.mean())
+)
 print(f"error of the pressure: {at_nodes:.2f} % at a node, {of_mean:.2f} % of the mean")
 
 wide = options | {"width": "2 d43"}
-measured, true = (scene.cg.displacement("small_strain", **wide).small_strain.isel(time=0) for scene in (experiment, ds))
+measured, true = (
+    scene.cg.displacement("small_strain", **wide).small_strain.isel(time=0)
+    for scene in (experiment, ds)
+)
 measured, true = (strain.sel(component="y", direction="y") for strain in (measured, true))
 noise = float(((measured - true) ** 2).mean() ** 0.5)
-print(f"axial strain: {float(true.mean()):.4f} by the simulation, {float(measured.mean()):.4f} by the tables")
+print(
+    f"axial strain: {float(true.mean()):.4f} by the simulation, {float(measured.mean()):.4f} by the tables"
+)
 stress, expected = float(maps["by the tables"].mean()), scale
 print(f"error of the strain at a node: {noise:.4f}")
 

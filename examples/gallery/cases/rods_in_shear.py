@@ -48,7 +48,9 @@ rods = rods.assign(director=(("time", "particle", "component"), director))
 names = ["orientation_tensor", "nematic_order", "nematic_director"]
 whole = rods.cg.coarse_grain(names, axes="", at={}, for_averages=True).compute()
 expected_2d = (aspect - 1) / (aspect + 1)
-expected = (1 + 3 * expected_2d) / 4  # largest eigenvalue of (3 <n n> - I) / 2 for directors in a plane
+expected = (
+    1 + 3 * expected_2d
+) / 4  # largest eigenvalue of (3 <n n> - I) / 2 for directors in a plane
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
 left.plot(time * rate.mean(), whole.nematic_order, label="all rods")
@@ -72,7 +74,9 @@ plt.show()
 late = whole.isel(time=slice(30, None)).cg.time_average()
 measured = float(late.nematic_order)
 along = np.degrees(np.arctan2(*(late.nematic_director.sel(component=c).item() for c in "zx")))
-print(f"order {measured:.3f}, Jeffery {expected:.3f}; the mean axis is {along:.1f} degrees from the flow")
+print(
+    f"order {measured:.3f}, Jeffery {expected:.3f}; the mean axis is {along:.1f} degrees from the flow"
+)
 
 # %%
 # **For your own data, change** the name in ``xcg.datasets.open`` to your files, and leave out Jeffery's equation: your

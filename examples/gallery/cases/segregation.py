@@ -16,9 +16,13 @@ import pyvista
 
 import xcg
 
-ds = xcg.datasets.open("segregation").cg.assign_phases(edges=[1.5])  # 1: below, 2: above this diameter
+ds = xcg.datasets.open("segregation").cg.assign_phases(
+    edges=[1.5]
+)  # 1: below, 2: above this diameter
 names = ["volume_fraction", "density", "velocity", "concentration"]
-f = ds.cg.coarse_grain(names, by="phase", axes="z", width=1.0, bounds={"z": (0, 24)}, spacing=0.25).compute()
+f = ds.cg.coarse_grain(
+    names, by="phase", axes="z", width=1.0, bounds={"z": (0, 24)}, spacing=0.25
+).compute()
 bulk, large = f.sel(phase="bulk"), f.sel(phase=2)
 c = large.concentration.where(bulk.volume_fraction > 0.2)
 
@@ -36,7 +40,9 @@ plotter.show()
 # The share of the large grains over time and height:
 
 fig, ax = plt.subplots()
-c.plot(x="time", ax=ax, vmin=0, vmax=1, cmap="RdYlBu", cbar_kwargs={"label": "share of large grains"})
+c.plot(
+    x="time", ax=ax, vmin=0, vmax=1, cmap="RdYlBu", cbar_kwargs={"label": "share of large grains"}
+)
 ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$ [$d$]", ylim=(0, 22))
 plt.show()
 

@@ -50,7 +50,9 @@ for step, shade in zip((1, 2, 3), (0.6, 0.3, 0), strict=True):
     label, thick = f"{float(ds.time[step]):.0f}", depth.depth.isel(time=step) > 1
     axes[0].plot(surface.x, surface.height.isel(time=step), color=str(shade), label=label)
     axes[1].plot(u.x, u.isel(time=step).where(thick), color=str(shade))
-    axes[2].plot(u.x, alpha.isel(time=step).where(thick & (u.isel(time=step) > 0.5)), color=str(shade))
+    axes[2].plot(
+        u.x, alpha.isel(time=step).where(thick & (u.isel(time=step) > 0.5)), color=str(shade)
+    )
 axes[0].set(ylabel="surface $h$ [$d$]", ylim=0)
 axes[1].set(ylabel=r"velocity [$\sqrt{gd}$]")
 axes[2].set(ylabel=r"shape factor $\alpha$", xlabel="$x$ [$d$]", xlim=(0, 160), ylim=(0.95, 1.6))
@@ -72,8 +74,15 @@ tall = np.polyfit(np.log(aspects[2:]), np.log(runout[2:]), 1)
 fig, ax = plt.subplots()
 ax.loglog(aspects, runout, "o", label="simulation")
 for (power, start), some in ((low, aspects[:3]), (tall, aspects[2:])):
-    ax.loglog(some, np.exp(start) * some**power, "-", label=f"{np.exp(start):.1f} $a^{{{power:.2f}}}$")
-ax.set(xlabel="aspect ratio $a$", ylabel="run-out / width", xticks=aspects, xticklabels=["0.5", "1", "2", "4", "8"])
+    ax.loglog(
+        some, np.exp(start) * some**power, "-", label=f"{np.exp(start):.1f} $a^{{{power:.2f}}}$"
+    )
+ax.set(
+    xlabel="aspect ratio $a$",
+    ylabel="run-out / width",
+    xticks=aspects,
+    xticklabels=["0.5", "1", "2", "4", "8"],
+)
 ax.minorticks_off()
 ax.legend()
 plt.show()
@@ -83,7 +92,9 @@ plt.show()
 
 exponent, expected = float(tall[0]), 0.73
 print("run-out over width", np.round(runout, 2))
-print(f"power of low columns {low[0]:.2f} (published 0.96 to 1), of tall ones {exponent:.2f} (2/3 to {expected})")
+print(
+    f"power of low columns {low[0]:.2f} (published 0.96 to 1), of tall ones {exponent:.2f} (2/3 to {expected})"
+)
 
 # %%
 # The power of tall columns is the published one, that of low ones, from three runs, is 6 % above it. The factor depends

@@ -39,7 +39,13 @@ tau = float(6 / ((1 - e**2) * 4 * n * d**2 * chi * np.sqrt(np.pi * T[0])))
 law = T[0] / (1 + T.time / tau) ** 2
 
 fig, ax = plt.subplots()
-ax.errorbar(T.time, T, 2 * f.granular_temperature_error, fmt="o", label="coarse-grained, two standard errors")
+ax.errorbar(
+    T.time,
+    T,
+    2 * f.granular_temperature_error,
+    fmt="o",
+    label="coarse-grained, two standard errors",
+)
 ax.set_yscale("log")
 ax.semilogy(T.time, law, "k-", label=f"Haff's law, $\\tau$ = {tau:.1f}")
 ax.set(xlabel=r"time [$d / \sqrt{T_0}$]", ylabel=r"granular temperature [$T_0$]")
@@ -52,7 +58,9 @@ plt.show()
 fitted = 1 / np.polyfit(T.time, np.sqrt(T[0] / T), 1)[0]
 print(f"tau = {fitted:.2f} in the simulation, {tau:.2f} by kinetic theory")
 print(f"largest difference of T from the law: {100 * float(abs(T / law - 1).max()):.1f} %")
-print(f"standard error of T in one step: {100 * float((f.granular_temperature_error / T).mean()):.1f} %")
+print(
+    f"standard error of T in one step: {100 * float((f.granular_temperature_error / T).mean()):.1f} %"
+)
 
 # %%
 # The rest is the noise of 2000 grains, and what kinetic theory leaves out: velocities in a cooling gas are not quite

@@ -25,7 +25,12 @@ fig, axes = plt.subplots(2, 2, sharex=True, sharey=True, figsize=(5.2, 5.6))
 for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
     share = f.concentration.sel(phase=2).isel(time=step)
     image = ax.pcolormesh(f.x, f.z, share.transpose("z", "x"), cmap="coolwarm", vmin=0, vmax=1)
-    ax.set(title=f"$N$ = {float(turns[step]):.2g}", aspect="equal", xlabel="$x$ [$d$]", ylabel="$z$ [$d$]")
+    ax.set(
+        title=f"$N$ = {float(turns[step]):.2g}",
+        aspect="equal",
+        xlabel="$x$ [$d$]",
+        ylabel="$z$ [$d$]",
+    )
     ax.label_outer()
 fig.colorbar(image, ax=axes, label="share of grains from the right half", location="bottom")
 plt.show()
@@ -48,11 +53,17 @@ plt.show()
 # them and negative in the other, and its sum is zero in a steady flow. Here is the mean over lines that are up to half
 # a radius from the axis.
 
-f = ds.isel(time=slice(1, None)).cg.coarse_grain("momentum_density", axes="xz", width=1.0).mean("time")
+f = (
+    ds.isel(time=slice(1, None))
+    .cg.coarse_grain("momentum_density", axes="xz", width=1.0)
+    .mean("time")
+)
 across = f.momentum_density.sel(component="x", x=slice(-6, 6)).compute()
 down = float(across.clip(min=0).integrate("z").mean("x"))
 up = -float(across.clip(max=0).integrate("z").mean("x"))
-print(f"mass that flows down the layer {down:.2f}, and up below it {up:.2f}, in a unit of time and length of the drum")
+print(
+    f"mass that flows down the layer {down:.2f}, and up below it {up:.2f}, in a unit of time and length of the drum"
+)
 
 # %%
 # The difference is more than the scatter of eight steps: a drum this small flows in little avalanches, and a step every

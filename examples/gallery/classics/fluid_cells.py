@@ -16,7 +16,11 @@ import numpy as np
 import xcg
 
 ds = xcg.datasets.open("silo")
-edges = {"x": (-0.04, 0.04), "y": (-0.04, 0.04), "z": (-0.02, 0.26)}  # centres of the first and last cells
+edges = {
+    "x": (-0.04, 0.04),
+    "y": (-0.04, 0.04),
+    "z": (-0.02, 0.26),
+}  # centres of the first and last cells
 
 
 def void_fraction(spacing, sampling="cell"):
@@ -54,7 +58,12 @@ print(f"volume of the grains {1e6 * solid:.4f} cm3, of the cells' solid {1e6 * f
 fig, ax = plt.subplots()
 ax.loglog(1e3 * sizes, at_centres, "o-", label="values at the centres")
 ax.loglog(1e3 * sizes, averaged, "s-", label="averages over cells")
-ax.set(xlabel="size of a cell [mm]", ylabel="relative error of the solid volume", ylim=(1e-10, 1), xticks=1e3 * sizes)
+ax.set(
+    xlabel="size of a cell [mm]",
+    ylabel="relative error of the solid volume",
+    ylim=(1e-10, 1),
+    xticks=1e3 * sizes,
+)
 ax.set_xticklabels(["5", "10", "20"])
 ax.minorticks_off()
 ax.legend()

@@ -41,7 +41,12 @@ I = np.geomspace(0.01, 0.4, 100)
 ax.errorbar(number, mu, error, fmt="o", label="simulation")
 ax.semilogx(I, jop(I, mu_s, mu_2, I_0), "k-", label="form of Jop et al., fitted")
 ax.semilogx(I[I < 0.25], 0.25 + 1.1 * I[I < 0.25], "k--", label="da Cruz et al.")
-ax.set(xlabel="inertial number $I$", ylabel=r"friction $\mu$", xticks=[0.01, 0.1], xticklabels=["0.01", "0.1"])
+ax.set(
+    xlabel="inertial number $I$",
+    ylabel=r"friction $\mu$",
+    xticks=[0.01, 0.1],
+    xticklabels=["0.01", "0.1"],
+)
 ax.legend()
 plt.show()
 

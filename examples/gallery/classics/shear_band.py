@@ -39,7 +39,9 @@ strain = u.shear_strain.transpose("x", "y").values
 power = abs(np.fft.fft2(strain - strain.mean())) ** 2
 like = np.fft.ifft2(power).real / np.fft.ifft2(power).real[0, 0]
 angles = np.arange(30, 81)
-steps = np.rint(10 * np.array([np.cos(np.radians(angles)), np.sin(np.radians(angles))]) / 0.5).astype(int)
+steps = np.rint(
+    10 * np.array([np.cos(np.radians(angles)), np.sin(np.radians(angles))]) / 0.5
+).astype(int)
 resemblance = like[steps[0], steps[1]] + like[steps[0], -steps[1]]
 band = angles[resemblance > 0.98 * resemblance.max()].mean()
 coulomb = 45 + float(friction[1]) / 2

@@ -22,12 +22,18 @@ runs = {D: xcg.datasets.open(f"hopper_{D}") for D in slots}
 
 names = ["velocity", "volume_fraction", "velocity_gradient"]
 inside = {"x": (0, 18), "z": (6, 24)}
-f = runs[6].cg.coarse_grain(names, axes="xz", bounds=inside, width=1.0, spacing=0.5, for_averages=True)
+f = runs[6].cg.coarse_grain(
+    names, axes="xz", bounds=inside, width=1.0, spacing=0.5, for_averages=True
+)
 f = f.cg.time_average().compute()
 v = f.velocity.where(f.volume_fraction > 0.1)
 
 fig, ax = plt.subplots()
-speed = -v.sel(component="z").drop_attrs(deep=False).assign_attrs(long_name="downward velocity", units=r"$\sqrt{gd}$")
+speed = (
+    -v.sel(component="z")
+    .drop_attrs(deep=False)
+    .assign_attrs(long_name="downward velocity", units=r"$\sqrt{gd}$")
+)
 speed.to_dataset(name="speed").cg.plot(ax=ax, vmin=0, vmax=2)
 ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
 plt.show()
@@ -35,10 +41,14 @@ plt.show()
 # %%
 # The trace of the velocity gradient is the rate at which the volume grows, the dilation.
 
-dilation = sum(f.velocity_gradient.sel(component=c, direction=c) for c in "xz").where(f.volume_fraction > 0.1)
+dilation = sum(f.velocity_gradient.sel(component=c, direction=c) for c in "xz").where(
+    f.volume_fraction > 0.1
+)
 
 fig, ax = plt.subplots()
-dilation = dilation.drop_attrs(deep=False).assign_attrs(long_name="rate of dilation", units=r"$\sqrt{g/d}$")
+dilation = dilation.drop_attrs(deep=False).assign_attrs(
+    long_name="rate of dilation", units=r"$\sqrt{g/d}$"
+)
 dilation.to_dataset(name="dilation").cg.plot(ax=ax, vmin=-0.4, vmax=0.4)
 ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
 plt.show()

@@ -18,17 +18,26 @@ def close_frames(dt, seed=1, *, species=False):
         middle["velocity"] = middle.velocity + 3.0 * (middle.species - 1.5)
     middle["contact_force"] = 1e3 * middle.contact_force  # as large as weight and inertia
     total = np.zeros((100, 3))
-    i, j, force = middle.contact_i.values[0], middle.contact_j.values[0], middle.contact_force.values[0]
+    i, j, force = (
+        middle.contact_i.values[0],
+        middle.contact_j.values[0],
+        middle.contact_force.values[0],
+    )
     np.add.at(total, i, force)
     np.add.at(total, j, -force)
     a = total / middle.mass.values[0][:, None] + np.array([0.3, 0, -1.0])
     frames = [
-        (middle.position.values[0] + s * middle.velocity.values[0] + s**2 / 2 * a, middle.velocity.values[0] + s * a)
+        (
+            middle.position.values[0] + s * middle.velocity.values[0] + s**2 / 2 * a,
+            middle.velocity.values[0] + s * a,
+        )
         for s in (-dt / 2, dt / 2)
     ]
     names = ["diameter", "contact_i", "contact_j", "contact_force"]
     same = {n: [middle[n].values[0]] * 2 for n in names + ["species"] * species}
-    point = [middle.contact_point.values[0] + s * middle.velocity.values[0][i] for s in (-dt / 2, dt / 2)]
+    point = [
+        middle.contact_point.values[0] + s * middle.velocity.values[0][i] for s in (-dt / 2, dt / 2)
+    ]
     return xcg.scene_from_arrays(
         [x for x, _ in frames], velocity=[v for _, v in frames], density=2500.0, contact_point=point,
         time=[0.0, dt], box=[[0, 5.0]] * 3, periodic="xyz", gravity=(0.3, 0, -1.0), **same,
@@ -37,7 +46,10 @@ def close_frames(dt, seed=1, *, species=False):
 
 def test_force_residual_falls_with_the_mesh():
     ds = xcg.datasets.random_scene(100, seed=1, periodic="xy")
-    norms = [float(ds.cg.balance(width=0.8, spacing=h).force_residual_norm.item()) for h in (0.4, 0.2, 0.1)]
+    norms = [
+        float(ds.cg.balance(width=0.8, spacing=h).force_residual_norm.item())
+        for h in (0.4, 0.2, 0.1)
+    ]
     assert norms[0] > 8 * norms[1] > 64 * norms[2]
     assert norms[2] < 1e-3
 
@@ -78,7 +90,11 @@ def test_dimensions_and_coordinates_are_in_the_order_of_the_fields(options):
 
 
 def test_the_history_of_residuals_is_their_own_call():
-    history = xcg.datasets.random_scene(50).cg.balance(width=1.2, of=["force"], spacing=1.0).attrs["history"]
+    history = (
+        xcg.datasets.random_scene(50)
+        .cg.balance(width=1.2, of=["force"], spacing=1.0)
+        .attrs["history"]
+    )
     assert "balance(width=1.2, of=['force'], kernel='lucy'" in history
     assert "coarse_grain" not in history
 
@@ -113,7 +129,9 @@ def test_wrong_arguments_raise():
 def test_momentum_is_balanced_where_parts_of_the_kernel_are_negative(by):
     xcg.register_kernel("negative parts", lambda q: (1 - q**2) ** 4 * (1 - 3 * q**2), smoothness=3)
     rng, dt = np.random.default_rng(1), 1e-5
-    position, velocity = (np.c_[x, np.zeros(25)] for x in (rng.uniform(0, 5, (25, 2)), rng.normal(size=(25, 2))))
+    position, velocity = (
+        np.c_[x, np.zeros(25)] for x in (rng.uniform(0, 5, (25, 2)), rng.normal(size=(25, 2)))
+    )
     ds = xcg.scene_from_arrays(
         [position, position + dt * velocity], velocity=[velocity] * 2, diameter=np.ones((2, 25)), density=1.0,
         species=[np.arange(25) % 2] * 2, time=[0.0, dt], box=[[0, 5]] * 3, periodic="xy", dimension=2,

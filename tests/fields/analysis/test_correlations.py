@@ -16,7 +16,10 @@ def result(values, wrapped, spacing=0.5, names=("x", "y", "z"), tail=()):
     """A result of one field `a` (time, nodes, ...)."""
     values = np.asarray(values, float)
     axes = names[: values.ndim - 1 - len(tail)]
-    coords = {a: (a, spacing * np.arange(n), {"units": "m"}) for a, n in zip(axes, values.shape[1:], strict=False)}
+    coords = {
+        a: (a, spacing * np.arange(n), {"units": "m"})
+        for a, n in zip(axes, values.shape[1:], strict=False)
+    }
     coords["time"] = ("time", 0.1 * np.arange(len(values)), {"units": "s"})
     return xr.Dataset({"a": (("time", *axes, *tail), values)}, coords, {"wrapped_axes": wrapped})
 
@@ -28,7 +31,10 @@ def direct(a, b, wraps):
     away = [
         np.where(
             k[..., None],
-            x - np.stack([x[t][k[t]].mean(axis=0) for t in range(len(x))])[(slice(None), *[None] * len(shape))],
+            x
+            - np.stack([x[t][k[t]].mean(axis=0) for t in range(len(x))])[
+                (slice(None), *[None] * len(shape))
+            ],
             0.0,
         )
         for x, k in zip((a, b), known, strict=True)
@@ -38,16 +44,26 @@ def direct(a, b, wraps):
     for t, p, q in itertools.product(range(len(a)), np.ndindex(shape), np.ndindex(shape)):
         if known[0][(t, *p)] and known[1][(t, *q)]:
             lag = tuple(
-                (j - i + n // 2) % n - n // 2 if w else j - i for i, j, n, w in zip(p, q, shape, wraps, strict=True)
+                (j - i + n // 2) % n - n // 2 if w else j - i
+                for i, j, n, w in zip(p, q, shape, wraps, strict=True)
             )
             products[lag] = products.get(lag, 0.0) + away[0][(t, *p)] @ away[1][(t, *q)]
             pairs[lag] = pairs.get(lag, 0) + 1
-    return {lag: products[lag] / pairs[lag] / scale for lag in pairs}, {lag: n / len(a) for lag, n in pairs.items()}
+    return {lag: products[lag] / pairs[lag] / scale for lag in pairs}, {
+        lag: n / len(a) for lag, n in pairs.items()
+    }
 
 
 @pytest.mark.parametrize(
     ("shape", "wrapped", "components"),
-    [((7,), "", 1), ((6,), "x", 1), ((5, 4), "y", 1), ((4, 5), "xy", 3), ((3, 4, 3), "xz", 1), ((3, 3, 2), "", 9)],
+    [
+        ((7,), "", 1),
+        ((6,), "x", 1),
+        ((5, 4), "y", 1),
+        ((4, 5), "xy", 3),
+        ((3, 4, 3), "xz", 1),
+        ((3, 3, 2), "", 9),
+    ],
 )
 def test_correlations_equal_brute_force(shape, wrapped, components):
     rng = np.random.default_rng(0)
@@ -129,16 +145,23 @@ def test_smeared_points_have_the_correlation_of_the_kernel():
     away = (c.correlation - expected) / c.correlation_error.where(c.lag_x != 0)
     assert float(abs(away).max()) < 4.5
     assert float(c.correlation_error.max()) < 0.1
-    assert c.correlation.attrs == {"units": "1", "long_name": "correlation of number_density with number_density"}
+    assert c.correlation.attrs == {
+        "units": "1",
+        "long_name": "correlation of number_density with number_density",
+    }
     fall = falls_to(expected[16:], c.lag_x.values[16:])
     assert abs(c.correlation_length - fall) < 4 * c.correlation_length_error
 
 
 def test_falls_to_interpolates_where_values_fall_below_a_level():
     at = np.array([0.0, 1.0, 2.0, 3.0])
-    values = np.array([[1.0, 0.6, 0.2, 0.1], [1.0, 0.9, 0.8, 0.7], [0.1, 0.9, 0.1, 0.0], [1.0, np.nan, 0.1, 0.0]])
+    values = np.array(
+        [[1.0, 0.6, 0.2, 0.1], [1.0, 0.9, 0.8, 0.7], [0.1, 0.9, 0.1, 0.0], [1.0, np.nan, 0.1, 0.0]]
+    )
     np.testing.assert_allclose(falls_to(values, at, 0.4), [1.5, np.nan, np.nan, np.nan])
-    np.testing.assert_allclose(falls_to(values, at**2, 0.3), [1.0 + 3.0 * 0.75, np.nan, np.nan, np.nan])
+    np.testing.assert_allclose(
+        falls_to(values, at**2, 0.3), [1.0 + 3.0 * 0.75, np.nan, np.nan, np.nan]
+    )
 
 
 # --- in time ---------------------------------------------------------------------------------------------
@@ -163,7 +186,9 @@ def test_time_correlation_by_brute_force():
             at_node.append(np.nanmean(products))
         found = c.correlation[(slice(None), *node)]
         np.testing.assert_allclose(found, np.array(at_node) / at_node[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(c.mean_correlation, total / count / (total[0] / count[0]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        c.mean_correlation, total / count / (total[0] / count[0]), rtol=0, atol=1e-12
+    )
 
 
 def test_errors_cover_a_process_that_forgets_by_a_share_each_step():
@@ -203,9 +228,16 @@ def moving(steps=5):
 
 @pytest.mark.parametrize("chunk", [1, 2])
 def test_lazy_correlations_equal_eager_ones(chunk):
-    options = {"fields": ["velocity", "volume_fraction"], "axes": "xz", "by": "species", "spacing": 0.5}
+    options = {
+        "fields": ["velocity", "volume_fraction"],
+        "axes": "xz",
+        "by": "species",
+        "spacing": 0.5,
+    }
     eager = moving().cg.coarse_grain(width=0.75, bounds={"z": (1.0, 3.0)}, **options)
-    lazy = moving().chunk(time=chunk).cg.coarse_grain(width=0.75, bounds={"z": (1.0, 3.0)}, **options)
+    lazy = (
+        moving().chunk(time=chunk).cg.coarse_grain(width=0.75, bounds={"z": (1.0, 3.0)}, **options)
+    )
     assert eager.attrs["wrapped_axes"] == "x"
     for one, other in (
         (lazy.cg.spatial_correlation("velocity"), eager.cg.spatial_correlation("velocity")),
@@ -232,11 +264,16 @@ def test_correlations_of_a_part_of_a_period_end_at_its_edges():
     f = ds.cg.coarse_grain("velocity", axes="x", width=0.5, spacing=0.25)
     assert f.x.attrs["period"] == 10.0
     part = f.sel(x=slice(2, 8))
-    found, ends = (g.cg.spatial_correlation("velocity") for g in (part, part.assign_attrs(wrapped_axes="")))
+    found, ends = (
+        g.cg.spatial_correlation("velocity") for g in (part, part.assign_attrs(wrapped_axes=""))
+    )
     xr.testing.assert_identical(found, ends)
     assert found.sizes["lag_x"] == 2 * part.sizes["x"] - 1
     assert f.cg.spatial_correlation("velocity").sizes["lag_x"] == f.sizes["x"]
-    assert f.isel(x=slice(None, None, 2)).cg.spatial_correlation("velocity").sizes["lag_x"] == f.sizes["x"] // 2
+    assert (
+        f.isel(x=slice(None, None, 2)).cg.spatial_correlation("velocity").sizes["lag_x"]
+        == f.sizes["x"] // 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -271,7 +308,9 @@ def test_constant_fields_have_no_correlation():
 def test_the_page_on_correlations_runs(monkeypatch):
     monkeypatch.chdir(ROOT)
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "displacement.md").read_text(), re.DOTALL):
+    for block in re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "displacement.md").read_text(), re.DOTALL
+    ):
         exec(compile(block, "displacement.md", "exec"), names)
     c, k, m = (names[n] for n in "ckm")
     assert 0.5 < c.correlation_length < 5
@@ -283,8 +322,17 @@ def test_the_page_on_correlations_runs(monkeypatch):
 
 
 def test_durations_as_times_raise():
-    ds = xcg.datasets.random_scene(30).isel(time=[0, 0, 0, 0]).assign_coords(time=np.arange(4).astype("m8[ns]"))
+    ds = (
+        xcg.datasets.random_scene(30)
+        .isel(time=[0, 0, 0, 0])
+        .assign_coords(time=np.arange(4).astype("m8[ns]"))
+    )
     f = ds.cg.coarse_grain("density", axes="z")
-    for call in (lambda: f.cg.time_correlation("density"), lambda: ds.cg.mean_squared_displacement(lags=[1])):
-        with pytest.raises(xcg.SceneError, match=r"times as numbers \(s\), and these are timedelta64"):
+    for call in (
+        lambda: f.cg.time_correlation("density"),
+        lambda: ds.cg.mean_squared_displacement(lags=[1]),
+    ):
+        with pytest.raises(
+            xcg.SceneError, match=r"times as numbers \(s\), and these are timedelta64"
+        ):
             call()

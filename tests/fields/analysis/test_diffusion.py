@@ -14,7 +14,9 @@ def walks(steps=8, count=30, edge=4.0, seed=0, **options):
     kicks = 0.3 * np.random.default_rng(seed).normal(size=(steps, count, 3)) * [1.0, 1.0, 2.0]
     way = kicks.cumsum(axis=0)
     given = {"diameter": np.ones((steps, count)), "density": 1.0, "time": 0.25 * np.arange(steps)}
-    return xcg.scene_from_arrays(list(way % edge), box=[[0, edge]] * 3, periodic="xyz", **(given | options)), way
+    return xcg.scene_from_arrays(
+        list(way % edge), box=[[0, edge]] * 3, periodic="xyz", **(given | options)
+    ), way
 
 
 def same(found, expected, **options):
@@ -52,7 +54,9 @@ def test_a_random_walk_diffuses():
     assert float(abs(away).max()) < 4.5
     away = (m.self_diffusion - np.diag(truth)) / m.self_diffusion_error
     assert float(abs(away).max()) < 4.0
-    assert abs(float(m.diffusion_coefficient) - truth.mean()) < 4 * float(m.diffusion_coefficient_error)
+    assert abs(float(m.diffusion_coefficient) - truth.mean()) < 4 * float(
+        m.diffusion_coefficient_error
+    )
     assert float(m.diffusion_coefficient_error) < 0.05 * truth.mean()
     assert m.self_diffusion.attrs["units"] == "m^2 s^-1"
 

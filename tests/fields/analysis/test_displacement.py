@@ -32,7 +32,11 @@ def grains(count=1500, edge=6.0, seed=0):
 
 def scene(positions, **options):
     steps = len(positions)
-    given = {"diameter": np.ones((steps, len(positions[0]))), "density": 1.0, "time": 0.5 * np.arange(steps)}
+    given = {
+        "diameter": np.ones((steps, len(positions[0]))),
+        "density": 1.0,
+        "time": 0.5 * np.arange(steps),
+    }
     return xcg.scene_from_arrays(positions, **(given | options))
 
 
@@ -41,7 +45,11 @@ def check_affine(f, deformation, atol=1e-13):
 
     def same(name, expected):
         np.testing.assert_allclose(
-            f[name].values, np.broadcast_to(expected, f[name].shape), rtol=0, atol=atol, err_msg=name
+            f[name].values,
+            np.broadcast_to(expected, f[name].shape),
+            rtol=0,
+            atol=atol,
+            err_msg=name,
         )
 
     gradient, (turn, _) = deformation - np.eye(3), polar(deformation)
@@ -52,7 +60,9 @@ def check_affine(f, deformation, atol=1e-13):
     same("small_strain", (gradient + gradient.T) / 2)
     same("volumetric_strain", np.linalg.det(deformation) - 1)
     axes = ["xyz".index(a) for a in f.attrs["plane"]]
-    deviator = strain - np.diag(np.isin(range(3), axes) * np.trace(strain[np.ix_(axes, axes)]) / len(axes))
+    deviator = strain - np.diag(
+        np.isin(range(3), axes) * np.trace(strain[np.ix_(axes, axes)]) / len(axes)
+    )
     same("shear_strain", np.sqrt(2 * (deviator**2).sum()))
     same("rotation", turn)
     same("rotation_vector", Rotation.from_matrix(turn).as_rotvec())
@@ -68,7 +78,11 @@ def test_affine_deformation_is_exact(deformation):
     check_affine(f, deformation)
     node = xr.concat(xr.broadcast(f.x, f.y, f.z), "component")
     centre = node.assign_coords(component=f.component) + f.centre_offset
-    expected = centre.transpose(*f.displacement.dims).values @ (deformation - np.eye(3)).T + [0.5, -2.0, 7.0]
+    expected = centre.transpose(*f.displacement.dims).values @ (deformation - np.eye(3)).T + [
+        0.5,
+        -2.0,
+        7.0,
+    ]
     np.testing.assert_allclose(f.displacement, expected, rtol=0, atol=1e-13)
 
 
@@ -79,7 +93,10 @@ def deforming(stretch, noise=0.0, first=0.0):
     """A periodic box that is stretched with its grains, wrapped at random, and the edges of which may be elsewhere."""
     rng = np.random.default_rng(1)
     share = rng.uniform(0, 1, (1500, 3))
-    lower, edge = np.array([[0.0, 0.0, 0.0], [0.4, -1.0, 0.2]]), np.array([[6.0] * 3, 6.0 * np.array(stretch)])
+    lower, edge = (
+        np.array([[0.0, 0.0, 0.0], [0.4, -1.0, 0.2]]),
+        np.array([[6.0] * 3, 6.0 * np.array(stretch)]),
+    )
     away = rng.integers(-1, 2, (2, 1500, 3))
     position = lower[:, None] + (share + away) * edge[:, None]
     position[1] += noise * rng.normal(size=(1500, 3))
@@ -112,9 +129,13 @@ def test_a_box_that_deforms_carries_its_images_with_it(place):
 
 
 def test_displacement_of_the_box_equals_that_of_the_grains_at_the_node():
-    f = deforming((1.1, 1.0, 1.0)).cg.displacement(["displacement", "centre_offset"], axes="x", spacing=0.5)
+    f = deforming((1.1, 1.0, 1.0)).cg.displacement(
+        ["displacement", "centre_offset"], axes="x", spacing=0.5
+    )
     expected = 0.4 + 0.1 * (f.x + f.centre_offset.sel(component="x"))
-    np.testing.assert_allclose(f.displacement.sel(component="x"), expected.transpose("time", "x"), atol=1e-12)
+    np.testing.assert_allclose(
+        f.displacement.sel(component="x"), expected.transpose("time", "x"), atol=1e-12
+    )
 
 
 def test_fields_do_not_depend_on_where_the_edges_are():
@@ -135,7 +156,9 @@ def test_a_box_far_from_the_origin_keeps_its_images():
     f = ds.cg.displacement([*NAMES, "centre_offset"], axes="y", spacing=1.0)
     check_affine(f, np.diag(stretch), atol=1e-12)
     expected = 0.3 + (f.y - away[1] + f.centre_offset.sel(component="y")) * (stretch[1] - 1)
-    np.testing.assert_allclose(f.displacement.sel(component="y"), expected.transpose("time", "y"), atol=1e-12)
+    np.testing.assert_allclose(
+        f.displacement.sel(component="y"), expected.transpose("time", "y"), atol=1e-12
+    )
 
 
 def test_open_and_periodic_axes_together():
@@ -152,7 +175,9 @@ def test_edges_a_period_apart_are_equivalent():
     f = scene([r, (r + np.array([0.1, 0, 0])) % 6 + 6], box=box, periodic="xyz").cg.displacement(
         ["displacement"], axes="z"
     )
-    np.testing.assert_allclose(f.displacement, np.broadcast_to([0.1, 0, 0], f.displacement.shape), atol=1e-14)
+    np.testing.assert_allclose(
+        f.displacement, np.broadcast_to([0.1, 0, 0], f.displacement.shape), atol=1e-14
+    )
 
 
 def test_translation_across_periodic_edges():
@@ -178,8 +203,13 @@ def test_phases_are_about_the_bulk():
     f = ds.cg.displacement(axes="", at=MIDDLE, by="species")
     assert f.phase.values.tolist() == ["bulk", "1", "2"]
     check_affine(f, deformation)
-    noise = np.random.default_rng(1).normal(size=(4000, 3)) * np.where(species[0] == 1, 0.1, 0.3)[:, None]
-    f = scene([r, r + noise], species=species).cg.displacement(["d2min"], axes="", at=MIDDLE, by="species", width=1.5)
+    noise = (
+        np.random.default_rng(1).normal(size=(4000, 3))
+        * np.where(species[0] == 1, 0.1, 0.3)[:, None]
+    )
+    f = scene([r, r + noise], species=species).cg.displacement(
+        ["d2min"], axes="", at=MIDDLE, by="species", width=1.5
+    )
     np.testing.assert_allclose(f.d2min.sel(phase=["1", "2"]).squeeze(), [0.03, 0.27], rtol=0.15)
 
 
@@ -218,7 +248,9 @@ def test_independent_displacements_have_their_variance():
     ds = scene([r, r + rng.normal(size=(400, 3)) * 0.01], box=[[0, 6]] * 3, periodic="xyz")
     found = {}
     for way in ("unbiased", "biased"):
-        f = ds.cg.displacement(["d2min"], spacing=1.0, width=0.9, temperature=way, for_averages=True)
+        f = ds.cg.displacement(
+            ["d2min"], spacing=1.0, width=0.9, temperature=way, for_averages=True
+        )
         weight = f.fluctuation_density.where(f.d2min.notnull(), 0.0)
         found[way] = float((weight * f.d2min.fillna(0.0)).sum() / weight.sum()) / 3e-4
     # 1200 numbers tell a variance to sqrt(2 / 1200) = 4 %
@@ -239,7 +271,11 @@ def test_grains_that_enter_or_leave_are_counted_and_left_out():
         frames.append(x[order])
         ids.append(order + 7)
     ds = xcg.scene_from_arrays(
-        frames, particle_id=ids, diameter=[np.ones(len(i)) for i in ids], density=1.0, time=[0.0, 1.0]
+        frames,
+        particle_id=ids,
+        diameter=[np.ones(len(i)) for i in ids],
+        density=1.0,
+        time=[0.0, 1.0],
     )
     f = ds.cg.displacement(["sample_count", *NAMES], axes="", at=MIDDLE, width=2.0)
     assert (f.left.item(), f.entered.item()) == (30, 100)
@@ -254,7 +290,9 @@ def series(steps=6, seed=3):
     rng = np.random.default_rng(seed)
     r = [grains(300)]
     for _ in range(steps - 1):
-        r.append(r[-1] @ (np.eye(3) + rng.normal(size=(3, 3)) * 0.02) + rng.normal(size=(300, 3)) * 0.01)
+        r.append(
+            r[-1] @ (np.eye(3) + rng.normal(size=(3, 3)) * 0.02) + rng.normal(size=(300, 3)) * 0.01
+        )
     return scene(r)
 
 
@@ -280,7 +318,9 @@ def test_a_chunk_reads_its_frames_and_their_partners_only():
         return block
 
     lazy = ds.chunk(time=1)
-    lazy["position"] = lazy.position.copy(data=lazy.position.data.map_blocks(note, meta=np.empty((0, 0, 0))))
+    lazy["position"] = lazy.position.copy(
+        data=lazy.position.data.map_blocks(note, meta=np.empty((0, 0, 0)))
+    )
     f = lazy.cg.displacement(["strain"], axes="", at=MIDDLE, width=2.0, lag=2)
     assert read == []
     f.isel(time=1).compute()
@@ -306,13 +346,17 @@ def test_accumulated_deformations_are_composed(chunks):
     every = ds.cg.displacement("deformation_gradient", 2, accumulate=True, **place)
     np.testing.assert_array_equal(every.time, ds.time[2::2])
     np.testing.assert_allclose(every.interval, ds.time[2::2] - ds.time[0])
-    by_two = [ds.isel(time=[t, t + 2]).cg.displacement("deformation_gradient", **place) for t in (0, 2)]
+    by_two = [
+        ds.isel(time=[t, t + 2]).cg.displacement("deformation_gradient", **place) for t in (0, 2)
+    ]
     first, second = (f.deformation_gradient.values[0] for f in by_two)
     np.testing.assert_allclose(every.deformation_gradient[1], second @ first, rtol=0, atol=1e-13)
 
 
 def test_averages_follow_the_rules_of_the_registry():
-    f = series().cg.displacement(axes="z", extent={"x": 6.0, "y": 6.0}, bounds={"z": (2.0, 4.0)}, for_averages=True)
+    f = series().cg.displacement(
+        axes="z", extent={"x": 6.0, "y": 6.0}, bounds={"z": (2.0, 4.0)}, for_averages=True
+    )
     a = f.cg.time_average()
     mean = (f.density * f.deformation_gradient).mean("time") / f.density.mean("time")
     np.testing.assert_allclose(a.deformation_gradient, mean)
@@ -326,7 +370,9 @@ def test_averages_follow_the_rules_of_the_registry():
 
 def test_rotation_is_nan_under_a_reflection():
     r = grains()
-    f = scene([r, r * [1, 1, -1]]).cg.displacement(["rotation", "rotation_vector", "strain"], axes="", at=MIDDLE)
+    f = scene([r, r * [1, 1, -1]]).cg.displacement(
+        ["rotation", "rotation_vector", "strain"], axes="", at=MIDDLE
+    )
     assert np.isnan(f.rotation).all()
     assert np.isnan(f.rotation_vector).all()
     np.testing.assert_allclose(f.strain, np.zeros_like(f.strain), atol=1e-13)
@@ -375,7 +421,9 @@ def test_steps_without_common_ids_raise_or_are_skipped():
 
 
 def test_coarse_grain_points_to_displacement():
-    with pytest.raises(ValueError, match=r"strain compares two frames: call ds.cg.displacement\('strain'\)"):
+    with pytest.raises(
+        ValueError, match=r"strain compares two frames: call ds.cg.displacement\('strain'\)"
+    ):
         series().cg.coarse_grain("strain")
 
 
@@ -383,7 +431,9 @@ def test_the_page_on_displacement_runs(monkeypatch, capsys):
     monkeypatch.chdir(ROOT / "docs")
     names = {}
     with matplotlib.rc_context({"backend": "agg"}):
-        for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", Path("displacement.md").read_text(), re.DOTALL):
+        for cell in re.findall(
+            r"```\{code-cell\} python\n(.*?)```", Path("displacement.md").read_text(), re.DOTALL
+        ):
             exec(compile(cell, "displacement.md", "exec"), names)
         matplotlib.pyplot.close("all")
     assert capsys.readouterr().out == "0.1 s between the frames, 0 grains left and 0 entered\n"

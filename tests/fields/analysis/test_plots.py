@@ -31,8 +31,12 @@ def _close():
 def result():
     """Three steps of random grains; those of the second are twice as fast, of the third four times."""
     ds = xcg.datasets.random_scene(200, seed=3)
-    steps = [ds.assign(velocity=2.0**k * ds.velocity).assign_coords(time=[float(k)]) for k in range(3)]
-    scene = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    steps = [
+        ds.assign(velocity=2.0**k * ds.velocity).assign_coords(time=[float(k)]) for k in range(3)
+    ]
+    scene = xr.concat(
+        steps, "time", data_vars="all", coords="minimal", compat="override", join="override"
+    )
     fields = ["volume_fraction", "velocity", "stress", "density"]
     return scene, scene.cg.coarse_grain(fields, axes="xz", at={"y": 2.5}, width=1.0).compute()
 
@@ -41,7 +45,9 @@ def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
     _, f = result
     ax = f.cg.plot(time=1, arrows="velocity", shading="flat")
     mesh, arrows = ax.collections
-    np.testing.assert_array_equal(mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x"))
+    np.testing.assert_array_equal(
+        mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x")
+    )
     flow = f.velocity.isel(time=1).transpose("z", "x", "component").to_numpy()
     every = max(1, round(max(f.sizes["x"], f.sizes["z"]) / 20))
     shown_arrows = flow[every // 2 :: every, every // 2 :: every]
@@ -60,7 +66,9 @@ def test_a_map_over_radius_and_height():
     ds = xcg.datasets.random_scene(60, seed=1, periodic="", gravity=(0, 0, -1))
     frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
     ends = {"r": (0.0, 2.0), "z": (1.0, 4.0)}
-    f = ds.cg.coarse_grain(["density", "velocity"], axes="rz", frame=frame, bounds=ends, width=1.0, spacing=0.5)
+    f = ds.cg.coarse_grain(
+        ["density", "velocity"], axes="rz", frame=frame, bounds=ends, width=1.0, spacing=0.5
+    )
     ax = f.cg.plot("density", arrows="velocity", shading="flat")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$r$ [m]", "$z$ [m]")
     mesh, arrows = ax.collections
@@ -76,17 +84,25 @@ def test_a_map_over_radius_and_angle_lies_in_the_plane_of_the_circle():
     ds = xcg.datasets.random_scene(400, seed=1, periodic="z")
     around = ds.position - xr.DataArray([2.5, 2.5, 0.0], dims="component")
     spin = xr.DataArray([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]], dims=("component", "c"))
-    ds = ds.assign(velocity=xr.dot(spin, around.rename(component="c"), dim="c").transpose(*ds.position.dims))
+    ds = ds.assign(
+        velocity=xr.dot(spin, around.rename(component="c"), dim="c").transpose(*ds.position.dims)
+    )
     frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
-    f = ds.cg.coarse_grain(["density", "velocity"], axes="rt", frame=frame, bounds={"r": (0, 2)}, width=0.6).compute()
+    f = ds.cg.coarse_grain(
+        ["density", "velocity"], axes="rt", frame=frame, bounds={"r": (0, 2)}, width=0.6
+    ).compute()
     ax = f.cg.plot("density", arrows="velocity", shading="flat")
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$r\,\cos\theta$ [m]", r"$r\,\sin\theta$ [m]")
     mesh, arrows = ax.collections
     np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("theta", "r"))
     corner = mesh.get_coordinates()
     first, last = f.theta.to_numpy()[[0, -1]]
-    np.testing.assert_allclose(np.hypot(*corner[:, -1].T), f.r[-1] + (f.r[1] - f.r[0]) / 2)  # the rim
-    np.testing.assert_allclose(np.arctan2(*corner[0, -1, ::-1]), first - (2 * np.pi - last) / 2, atol=1e-12)
+    np.testing.assert_allclose(
+        np.hypot(*corner[:, -1].T), f.r[-1] + (f.r[1] - f.r[0]) / 2
+    )  # the rim
+    np.testing.assert_allclose(
+        np.arctan2(*corner[0, -1, ::-1]), first - (2 * np.pi - last) / 2, atol=1e-12
+    )
     flow, place = np.stack([arrows.U, arrows.V], -1), arrows.get_offsets()
     known = np.isfinite(flow).all(-1)
     assert known.sum() > 100
@@ -113,17 +129,25 @@ def test_a_cylindrical_wall_is_unrolled():
 def test_maps_of_vectors_show_the_magnitude_and_signed_maps_are_white_at_zero(result):
     _, f = result
     (mesh, _) = f.cg.plot("velocity", shading="flat").collections
-    np.testing.assert_allclose(mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x"))
+    np.testing.assert_allclose(
+        mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x")
+    )
     plt.figure()
     (mesh,) = f.cg.plot("stress", component="x", direction="z").collections
     low, high = mesh.get_clim()
     assert low == -high
-    assert high == pytest.approx(float(np.abs(f.stress[-1].sel(component="x", direction="z")).max()))
+    assert high == pytest.approx(
+        float(np.abs(f.stress[-1].sel(component="x", direction="z")).max())
+    )
 
 
 def test_a_profile_has_a_band_of_one_standard_error(result):
     scene, _ = result
-    p = scene.cg.coarse_grain(["velocity", "density"], axes="z", width=1.0).compute().cg.time_average()
+    p = (
+        scene.cg.coarse_grain(["velocity", "density"], axes="z", width=1.0)
+        .compute()
+        .cg.time_average()
+    )
     ax = p.cg.plot("velocity", component="x")
     (line,), (band,) = ax.lines, ax.collections
     value, error = (p[name].sel(component="x") for name in ("velocity", "velocity_error"))
@@ -137,7 +161,9 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
 
 
 def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():
-    f = xcg.datasets.random_scene(60).cg.coarse_grain("density", width=1.0, bounds={"y": (1.0, 3.0)})
+    f = xcg.datasets.random_scene(60).cg.coarse_grain(
+        "density", width=1.0, bounds={"y": (1.0, 3.0)}
+    )
     (mesh,) = f.cg.plot(shading="flat").collections
     np.testing.assert_array_equal(
         mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
@@ -148,16 +174,22 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given
 
 
 def test_phases_are_lines_of_a_profile():
-    p = xcg.datasets.random_scene(60).cg.coarse_grain("volume_fraction", axes="x", by="species", width=1.0)
+    p = xcg.datasets.random_scene(60).cg.coarse_grain(
+        "volume_fraction", axes="x", by="species", width=1.0
+    )
     ax = p.cg.plot()
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["bulk", "1", "2"]
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), p.volume_fraction.sel(phase="1").isel(time=0).compute())
+    np.testing.assert_array_equal(
+        ax.lines[1].get_ydata(), p.volume_fraction.sel(phase="1").isel(time=0).compute()
+    )
 
 
 def plane(values, name="density", **attrs):
     """A map over x and z, one m between the nodes; rows are z."""
     values = np.asarray(values, float)
-    coords = {a: (a, np.arange(n) + 0.5, {"units": "m"}) for a, n in zip("zx", values.shape, strict=True)}
+    coords = {
+        a: (a, np.arange(n) + 0.5, {"units": "m"}) for a, n in zip("zx", values.shape, strict=True)
+    }
     return xr.Dataset({name: (("z", "x"), values, attrs)}, coords)
 
 
@@ -175,7 +207,10 @@ def test_a_smooth_map_interpolates_linearly_between_the_nodes():
     rng = np.random.default_rng(0)
     x, z = rng.uniform(0.5, 4.5, 100), rng.uniform(0.5, 3.5, 100)
     np.testing.assert_allclose(numbers_at(mesh, x, z), 1 + 2 * x - z + 0.5 * x * z, atol=0.03)
-    assert (mesh.get_coordinates().min(), mesh.get_coordinates().max()) == (0, 5)  # as far as the cells of the nodes
+    assert (mesh.get_coordinates().min(), mesh.get_coordinates().max()) == (
+        0,
+        5,
+    )  # as far as the cells of the nodes
 
 
 def test_a_smooth_map_is_white_where_the_nearest_node_is_unknown_and_nothing_bleeds():
@@ -244,7 +279,9 @@ def test_a_colour_bar_is_as_high_as_its_map():
         ax = plane(np.arange(float(np.prod(shape))).reshape(shape)).cg.plot()
         ax.figure.canvas.draw()
         bar = ax.collections[0].colorbar.ax
-        assert bar.get_window_extent().height == pytest.approx(ax.get_window_extent().height, rel=0.15)
+        assert bar.get_window_extent().height == pytest.approx(
+            ax.get_window_extent().height, rel=0.15
+        )
 
 
 def test_numbers_below_a_narrow_map_do_not_touch():
@@ -252,7 +289,11 @@ def test_numbers_below_a_narrow_map_do_not_touch():
     ax = f.assign_coords(x=0.02 * (f.x - 2), z=0.01 * f.z).cg.plot()
     ax.figure.canvas.draw()
     low, high = ax.get_xlim()
-    drawn = [t.label1.get_window_extent() for t in ax.xaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    drawn = [
+        t.label1.get_window_extent()
+        for t in ax.xaxis.get_major_ticks()
+        if low <= t.get_loc() <= high
+    ]
     assert drawn
     assert all(a.x1 < b.x0 for a, b in itertools.pairwise(drawn))
 
@@ -337,7 +378,9 @@ def test_derived_fields_have_their_own_labels(result):
     assert raised(bar.get_ylabel()) == "magnitude of velocity [m s⁻¹]"
     mean = f.cg.profile("z").cg.time_average()
     assert raised(mean.cg.plot("velocity", component="x").get_xlabel()) == "velocity, x [m s⁻¹]"
-    assert raised(mean.cg.plot("velocity_error").get_xlabel()) == "standard error of velocity [m s⁻¹]"
+    assert (
+        raised(mean.cg.plot("velocity_error").get_xlabel()) == "standard error of velocity [m s⁻¹]"
+    )
 
 
 def test_labels_of_fields_of_users_have_their_units():
@@ -357,9 +400,13 @@ def test_a_movie_has_a_frame_a_step(result, tmp_path, axes, capsys):
     from PIL import Image
 
     _, f = result
-    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(tmp_path / "f.gif", "velocity", dpi=40, progress=True)
+    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(
+        tmp_path / "f.gif", "velocity", dpi=40, progress=True
+    )
     lines = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
-    assert lines == [f"{k} of 3 {what}" for what in ("steps computed", "frames drawn") for k in (1, 2, 3)]
+    assert lines == [
+        f"{k} of 3 {what}" for what in ("steps computed", "frames drawn") for k in (1, 2, 3)
+    ]
     with Image.open(path) as film:
         assert film.n_frames == 3
         frames = []
@@ -382,19 +429,26 @@ def test_the_suggested_part_of_a_tensor_lies_in_the_layer():
 
 def test_wrong_plots_raise(result, tmp_path):
     scene, f = result
-    with pytest.raises(ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"):
+    with pytest.raises(
+        ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"
+    ):
         f.cg.plot("stress")
     with pytest.raises(
-        ValueError, match=r"plot\('velocty'\): the result has volume_fraction, .*; did you mean 'velocity'"
+        ValueError,
+        match=r"plot\('velocty'\): the result has volume_fraction, .*; did you mean 'velocity'",
     ):
         f.cg.plot("velocty")
-    with pytest.raises(ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"):
+    with pytest.raises(
+        ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"
+    ):
         f.cg.plot("pressure")
     with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.plot"):
         scene.cg.plot("velocity")
     with pytest.raises(TypeError, match="component=0: expected a name, one of x, y, z"):
         f.cg.plot("velocity", component=0)
-    with pytest.raises(ValueError, match=r"xarray draws others, such as f\['density'\]\.plot\.line\(x='time'\)"):
+    with pytest.raises(
+        ValueError, match=r"xarray draws others, such as f\['density'\]\.plot\.line\(x='time'\)"
+    ):
         f.isel(x=0, z=0).cg.plot("density")
     f.isel(x=0, z=0)["density"].plot.line(x="time")
     with pytest.raises(ValueError, match=r"component='x': density has no dimension 'component'"):
@@ -406,7 +460,9 @@ def test_wrong_plots_raise(result, tmp_path):
     with pytest.raises(ValueError, match="shading='gouraud': expected one of 'smooth', 'flat'"):
         f.cg.plot("density", shading="gouraud")
     for wrong in ("speed", "density"):
-        with pytest.raises(ValueError, match=f"arrows='{wrong}': expected a vector field of the result"):
+        with pytest.raises(
+            ValueError, match=f"arrows='{wrong}': expected a vector field of the result"
+        ):
             f.cg.plot("density", arrows=wrong)
     with pytest.raises(ValueError, match=r"ends with \.gif or \.mp4"):
         f.cg.movie(tmp_path / "f.avi")
@@ -415,12 +471,19 @@ def test_wrong_plots_raise(result, tmp_path):
     with pytest.raises(ValueError, match=r"component='q': expected one of x, y, z$"):
         f.cg.plot("velocity", component="q")
     for wrong in (3, -4, 0.5, "last"):
-        with pytest.raises(ValueError, match=f"time={wrong!r}: expected the position of a step, a whole number"):
+        with pytest.raises(
+            ValueError, match=f"time={wrong!r}: expected the position of a step, a whole number"
+        ):
             f.cg.plot("density", time=wrong)
     with pytest.raises(ValueError, match="phase=1: the result has no dimension 'phase'"):
         f.cg.plot("density", phase=1)
-    by_species = xcg.datasets.random_scene(20).cg.coarse_grain("density", axes="z", by="species", width=1.0)
-    for draw in (by_species.cg.plot, lambda *a, **k: by_species.cg.movie(tmp_path / "f.gif", *a, **k)):
+    by_species = xcg.datasets.random_scene(20).cg.coarse_grain(
+        "density", axes="z", by="species", width=1.0
+    )
+    for draw in (
+        by_species.cg.plot,
+        lambda *a, **k: by_species.cg.movie(tmp_path / "f.gif", *a, **k),
+    ):
         with pytest.raises(ValueError, match=r"phase=9: expected one of bulk, 1, 2$"):
             draw("density", phase=9)
     assert not [*tmp_path.iterdir()]
@@ -441,7 +504,11 @@ def test_a_movie_without_ffmpeg(result, tmp_path, monkeypatch):
         ("matplotlib.pyplot", "plot", lambda f, folder: f.cg.plot()),
         ("matplotlib.animation", "plot", lambda f, folder: f.cg.movie(folder / "f.gif")),
         ("zarr.codecs", "zarr", lambda f, folder: f.cg.save(folder / "f.zarr")),
-        ("sklearn.cluster", "phases", lambda f, folder: xcg.datasets.random_scene(9).cg.find_phases()),
+        (
+            "sklearn.cluster",
+            "phases",
+            lambda f, folder: xcg.datasets.random_scene(9).cg.find_phases(),
+        ),
     ],
 )
 def test_errors_name_the_extra_to_install(result, tmp_path, monkeypatch, package, extra, call):

@@ -34,16 +34,22 @@ def test_integrals_over_the_depth_equal_those_of_the_grains():
     ds = flow(lambda z: z)
     d = ds.cg.depth_average("z", axes="", width=0.5)
     assert "depth_average(axis='z', axes='', width=0.5, kernel='lucy')" in d.attrs["history"]
-    x = ds.cg.depth_average("z", axes="x", width=0.5, spacing=0.7, bounds={"x": (1.0, 5.0)}, extent={"y": 2.0})
+    x = ds.cg.depth_average(
+        "z", axes="x", width=0.5, spacing=0.7, bounds={"x": (1.0, 5.0)}, extent={"y": 2.0}
+    )
     assert "spacing=0.7, bounds={'x': (1.0, 5.0)}, extent={'y': 2.0})" in x.attrs["history"]
     area = L * 4.0
     mass = d.mass_per_area.item() * area
     assert mass == pytest.approx(float(ds.mass.sum()), rel=1e-10)
     assert d.depth.item() * area == pytest.approx(float(ds.volume.sum()), rel=1e-10)
     momentum = d.momentum_per_area.sel(component="x").item() * area
-    assert momentum == pytest.approx(float((ds.mass * ds.velocity.sel(component="x")).sum()), rel=1e-10)
+    assert momentum == pytest.approx(
+        float((ds.mass * ds.velocity.sel(component="x")).sum()), rel=1e-10
+    )
     speed = d.depth_averaged_velocity.sel(component="x")
-    xr.testing.assert_allclose(speed, (d.momentum_per_area.sel(component="x") / d.mass_per_area).drop_attrs())
+    xr.testing.assert_allclose(
+        speed, (d.momentum_per_area.sel(component="x") / d.mass_per_area).drop_attrs()
+    )
     assert d.mass_per_area.attrs["units"] == "kg m^-2"
 
 
@@ -67,7 +73,9 @@ def test_the_base_carries_the_weight():
     assert d.mass_per_area.item() * 9.81 == pytest.approx(weight, rel=1e-12)
     # int sigma_zz dz = sum of f a over contacts, per area
     f, a = ds.contact_force.values[0, :, 2], np.array([0.5, *[1.0] * 7])
-    assert d.depth_stress.sel(component="z", direction="z").item() == pytest.approx((f * a).sum(), rel=1e-10)
+    assert d.depth_stress.sel(component="z", direction="z").item() == pytest.approx(
+        (f * a).sum(), rel=1e-10
+    )
     assert d.earth_pressure.sel(component="z").item() == pytest.approx(1.0)
 
 
@@ -85,9 +93,15 @@ def test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow():
 def test_the_surface_of_a_slab(chunks):
     z, x = np.linspace(-1, 6, 71), np.arange(4.0)
     height, base = np.array([3.02, 2.5, 4.44, 0.0]), 0.31
-    profile = np.clip((height[:, None] - z) / 0.2 + 0.5, 0, 1) * np.clip((z - base) / 0.2 + 0.5, 0, 1) * 0.6
+    profile = (
+        np.clip((height[:, None] - z) / 0.2 + 0.5, 0, 1)
+        * np.clip((z - base) / 0.2 + 0.5, 0, 1)
+        * 0.6
+    )
     profile[3] = 0.0
-    f = xr.Dataset({"volume_fraction": (("time", "x", "z"), profile[None])}, {"time": [0.0], "x": x, "z": z})
+    f = xr.Dataset(
+        {"volume_fraction": (("time", "x", "z"), profile[None])}, {"time": [0.0], "x": x, "z": z}
+    )
     s = (f.chunk(time=1) if chunks else f).cg.free_surface("z")
     assert (s.height.chunks is not None) == chunks
     np.testing.assert_allclose(s.height.values[0], [3.02, 2.5, 4.44, np.nan], atol=0.02)
@@ -123,7 +137,9 @@ def test_selected_phases_have_a_surface_each():
     assert s.height.sel(phase="1").item() == pytest.approx(H / 2, abs=0.1)
     assert s.base.sel(phase="2").item() == pytest.approx(H / 2, abs=0.1)
     for phase in "12":
-        xr.testing.assert_equal(s.sel(phase=phase, drop=True), f.sel(phase=phase).cg.free_surface().drop_vars("phase"))
+        xr.testing.assert_equal(
+            s.sel(phase=phase, drop=True), f.sel(phase=phase).cg.free_surface().drop_vars("phase")
+        )
     for bulk in (f, f.sel(phase=["1", "bulk"])):
         assert bulk.cg.free_surface().height.dims == ("time",)
         assert bulk.cg.free_surface().height.item() == pytest.approx(H, abs=0.1)
@@ -133,7 +149,10 @@ def test_heights_hold_what_their_slope_and_their_history_need():
     f = flow(np.ones_like, 3000).cg.coarse_grain("volume_fraction", axes="xz", width=1.0)
     s = f.cg.free_surface()
     xr.testing.assert_identical(xcg.fit_slope(s.height), s.cg.fit_slope())
-    assert "free_surface(axis='z', threshold=0.5, of='volume_fraction')" in s.attrs["history"].splitlines()[-1]
+    assert (
+        "free_surface(axis='z', threshold=0.5, of='volume_fraction')"
+        in s.attrs["history"].splitlines()[-1]
+    )
     assert "formula" not in s.height.attrs
     assert s.attrs["width"] == 1.0
 
@@ -146,10 +165,16 @@ def test_a_heap_of_known_slope(plane):
     axes = {"x": np.arange(30.0), "y": np.arange(12.0)} if plane else {"x": np.arange(30.0)}
     grid = np.meshgrid(*axes.values(), indexing="ij")
     for _ in range(60):
-        height = 20 + sum(s * g for s, g in zip(slope, grid, strict=True)) + rng.normal(size=grid[0].shape)
+        height = (
+            20
+            + sum(s * g for s, g in zip(slope, grid, strict=True))
+            + rng.normal(size=grid[0].shape)
+        )
         height[3] = np.nan
         found.append(xcg.fit_slope(xr.DataArray(height, axes)))
-    angles, errors = (np.array([float(one[name]) for one in found]) for name in ("angle", "angle_error"))
+    angles, errors = (
+        np.array([float(one[name]) for one in found]) for name in ("angle", "angle_error")
+    )
     assert angles.mean() == pytest.approx(angle, abs=3 * angles.std() / 60**0.5)
     assert errors.mean() == pytest.approx(angles.std(ddof=1), rel=0.25)
     np.testing.assert_allclose(found[0].slope, slope, atol=4 * float(found[0].slope_error.max()))

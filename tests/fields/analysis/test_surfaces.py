@@ -66,14 +66,21 @@ def test_a_whole_plane_by_brute_force(periodic, k):
     normal = -2.0 * np.eye(3)[k]
     point = np.full(3, 0.4)
     point[k] = place
-    q = ds.cg.flow_rate(xcg.Plane(point, normal), ["mass", "number", "volume", "momentum"], width=width)
+    q = ds.cg.flow_rate(
+        xcg.Plane(point, normal), ["mass", "number", "volume", "momentum"], width=width
+    )
     v, m, volume = (ds[name].values[0] for name in ("velocity", "mass", "volume"))
     psi = plane_marginal(width, images(ds, k)[..., k] - place).sum(0)
     for name, weight in (("mass", m), ("number", np.ones_like(m)), ("volume", volume)):
-        assert q[f"{name}_flow_rate"].item() == pytest.approx(-(weight * v[:, k] * psi).sum(), rel=1e-10)
+        assert q[f"{name}_flow_rate"].item() == pytest.approx(
+            -(weight * v[:, k] * psi).sum(), rel=1e-10
+        )
     stress = ds.cg.coarse_grain("contact_stress", width=width, axes="", at={"xyz"[k]: place},
                                 extent={a: 1.0 for j, a in enumerate("xyz") if j != k})  # fmt: skip
-    expected = -(m[:, None] * v * v[:, [k]] * psi[:, None]).sum(0) - stress.contact_stress.values.reshape(3, 3)[:, k]
+    expected = (
+        -(m[:, None] * v * v[:, [k]] * psi[:, None]).sum(0)
+        - stress.contact_stress.values.reshape(3, 3)[:, k]
+    )
     np.testing.assert_allclose(q.momentum_flow_rate.values[0], expected, rtol=1e-9, atol=1e-9)
     assert q.mass_flow_rate.attrs["units"] == "kg s^-1"
     assert q.momentum_flow_rate.attrs["units"] == "N"
@@ -105,7 +112,9 @@ def test_a_tilted_plane_by_brute_force():
 
 def test_phases_add_up():
     ds = scene()
-    q = ds.cg.flow_rate(xcg.Plane((0, 0, 2), (0, 0, 1)), ["mass", "momentum"], width=1.0, by="species")
+    q = ds.cg.flow_rate(
+        xcg.Plane((0, 0, 2), (0, 0, 1)), ["mass", "momentum"], width=1.0, by="species"
+    )
     for name in q.data_vars:
         parts = q[name].sel(phase=["1", "2"]).sum("phase")
         xr.testing.assert_allclose(parts, q[name].sel(phase="bulk", drop=True))
@@ -128,14 +137,23 @@ def mass_within(ds, low, high, width):
     w = np.einsum("i,j,k->ijk", *([weights / 2] * 3)).ravel() * np.prod(np.subtract(high, low))
     grid = np.stack(np.meshgrid(*x, indexing="ij"), -1).reshape(-1, 3)
     at = {a: xr.DataArray(grid[:, k], dims="place") for k, a in enumerate("xyz")}
-    return (ds.cg.coarse_grain("density", width=width, at=at).density * xr.Variable("place", w)).sum("place")
+    return (
+        ds.cg.coarse_grain("density", width=width, at=at).density * xr.Variable("place", w)
+    ).sum("place")
 
 
 def test_outflow_of_a_closed_box_is_its_loss_of_mass():
-    ds, low, high, width = scene("", count=60, steps=3, dt=1e-3), [1.5, 1.2, 1.0], [4.2, 3.9, 3.1], 0.7
+    ds, low, high, width = (
+        scene("", count=60, steps=3, dt=1e-3),
+        [1.5, 1.2, 1.0],
+        [4.2, 3.9, 3.1],
+        0.7,
+    )
     mass = mass_within(ds, low, high, width)
     rate = float(mass[2] - mass[0]) / float(ds.time[2] - ds.time[0])
-    out = sum(ds.cg.flow_rate(face, width=width).mass_flow_rate.values[1] for face in faces(low, high))
+    out = sum(
+        ds.cg.flow_rate(face, width=width).mass_flow_rate.values[1] for face in faces(low, high)
+    )
     scale = float(ds.mass[0].sum())
     assert rate == pytest.approx(-out, abs=1e-3 * scale)
     assert abs(rate) > 0.02 * scale
@@ -144,16 +162,22 @@ def test_outflow_of_a_closed_box_is_its_loss_of_mass():
 def test_triangles_and_cylinders_are_sums_over_points():
     ds, width = scene("", count=200), 0.8
     bounds = ((1.0, 5.0), (0.5, 4.5))
-    plane = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=bounds), ["mass", "momentum"], width=width)
+    plane = ds.cg.flow_rate(
+        xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=bounds), ["mass", "momentum"], width=width
+    )
     corners = np.array([[1.0, 0.5, 2.0], [5.0, 0.5, 2.0], [5.0, 4.5, 2.0], [1.0, 4.5, 2.0]])
-    same = ds.cg.flow_rate(xcg.Surface(corners, np.array([[0, 1, 2], [0, 2, 3]])), ["mass", "momentum"], width=width)
+    same = ds.cg.flow_rate(
+        xcg.Surface(corners, np.array([[0, 1, 2], [0, 2, 3]])), ["mass", "momentum"], width=width
+    )
     scale = float((ds.mass * abs(ds.velocity).sum("component")).sum())
     for name in ("mass_flow_rate", "momentum_flow_rate"):
         np.testing.assert_allclose(same[name], plane[name], atol=1e-3 * scale)
     # a wide enough part is the whole
     whole = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), width=width).mass_flow_rate.item()
     part = xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=((-3, 9), (-3, 8)))
-    assert ds.cg.flow_rate(part, width=width).mass_flow_rate.item() == pytest.approx(whole, rel=1e-5)
+    assert ds.cg.flow_rate(part, width=width).mass_flow_rate.item() == pytest.approx(
+        whole, rel=1e-5
+    )
     # a cylinder about all grains with two lids far away is passed by none
     side = xcg.Cylinder((3, 2.5, 0), (0, 0, 1), 12.0, inside=False, low=-4.0, high=8.0)
     assert abs(ds.cg.flow_rate(side, width=width, spacing=0.5).mass_flow_rate.item()) < 1e-12
@@ -184,7 +208,9 @@ def test_energy_of_grains_without_contacts():
     v, m = ds.velocity.values[0], ds.mass.values[0]
     psi = plane_marginal(width, ds.position.values[0][:, 2] - 2.0)
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "energy", width=width)
-    assert q.energy_flow_rate.item() == pytest.approx((0.5 * m * (v**2).sum(1) * v[:, 2] * psi).sum(), rel=1e-10)
+    assert q.energy_flow_rate.item() == pytest.approx(
+        (0.5 * m * (v**2).sum(1) * v[:, 2] * psi).sum(), rel=1e-10
+    )
     assert ("comment" in q.energy_flow_rate.attrs) == ("contact_force" not in ds)
     alone = ds.drop_dims("contact", errors="ignore").cg.flow_rate(
         xcg.Plane((0, 0, 2.0), (0, 0, 1)), "momentum", width=width
@@ -200,10 +226,14 @@ def test_energy_without_rotation_says_so(lacking):
     ds = ds.assign(angular_velocity=ds.velocity / 0.5)
     assert "comment" not in ds.cg.flow_rate(plane, "energy").energy_flow_rate.attrs
     part = ds.drop_vars(lacking)
-    comment = part.cg.coarse_grain("kinetic_energy_flux", axes="z").kinetic_energy_flux.attrs["comment"]
+    comment = part.cg.coarse_grain("kinetic_energy_flux", axes="z").kinetic_energy_flux.attrs[
+        "comment"
+    ]
     found = part.cg.flow_rate(plane, ["energy", "mass"])
     assert comment in found.energy_flow_rate.attrs["comment"]
-    assert ("particles alone" in found.energy_flow_rate.attrs["comment"]) == ("contact_force" in lacking)
+    assert ("particles alone" in found.energy_flow_rate.attrs["comment"]) == (
+        "contact_force" in lacking
+    )
     assert "comment" not in found.mass_flow_rate.attrs
 
 
@@ -237,7 +267,9 @@ def layer(box=(), **more):
 
 
 @pytest.mark.parametrize("normal", [(1, 0, 0), (1, 2, 0)])
-@pytest.mark.parametrize(("bounds", "part"), [((-0.5, 0.5), 1), ((-5, 5), 1), ((0, 3), 0.5), ((0.6, 2), 0)])
+@pytest.mark.parametrize(
+    ("bounds", "part"), [((-0.5, 0.5), 1), ((-5, 5), 1), ((0, 3), 0.5), ((0.6, 2), 0)]
+)
 def test_a_surface_counts_within_the_thickness_of_a_layer(normal, bounds, part):
     ds = layer(thickness=1.0)
     ends = ((-2, 2), bounds if normal[1] == 0 else (-bounds[1], -bounds[0]))  # v is along -z
@@ -248,7 +280,9 @@ def test_a_surface_counts_within_the_thickness_of_a_layer(normal, bounds, part):
     assert found == pytest.approx(part * whole, rel=1e-9)
     drum = [ds.cg.flow_rate(xcg.Cylinder((2.5, 0.1, 0), (0, 0, 1), 0.3, low=low, high=high), width=0.5)
             for low, high in (bounds, (None, None))]  # fmt: skip
-    assert drum[0].mass_flow_rate.item() == pytest.approx(part * drum[1].mass_flow_rate.item(), rel=1e-9, abs=1e-15)
+    assert drum[0].mass_flow_rate.item() == pytest.approx(
+        part * drum[1].mass_flow_rate.item(), rel=1e-9, abs=1e-15
+    )
 
 
 @pytest.mark.parametrize(("more", "depth"), [
@@ -269,7 +303,9 @@ def test_the_integral_over_time_is_the_mass_that_crossed():
     fall = -0.5 * 9.81 * time**2
     position = start + fall[:, None, None] * [0, 0, 1]
     velocity = np.zeros_like(position) + (-9.81 * time)[:, None, None] * [0, 0, 1]
-    ds = xcg.scene_from_arrays(position, velocity=velocity, diameter=np.full(80, 0.5), density=1.0, time=time)
+    ds = xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=np.full(80, 0.5), density=1.0, time=time
+    )
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, -1)), width=0.5)
     left = float(q.mass_flow_rate.integrate("time"))
     assert left == pytest.approx(float(ds.mass[0].sum()), rel=1e-4)
@@ -308,7 +344,9 @@ def by_definition(ds, point, normal, c):
     out = {"mass": m @ one, "number": one.sum(), "volume": volume @ one, "energy": energy @ one}
     out["momentum"] = (m * one) @ v
     g = ds.isel(time=0)
-    edges = np.where([a in ds.periodic for a in "xyz"], np.diff(ds.box.values[0], axis=1)[:, 0], 0.0)
+    edges = np.where(
+        [a in ds.periodic for a in "xyz"], np.diff(ds.box.values[0], axis=1)[:, 0], 0.0
+    )
     for i, j, f, place in zip(g.contact_i.values, g.contact_j.values, g.contact_force.values, g.contact_point.values,
                               strict=True):  # fmt: skip
         for grain, force in ((i, f), (j, -f)):
@@ -318,7 +356,10 @@ def by_definition(ds, point, normal, c):
             b -= edges * np.rint(b / np.where(edges > 0, edges, 1.0))
             at, x = r[grain], place  # the image of the contact near the grain
             x = at + b
-            part = sum(cumulative((at - point) @ n + s, c) - cumulative((x - point) @ n + s, c) for s in shifts)
+            part = sum(
+                cumulative((at - point) @ n + s, c) - cumulative((x - point) @ n + s, c)
+                for s in shifts
+            )
             out["momentum"] = out["momentum"] + force * part
             u = v[grain] + np.cross(g.angular_velocity.values[grain], b)
             out["energy"] += force @ u * part
@@ -327,7 +368,14 @@ def by_definition(ds, point, normal, c):
 
 @pytest.mark.parametrize(
     ("periodic", "normal"),
-    [("xyz", (0, 0, -2)), ("xy", (0, 0, 1)), ("", (1, 0, 0)), ("", (1, 2, -3)), ("y", (1, 0, 2)), ("xz", (0, 1, 0))],
+    [
+        ("xyz", (0, 0, -2)),
+        ("xy", (0, 0, 1)),
+        ("", (1, 0, 0)),
+        ("", (1, 2, -3)),
+        ("y", (1, 0, 2)),
+        ("xz", (0, 1, 0)),
+    ],
 )
 def test_whole_planes_by_definition(periodic, normal):
     ds = xcg.datasets.random_scene(120, periodic=periodic, seed=4)
@@ -342,7 +390,9 @@ def test_coordinates_of_the_plane_are_left_out():
     ds = xcg.datasets.random_scene(300, periodic="xyz").chunk(time=1)
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 0.1), (0, 0, 1)))
     p = ds.cg.coarse_grain("momentum_density", axes="", at={"z": 0.1})
-    np.testing.assert_allclose(q.mass_flow_rate, p.momentum_density.sel(component="z") * 25, rtol=1e-10)
+    np.testing.assert_allclose(
+        q.mass_flow_rate, p.momentum_density.sel(component="z") * 25, rtol=1e-10
+    )
     assert set(q.coords) == {"time", "step"}
 
 
@@ -371,17 +421,24 @@ def rectangle(count=100):
 
 
 def mantle(count=100):
-    theta, z = (a.ravel() for a in np.meshgrid(middles(0, 2 * np.pi, count), middles(0.5, 4.0, count)))
+    theta, z = (
+        a.ravel() for a in np.meshgrid(middles(0, 2 * np.pi, count), middles(0.5, 4.0, count))
+    )
     out = np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=1)
     places = [2.5, 2.5, 0] + 1.6 * out + z[:, None] * [0, 0, 1]
     return places, out * (2 * np.pi * 1.6 * 3.5 / theta.size)
 
 
-TRIANGLES = xcg.Surface(np.array([[0.5, 1, 2], [3.5, 1, 2], [3.5, 4.5, 2], [0.5, 4.5, 2]]), [[0, 1, 2], [0, 2, 3]])
+TRIANGLES = xcg.Surface(
+    np.array([[0.5, 1, 2], [3.5, 1, 2], [3.5, 4.5, 2], [0.5, 4.5, 2]]), [[0, 1, 2], [0, 2, 3]]
+)
 PARTS = {
     "rectangle": (xcg.Plane((0, 0, 2), (0, 0, 1), bounds=((0.5, 3.5), (1.0, 4.5))), rectangle),
     "triangles": (TRIANGLES, rectangle),
-    "cylinder": (xcg.Cylinder((2.5, 2.5, 0), (0, 0, 1), 1.6, inside=False, low=0.5, high=4.0), mantle),
+    "cylinder": (
+        xcg.Cylinder((2.5, 2.5, 0), (0, 0, 1), 1.6, inside=False, low=0.5, high=4.0),
+        mantle,
+    ),
 }
 
 
@@ -402,7 +459,9 @@ def test_flow_out_of_the_silo_is_its_loss_of_grains():
     ds = xcg.datasets.open("hopper_6").compute()
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 8), (0, 0, -1)), width=1.0).mass_flow_rate
     z, m = ds.position.sel(component="z").values, ds.mass.values[0]
-    fallen = (z[:-1] - z[1:] + 2.0) % 34 - 2.0  # to where it falls back at the top, but for jumps upwards
+    fallen = (
+        z[:-1] - z[1:] + 2.0
+    ) % 34 - 2.0  # to where it falls back at the top, but for jumps upwards
     count = np.floor((z[:-1] - 8) / 34) - np.floor((z[:-1] - fallen - 8) / 34)
     assert float(q.integrate("time")) == pytest.approx((count * m).sum(), rel=0.05)
 
@@ -427,7 +486,10 @@ def touching(point, force, *, depth=0.5, **more):
 def sums(f):
     """Traction times area, normal, along the surface and as a vector, summed over the cells."""
     cells = list(f.area.dims)
-    return [(f[name] * f.area).sum(cells).to_numpy() for name in ("normal_traction", "shear_traction", "traction")]
+    return [
+        (f[name] * f.area).sum(cells).to_numpy()
+        for name in ("normal_traction", "shear_traction", "traction")
+    ]
 
 
 def plate(count=12):
@@ -445,8 +507,12 @@ def test_uniform_pressure_and_shear_on_a_plane():
     np.testing.assert_allclose(f.shear_traction.sel(along="x"), -3.0, rtol=1e-12)
     np.testing.assert_allclose(f.shear_traction.sel(along="y"), 2.0, rtol=1e-12)
     np.testing.assert_allclose(f.traction.sel(component="z"), -7.0, rtol=1e-12)
-    turned = touching(point + np.array([0, 0, 1e-3]), force, box=[[0, 12], [0, 12], [0, 2]], periodic="xy")
-    np.testing.assert_allclose(turned.cg.wall_stress(FLOOR, 0.8, spacing=1.0).normal_traction, 7.0, rtol=1e-12)
+    turned = touching(
+        point + np.array([0, 0, 1e-3]), force, box=[[0, 12], [0, 12], [0, 2]], periodic="xy"
+    )
+    np.testing.assert_allclose(
+        turned.cg.wall_stress(FLOOR, 0.8, spacing=1.0).normal_traction, 7.0, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(("within", "taken"), [(None, 4), (0.3, 3), (0.1, 1)])
@@ -473,11 +539,17 @@ def test_hydrostatic_pressure_in_a_cylinder(direction):
     f = ds.cg.wall_stress(silo, 1.0, spacing=0.5)
     inner = f.isel(time=0).sel(z=slice(4.5, 15.5))  # an end is felt two supports away
     law = 4.0 * (20 - inner.z)
-    np.testing.assert_allclose(inner.normal_traction, law.broadcast_like(inner.normal_traction), rtol=1e-10)
-    np.testing.assert_allclose(inner.shear_traction.sel(along="z").mean("theta"), -0.3 * inner.z, rtol=1e-10)
+    np.testing.assert_allclose(
+        inner.normal_traction, law.broadcast_like(inner.normal_traction), rtol=1e-10
+    )
+    np.testing.assert_allclose(
+        inner.shear_traction.sel(along="z").mean("theta"), -0.3 * inner.z, rtol=1e-10
+    )
     np.testing.assert_allclose(inner.shear_traction.sel(along="theta"), 0.0, atol=1e-10)
     turn = 1 - (inner.traction * -inwards.reshape(f.centre.shape)[:, 9:31]).sum("component") / law
-    assert 0 < float(turn.mean()) < (1.0 / 5.0) ** 2  # cos of what the normal turns by within the support
+    assert (
+        0 < float(turn.mean()) < (1.0 / 5.0) ** 2
+    )  # cos of what the normal turns by within the support
 
 
 def box_surface(low=0.0, high=6.0) -> xcg.Surface:
@@ -521,16 +593,24 @@ def test_traction_times_area_is_the_sum_of_the_forces(name, width):
     normal, _, vector = sums(f)
     np.testing.assert_allclose(vector, f.wall_force, atol=1e-11)
     if "plane" in name:  # on a flat wall the three say the same
-        np.testing.assert_allclose((f.traction**2).sum(), (f.normal_traction**2).sum() + (f.shear_traction**2).sum())
-        np.testing.assert_allclose(normal, -(f.wall_force.to_numpy() @ wall.normals_at(point[:1])[0]), atol=1e-11)
+        np.testing.assert_allclose(
+            (f.traction**2).sum(), (f.normal_traction**2).sum() + (f.shear_traction**2).sum()
+        )
+        np.testing.assert_allclose(
+            normal, -(f.wall_force.to_numpy() @ wall.normals_at(point[:1])[0]), atol=1e-11
+        )
     lazy = ds.chunk(time=1).cg.wall_stress(wall, width, spacing=0.5)
     assert lazy.traction.chunks is not None
     np.testing.assert_array_equal(lazy.traction.to_numpy(), f.traction.to_numpy())
 
 
 def test_averages_over_time_are_means_of_the_steps():
-    plates = [touching(plate(), np.tile([0.5 * k, 0, k + 1], (144, 1)), time=[float(k)]) for k in range(8)]
-    scene = xr.concat(plates, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    plates = [
+        touching(plate(), np.tile([0.5 * k, 0, k + 1], (144, 1)), time=[float(k)]) for k in range(8)
+    ]
+    scene = xr.concat(
+        plates, "time", data_vars="all", coords="minimal", compat="override", join="override"
+    )
     f = scene.cg.wall_stress(xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((0, 12), (0, 12))), width=1.0)
     mean = f.cg.time_average()
     for name in f.data_vars:
@@ -539,10 +619,14 @@ def test_averages_over_time_are_means_of_the_steps():
     assert (mean.normal_traction_error > 0).all()
     damaged = scene.assign(contact_force=scene.contact_force.where(scene.time != 2.0))
     with pytest.warns(xcg.SkippedStep):
-        f_damaged = damaged.cg.wall_stress(xcg.Plane((0, 0, 0), (0, 0, 1)), width=1.0, on_error="skip").compute()
+        f_damaged = damaged.cg.wall_stress(
+            xcg.Plane((0, 0, 0), (0, 0, 1)), width=1.0, on_error="skip"
+        ).compute()
     assert f_damaged.wall_contacts.values.tolist() == [144, 144, -1, *[144] * 5]
     assert np.isnan(f_damaged.cg.time_average().wall_contacts)
-    np.testing.assert_allclose(f.cg.profile("x").normal_traction, f.normal_traction.mean("y"), rtol=1e-12)
+    np.testing.assert_allclose(
+        f.cg.profile("x").normal_traction, f.normal_traction.mean("y"), rtol=1e-12
+    )
 
 
 def test_kernels_with_negative_parts_lose_no_force_between_coarse_cells():
@@ -556,7 +640,9 @@ def test_kernels_with_negative_parts_lose_no_force_between_coarse_cells():
 
 def test_walls_of_the_silo_carry_its_weight():
     ds = xcg.open_scene(DATA / "particles.dump.gz", walls=WALLS).compute()
-    side = ds.cg.wall_stress(xcg.Cylinder((0, 0, 0), (0, 0, 1), 0.025, low=0, high=0.24), walls="side")
+    side = ds.cg.wall_stress(
+        xcg.Cylinder((0, 0, 0), (0, 0, 1), 0.025, low=0, high=0.24), walls="side"
+    )
     floor = ds.cg.wall_stress(FLOOR, walls="floor", within=1e-6)
     for f, (count, *force) in zip((side, floor), SUMS, strict=True):
         assert f.wall_contacts.item() == count
@@ -566,7 +652,9 @@ def test_walls_of_the_silo_carry_its_weight():
     np.testing.assert_allclose(sums(floor)[0][0], SUMS[1, 3], rtol=1e-6)
     deep = side.normal_traction.mean("theta")[0]
     density = 2500 * GRAVITY * 0.6
-    assert float(deep.sel(z=slice(0.02, 0.08)).mean()) < 0.6 * density * 0.17  # Janssen: less than the weight above
+    assert (
+        float(deep.sel(z=slice(0.02, 0.08)).mean()) < 0.6 * density * 0.17
+    )  # Janssen: less than the weight above
 
 
 def test_contacts_across_a_periodic_edge_count_on_both_sides():
@@ -596,17 +684,25 @@ def test_distances_from_triangles_equal_those_of_brute_force():
     inside = ((points > 0) & (points < 6)).all(axis=1)
     outside = np.linalg.norm(np.maximum(0, np.maximum(-points, points - 6)), axis=1)
     depth = np.minimum(points, 6 - points).min(axis=1)
-    np.testing.assert_allclose(surface.distance(points), np.where(inside, depth, -outside), atol=1e-12)
+    np.testing.assert_allclose(
+        surface.distance(points), np.where(inside, depth, -outside), atol=1e-12
+    )
 
 
 def test_surfaces_are_read_from_files(tmp_path):
     path = tmp_path / "floor.stl"
-    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex {}\nvertex {}\nendloop\nendfacet\n"
-    path.write_text("solid\n" + facet.format("6 0 0", "6 6 0") + facet.format("6 6 0", "0 6 0") + "endsolid\n")
+    facet = (
+        "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex {}\nvertex {}\nendloop\nendfacet\n"
+    )
+    path.write_text(
+        "solid\n" + facet.format("6 0 0", "6 6 0") + facet.format("6 6 0", "0 6 0") + "endsolid\n"
+    )
     surface = xcg.Surface(path)
     np.testing.assert_allclose(surface.area, [18, 18])
     np.testing.assert_allclose(surface.normals, [[0, 0, 1]] * 2)
-    np.testing.assert_allclose(xcg.Surface(str(path), flip=True, scale=1e-3).distance(np.ones((1, 3)) * 1e-3), -1e-3)
+    np.testing.assert_allclose(
+        xcg.Surface(str(path), flip=True, scale=1e-3).distance(np.ones((1, 3)) * 1e-3), -1e-3
+    )
     ds = touching([[1, 2, 0.0]], [[0, 0, 5.0]])
     f = ds.cg.wall_stress(surface, 0.5)
     np.testing.assert_allclose(sums(f)[0], 5.0)

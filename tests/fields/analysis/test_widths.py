@@ -19,7 +19,9 @@ def test_each_width_is_the_field_at_that_width():
     s = ds.cg.width_sweep(WIDTHS, ["density", "stress"], at=at)
     assert s.stress.dims[:2] == ("width", "point")
     for k, w in enumerate(WIDTHS):
-        alone = ds.cg.coarse_grain("density", axes="", at={"x": 2.0, "y": 3.0, "z": 2.4}, width=w).density
+        alone = ds.cg.coarse_grain(
+            "density", axes="", at={"x": 2.0, "y": 3.0, "z": 2.4}, width=w
+        ).density
         assert s.density.isel(width=k, point=1).item() == alone.item()
 
 
@@ -37,7 +39,10 @@ def test_the_history_of_a_sweep_is_its_own_call():
     assert "width_sweep(widths=[0.6, 0.9, 1.2], fields='density'" in call
     assert "coarse_grain" not in s.attrs["history"]
     assert "on_error" not in call
-    assert s.density_slope.attrs["long_name"] == "size of the logarithmic slope of mass density of the mixture by width"
+    assert (
+        s.density_slope.attrs["long_name"]
+        == "size of the logarithmic slope of mass density of the mixture by width"
+    )
 
 
 def test_a_missing_plateau_is_reported():
@@ -53,7 +58,9 @@ def test_profiles_keep_their_nodes():
     s = ds.cg.width_sweep(WIDTHS[::3], "density", axes="z")
     assert s.density.dims == ("width", "time", "z")
     assert s.density.notnull().all()
-    lone = ds.cg.coarse_grain("density", axes="z", width=WIDTHS[3], bounds={"z": (s.z[0], s.z[-1])}, spacing=WIDTHS[0])
+    lone = ds.cg.coarse_grain(
+        "density", axes="z", width=WIDTHS[3], bounds={"z": (s.z[0], s.z[-1])}, spacing=WIDTHS[0]
+    )
     xr.testing.assert_allclose(s.density.isel(width=1, drop=True), lone.density)
 
 
@@ -68,13 +75,17 @@ def test_wrong_arguments_raise():
 @pytest.mark.parametrize("name", ["sine", "band"])
 def test_the_bias_of_two_widths_is_the_true_bias_within_a_third(name):
     """Without fluctuations and with many grains, where the bias is below a fifth of the field."""
-    flow = {"sine": flows.sine, "band": partial(flows.band, thickness=3.0)}[name](60, temperature=0.0)
+    flow = {"sine": flows.sine, "band": partial(flows.band, thickness=3.0)}[name](
+        60, temperature=0.0
+    )
     for width in (0.75, 1.0, 1.4):
         s = flow.scene.cg.width_sweep([width, width * 2**0.5], "velocity", axes="z", spacing=0.5)
         f = s.isel(width=0).sel(component="x").mean("time")
         true = f.velocity - flow.truth(f.z)
         left = f.velocity_extrapolated - flow.truth(f.z)
-        true, size, found, left = (float((x**2).mean() ** 0.5) for x in (true, f.velocity, f.velocity_bias, left))
+        true, size, found, left = (
+            float((x**2).mean() ** 0.5) for x in (true, f.velocity, f.velocity_bias, left)
+        )
         assert 0.01 < true < 0.2 * size
         assert found == pytest.approx(true, rel=0.3)
         assert left < 0.35 * true
@@ -87,14 +98,20 @@ def test_the_bias_of_a_parabola_is_exact():
         np.stack([0 * z, 0 * z, z], 1), velocity=np.stack([z**2, 0 * z, 0 * z], 1), diameter=np.full(z.size, 0.1),
         density=1.0, box=np.array([[-1, 1], [-1, 1], [-8, 8]]), periodic="xy",
     )  # fmt: skip
-    s = ds.cg.width_sweep([0.5, 0.8], "velocity", axes="z", kernel="gaussian", bounds={"z": (-1, 1)}, spacing=0.25)
+    s = ds.cg.width_sweep(
+        [0.5, 0.8], "velocity", axes="z", kernel="gaussian", bounds={"z": (-1, 1)}, spacing=0.25
+    )
     s = s.sel(component="x", drop=True).isel(time=0, drop=True)
     moment = s.velocity.sel(z=0)
     assert moment.values[0] == pytest.approx(0.25, rel=0.1)
     xr.testing.assert_allclose(s.velocity_bias, moment * xr.ones_like(s.velocity), rtol=1e-4)
-    np.testing.assert_allclose(s.velocity_extrapolated, xr.ones_like(s.velocity) * s.z**2, atol=1e-4)
+    np.testing.assert_allclose(
+        s.velocity_extrapolated, xr.ones_like(s.velocity) * s.z**2, atol=1e-4
+    )
     assert s.velocity_too_wide.all()  # by a fifth and by a third of the largest value
-    assert not ds.cg.width_sweep([0.1, 0.2], "velocity", axes="z", bounds={"z": (-1, 1)}).velocity_too_wide.any()
+    assert not ds.cg.width_sweep(
+        [0.1, 0.2], "velocity", axes="z", bounds={"z": (-1, 1)}
+    ).velocity_too_wide.any()
 
 
 # --- the width with the least error ----------------------------------------------------------------------
@@ -104,7 +121,9 @@ def true_error(flow, width, frames):
     """Error of the average over some frames, from the mean and the scatter of all."""
     f = flow.scene.cg.coarse_grain(flow.field, width=width, **NODES)
     parts = f[flow.field].sizes.get("component", 1)
-    return np.hypot(flow.errors(f)[0], np.sqrt(parts * float(f[flow.field].var("time", ddof=1).mean()) / frames))
+    return np.hypot(
+        flow.errors(f)[0], np.sqrt(parts * float(f[flow.field].var("time", ddof=1).mean()) / frames)
+    )
 
 
 @pytest.mark.parametrize("name", FLOWS)
@@ -121,7 +140,9 @@ def test_the_chosen_width_is_nearly_the_best(name):
 
 @pytest.mark.parametrize("frames", [1, 9])
 def test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames(frames):
-    found = FLOWS["sine"](8).scene.cg.choose_width("velocity", frames=frames, widths=[0.8, 1.2, 1.8], **NODES)
+    found = FLOWS["sine"](8).scene.cg.choose_width(
+        "velocity", frames=frames, widths=[0.8, 1.2, 1.8], **NODES
+    )
     expected = np.sqrt(found.velocity_bias**2 + found.velocity_noise**2 / frames)
     np.testing.assert_allclose(found.velocity_total, expected, rtol=1e-12)
     assert (found.velocity_noise > 0).all()
@@ -145,11 +166,17 @@ def test_the_spacing_adds_less_error_than_stated():
     found = flow.scene.cg.choose_width("velocity", frames=60, **NODES)
     options = {"axes": "z", "width": found.best_width.item()}
     spacing = found.best_spacing.item()
-    coarse = flow.scene.cg.coarse_grain("velocity", **options, bounds={"z": (1, 11)}, spacing=spacing)
-    fine = flow.scene.cg.coarse_grain("velocity", **options, bounds={"z": (1, coarse.z[-1])}, spacing=spacing / 10)
+    coarse = flow.scene.cg.coarse_grain(
+        "velocity", **options, bounds={"z": (1, 11)}, spacing=spacing
+    )
+    fine = flow.scene.cg.coarse_grain(
+        "velocity", **options, bounds={"z": (1, coarse.z[-1])}, spacing=spacing / 10
+    )
     errors = []
     for f in (fine, coarse.interp(z=fine.z)):
-        error = f.velocity.mean("time") - xr.DataArray([1.0, 0, 0], dims="component") * flow.truth(fine.z)
+        error = f.velocity.mean("time") - xr.DataArray([1.0, 0, 0], dims="component") * flow.truth(
+            fine.z
+        )
         errors.append(float((error**2).sum("component").mean() ** 0.5))
     assert errors[1] < 1.1 * errors[0]
     assert 0.3 < spacing < 3.0
@@ -159,7 +186,9 @@ def test_densities_take_their_noise_from_the_frames():
     flow = FLOWS["layer"](20)
     found = flow.scene.cg.choose_width(["density", "velocity"], **NODES)
     assert (found.density_noise > 0).all()
-    np.testing.assert_array_equal(found.total, np.maximum(found.density_total, found.velocity_total))
+    np.testing.assert_array_equal(
+        found.total, np.maximum(found.density_total, found.velocity_total)
+    )
     with pytest.raises(ValueError, match="density has no error of a single frame"):
         flow.scene.isel(time=[0]).cg.choose_width("density", axes="z")
     with pytest.raises(ValueError, match="take sample=2 or more"):
@@ -170,7 +199,12 @@ def test_widths_for_volumes_planes_and_points():
     ds = xcg.datasets.open("plane_shear")
     line = xr.DataArray(np.linspace(1, 10, 8), dims="s")
     points = {"x": 3.0 + 0 * line, "y": 2.0 + 0 * line, "z": line}
-    for options in ({}, {"axes": "xz", "at": {"y": 2.0}}, {"axes": "z", "by": "species"}, {"at": points}):
+    for options in (
+        {},
+        {"axes": "xz", "at": {"y": 2.0}},
+        {"axes": "z", "by": "species"},
+        {"at": points},
+    ):
         found = ds.cg.choose_width("velocity", sample=2, **options)
         assert found.best_width > 0
         assert found.best_total < 1

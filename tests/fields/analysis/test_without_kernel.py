@@ -25,14 +25,26 @@ def chord_area(a, b):
         return max(0.0, half - max(a, -half))
 
     def smooth(t, p, q):  # the square root at the ends becomes smooth
-        return chord((p + q) / 2 + (q - p) / 2 * math.sin(math.pi / 2 * t)) * math.cos(math.pi / 2 * t)
+        return chord((p + q) / 2 + (q - p) / 2 * math.sin(math.pi / 2 * t)) * math.cos(
+            math.pi / 2 * t
+        )
 
-    return sum(math.pi / 4 * (q - p) * quad(smooth, -1, 1, (p, q), epsabs=1e-13)[0] for p, q in pairwise(ends))
+    return sum(
+        math.pi / 4 * (q - p) * quad(smooth, -1, 1, (p, q), epsabs=1e-13)[0]
+        for p, q in pairwise(ends)
+    )
 
 
 def test_areas_by_quadrature():
     rng = np.random.default_rng(1)
-    for a, b in [*rng.uniform(-1.1, 1.1, (40, 2)), (0, 0), (-1, 0.5), (0.6, 0.8), (1, -1), (1e-9, -1e-9)]:
+    for a, b in [
+        *rng.uniform(-1.1, 1.1, (40, 2)),
+        (0, 0),
+        (-1, 0.5),
+        (0.6, 0.8),
+        (1, -1),
+        (1e-9, -1e-9),
+    ]:
         assert _disc(a, b) == pytest.approx(chord_area(a, b), abs=1e-9)
 
 
@@ -46,7 +58,9 @@ def share_of(box, *, discs=False):
     centre = {x: sum(ends) / 2 for x, ends in zip("xyz", box, strict=False)}
     size = {x: ends[1] - ends[0] for x, ends in zip("xyz", box, strict=False)}
     more = {"dimension": 2, "thickness": 0.5, "shape": "disc"} if discs else {}
-    ds = xcg.scene_from_arrays([[0.0, 0, 0]], velocity=[[1.0, 2, 3]], diameter=[2.0], density=1.0, **more)
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0]], velocity=[[1.0, 2, 3]], diameter=[2.0], density=1.0, **more
+    )
     f = ds.cg.cell_volumes(size, bounds={x: (c, c) for x, c in centre.items()})
     cell = math.prod(size.values()) * (0.5 if discs else 1.0)
     return f.number_density.item() * cell
@@ -65,7 +79,10 @@ def ball_volume(a, b, c):
         r = math.sqrt(max(0.0, 1 - z * z))
         return (r * r * chord_area(a / r, b / r) if r > 0 else 0.0) * math.cos(math.pi / 2 * t)
 
-    return sum(math.pi / 4 * (q - p) * quad(smooth, -1, 1, (p, q), epsabs=1e-11)[0] for p, q in pairwise(ends))
+    return sum(
+        math.pi / 4 * (q - p) * quad(smooth, -1, 1, (p, q), epsabs=1e-11)[0]
+        for p, q in pairwise(ends)
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,14 +110,23 @@ def random_scene(count=300, spread=2.0, periodic="xyz", seed=4, steps=1):
 def test_cell_sums_are_the_totals_of_the_grains(periodic, spacing):
     ds = random_scene(40 if spacing == 0.13 else 300, periodic=periodic)
     f = ds.cg.cell_volumes(spacing)
-    step = [float(f[a][1] - f[a][0]) if f.sizes[a] > 1 else (6.0 if a in periodic else None) for a in "xyz"]
+    step = [
+        float(f[a][1] - f[a][0]) if f.sizes[a] > 1 else (6.0 if a in periodic else None)
+        for a in "xyz"
+    ]
     if None in step:
         step = [spacing if not isinstance(spacing, dict) else spacing[a] for a in "xyz"]
     cell = math.prod(step)
-    for name, total in (("volume_fraction", ds.volume), ("density", ds.mass), ("number_density", ds.mass * 0 + 1)):
+    for name, total in (
+        ("volume_fraction", ds.volume),
+        ("density", ds.mass),
+        ("number_density", ds.mass * 0 + 1),
+    ):
         assert float(f[name].sum()) * cell == pytest.approx(float(total.sum()), rel=1e-12)
     momentum = (ds.mass * ds.velocity).sum("particle").values[0]
-    np.testing.assert_allclose(f.momentum_density.sum(["x", "y", "z"]).values[0] * cell, momentum, atol=1e-10)
+    np.testing.assert_allclose(
+        f.momentum_density.sum(["x", "y", "z"]).values[0] * cell, momentum, atol=1e-10
+    )
     assert float(f.volume_fraction.min()) >= 0.0
     xr.testing.assert_allclose(f.void_fraction.drop_attrs(), (1 - f.volume_fraction).drop_attrs())
 
@@ -127,12 +153,16 @@ def test_a_layer_of_spheres_and_of_discs():
         ds = xcg.scene_from_arrays(position, velocity=np.ones((30, 3)), diameter=diameter, density=1.0, dimension=2,
                                    thickness=2.0, shape=shape)  # fmt: skip
         f = ds.cg.cell_volumes(0.5)
-        assert float(f.volume_fraction.sum()) * 0.25 * 2.0 == pytest.approx(float(ds.volume.sum()), rel=1e-13)
+        assert float(f.volume_fraction.sum()) * 0.25 * 2.0 == pytest.approx(
+            float(ds.volume.sum()), rel=1e-13
+        )
 
 
 def test_phases_add_up_and_velocity_is_a_mean():
     f = random_scene().cg.cell_volumes(1.5, by="species")
-    np.testing.assert_allclose(f.density.sel(phase=["1", "2"]).sum("phase"), f.density.sel(phase="bulk"), rtol=1e-13)
+    np.testing.assert_allclose(
+        f.density.sel(phase=["1", "2"]).sum("phase"), f.density.sel(phase="bulk"), rtol=1e-13
+    )
     np.testing.assert_allclose(f.velocity * f.density, f.momentum_density, rtol=1e-12, atol=1e-13)
 
 
@@ -184,7 +214,9 @@ def test_temperatures_in_bins_equal_a_loop_over_grains():
 def test_temperatures_in_planes_equal_a_loop_over_grains(periodic):
     ds = xcg.datasets.random_scene(150, periodic=periodic, seed=2)
     n, width = 3, 0.8
-    s = xcg.slice_temperature(ds, "z", width=width, spacing=1.2, bounds=(0.0, 5.0), planes=n).isel(time=0)
+    s = xcg.slice_temperature(ds, "z", width=width, spacing=1.2, bounds=(0.0, 5.0), planes=n).isel(
+        time=0
+    )
     np.testing.assert_allclose(s.z, [0.0, 1.2, 2.4, 3.6, 4.8])
     x, v, d, _ = grains(ds)
     for k, centre in enumerate(s.z.values):
@@ -211,7 +243,9 @@ def test_slices_of_a_gas_a_layer_a_lazy_scene_and_nothing(method):
     # a uniform velocity on top changes nothing; a gradient within the slice adds its own part
     fast = ds.assign(velocity=ds.velocity + 1e3).cg.slice_temperature("y", method=method)
     np.testing.assert_allclose(fast.granular_temperature, s.granular_temperature, rtol=1e-9)
-    xr.testing.assert_allclose(ds.chunk(time=1).cg.slice_temperature("y", method=method).compute(), s)
+    xr.testing.assert_allclose(
+        ds.chunk(time=1).cg.slice_temperature("y", method=method).compute(), s
+    )
     bounded = ds.assign_attrs(periodic="xz")  # along a period no slice is empty
     empty = bounded.cg.slice_temperature("y", method=method, bounds=(50.0, 51.0), width=0.5)
     assert np.isnan(empty.granular_temperature).all()
@@ -276,7 +310,9 @@ def test_a_flow_that_is_wider_between_the_first_and_the_last_step_warns(call):
         contact_i=np.tile(np.arange(3), (3, 1)), contact_j=np.full((3, 3), -2),
         contact_force=np.ones((3, 3, 3)), contact_point=place - [0, 0, 0.4],
     )  # fmt: skip
-    first = ds.assign_attrs(particle_lower=place[0].min(axis=0), particle_upper=place[0].max(axis=0))
+    first = ds.assign_attrs(
+        particle_lower=place[0].min(axis=0), particle_upper=place[0].max(axis=0)
+    )
     with pytest.warns(xcg.SceneWarning, match="to 9, and some are not or only partly on the mesh"):
         call(first)
     with warnings.catch_warnings():
@@ -291,4 +327,6 @@ def test_frozen_grains_are_in_no_slice(method):
     frozen = (ds.particle_id % 3 == 0).astype("int64").assign_attrs(ds.particle_id.attrs)
     options = {"method": method, "width": 1.0, "bounds": (0.0, 5.0)}
     s = ds.assign(frozen=frozen).cg.slice_temperature("z", **options)
-    xr.testing.assert_equal(s, ds.where(frozen == 0, drop=True).cg.slice_temperature("z", **options))
+    xr.testing.assert_equal(
+        s, ds.where(frozen == 0, drop=True).cg.slice_temperature("z", **options)
+    )

@@ -25,17 +25,28 @@ def series(steps=6, **options):
 
 def assert_ratios_of_sums(got, f, dims):
     """Each averaged field by hand from sums over `dims`."""
-    mean = {n: f[n].mean(dims) for n in ("density", "momentum_density", "volume_fraction", "number_density", "stress")}
+    mean = {
+        n: f[n].mean(dims)
+        for n in ("density", "momentum_density", "volume_fraction", "number_density", "stress")
+    }
     np.testing.assert_allclose(got.density, mean["density"], rtol=1e-12)
-    np.testing.assert_allclose(got.velocity, mean["momentum_density"] / mean["density"], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(got.particle_density, mean["density"] / mean["volume_fraction"], rtol=1e-12)
+    np.testing.assert_allclose(
+        got.velocity, mean["momentum_density"] / mean["density"], rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        got.particle_density, mean["density"] / mean["volume_fraction"], rtol=1e-12
+    )
     s2, s3 = (f.volume_fraction / f.d32).mean(dims), f.volume_fraction.mean(dims)
     np.testing.assert_allclose(got.d32, s3 / s2, rtol=1e-12)
     np.testing.assert_allclose(got.d43, (f.volume_fraction * f.d43).mean(dims) / s3, rtol=1e-12)
     z = (f.coordination_number * f.number_density).mean(dims) / mean["number_density"]
     np.testing.assert_allclose(got.coordination_number, z, rtol=1e-12)
     known = f.granular_temperature.notnull()  # not where a node has too few grains for a fit
-    energy = sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz").where(known, 0).sum(dims)
+    energy = (
+        sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz")
+        .where(known, 0)
+        .sum(dims)
+    )
     temperature = energy / 3 / f.fluctuation_density.where(known, 0).sum(dims)
     np.testing.assert_allclose(got.granular_temperature, temperature, rtol=1e-9)
     sigma = mean["stress"].values
@@ -43,7 +54,9 @@ def assert_ratios_of_sums(got, f, dims):
     dev = sigma - p[..., None, None] * np.eye(3)
     shear = np.sqrt((dev**2).sum((-1, -2)) / 2)
     np.testing.assert_allclose(got.shear_stress, shear, rtol=1e-9)
-    np.testing.assert_allclose(got.friction_coefficient, np.where(p > 0, shear / p, np.nan), rtol=1e-9)
+    np.testing.assert_allclose(
+        got.friction_coefficient, np.where(p > 0, shear / p, np.nan), rtol=1e-9
+    )
     w = f.density.where(f.shear_rate_tensor.notnull(), 0)
     gamma = (f.shear_rate_tensor.fillna(0) * w).sum(dims) / w.sum(dims)
     rate = np.sqrt(2 * (gamma.values**2).sum((-1, -2)))
@@ -67,7 +80,10 @@ def test_profile_and_average_are_ratios_of_sums(lazy):
     assert_ratios_of_sums(average, f, ["time"])
     # and not the means of ratios
     assert float(np.abs(average.velocity - f.velocity.mean("time")).max()) > 1e-3
-    assert float(np.abs(average.friction_coefficient - f.friction_coefficient.mean("time")).max()) > 1e-3
+    assert (
+        float(np.abs(average.friction_coefficient - f.friction_coefficient.mean("time")).max())
+        > 1e-3
+    )
 
 
 def test_profile_is_the_mean_over_nodes():
@@ -85,14 +101,24 @@ def test_profile_is_the_mean_over_nodes():
 
 
 def test_variants_survive_an_average():
-    options = {"pressure_dims": "z", "shear_dims": "xz", "deviatoric": "both", "size": "d32", "fluid_viscosity": 1e-3}
+    options = {
+        "pressure_dims": "z",
+        "shear_dims": "xz",
+        "deviatoric": "both",
+        "size": "d32",
+        "fluid_viscosity": 1e-3,
+    }
     f = series(1).cg.coarse_grain(**ALL, **options)
     once = f.cg.time_average()
     for name in f.data_vars:
-        np.testing.assert_allclose(once[name], f[name].isel(time=0), rtol=1e-9, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(
+            once[name], f[name].isel(time=0), rtol=1e-9, atol=1e-12, err_msg=name
+        )
         assert np.isnan(once[f"{name}_error"]).all()
     whole = series(1).cg.coarse_grain(size="dmax", **ALL)
-    np.testing.assert_allclose(whole.cg.time_average().inertial_number, whole.inertial_number.isel(time=0), rtol=1e-9)
+    np.testing.assert_allclose(
+        whole.cg.time_average().inertial_number, whole.inertial_number.isel(time=0), rtol=1e-9
+    )
 
 
 def test_moving_windows():
@@ -102,16 +128,26 @@ def test_moving_windows():
     for t in range(4):
         part = f.isel(time=slice(t, t + 3)).cg.time_average()
         for name in ("density", "velocity", "velocity_error"):
-            np.testing.assert_allclose(moving[name].isel(time=t), part[name], rtol=1e-12, atol=1e-14)
+            np.testing.assert_allclose(
+                moving[name].isel(time=t), part[name], rtol=1e-12, atol=1e-14
+            )
     np.testing.assert_allclose(f.cg.time_average(window=2, every=2).time, [0.05, 0.25, 0.45])
-    xr.testing.assert_allclose(f.cg.time_average(window=2.0, every=2.0), f.cg.time_average(window=2, every=2))
-    with pytest.raises(ValueError, match="every=2 is the distance of windows: give their length, window="):
+    xr.testing.assert_allclose(
+        f.cg.time_average(window=2.0, every=2.0), f.cg.time_average(window=2, every=2)
+    )
+    with pytest.raises(
+        ValueError, match="every=2 is the distance of windows: give their length, window="
+    ):
         f.cg.time_average(every=2)
 
 
 def test_moving_windows_of_a_lazy_result():
     """Fields that follow from tensors are computed anew in each window, lazily as in memory."""
-    f = series(30).chunk(time=30).cg.coarse_grain("friction_coefficient", axes="y", width=1.0, for_averages=True)
+    f = (
+        series(30)
+        .chunk(time=30)
+        .cg.coarse_grain("friction_coefficient", axes="y", width=1.0, for_averages=True)
+    )
     lazy = f.cg.time_average(window=6, every=6)
     assert lazy.chunks
     xr.testing.assert_allclose(lazy.compute(), f.compute().cg.time_average(window=6, every=6))
@@ -122,7 +158,8 @@ def as_result(values, **more):
     attrs = {"units": "kg m-3"}
     time = np.arange(len(values), dtype=float)
     return xr.Dataset(
-        {"density": (("time", "x"), values, attrs), **more}, {"time": time, "x": np.arange(values.shape[1])}
+        {"density": (("time", "x"), values, attrs), **more},
+        {"time": time, "x": np.arange(values.shape[1])},
     )
 
 
@@ -151,7 +188,12 @@ def test_errors_of_correlated_samples(memory):
 
 def test_the_error_equals_that_of_the_block_beyond_which_it_does_not_grow():
     n = 1024
-    for length in (1, 2, 4, 8):  # so many steps up, so many down: blocks of twice as many are all alike
+    for length in (
+        1,
+        2,
+        4,
+        8,
+    ):  # so many steps up, so many down: blocks of twice as many are all alike
         x = np.where(np.arange(n) // length % 2, 1.0, -1.0)[:, None]
         got = as_result(5 + x).cg.time_average().density_error.item()
         assert got == pytest.approx(1 / np.sqrt(n / length - 1), rel=1e-12)
@@ -188,16 +230,23 @@ def test_errors_of_ratios_equal_those_of_the_ratio_of_sums():
     n, columns = 2048, 300
     rho = rng.uniform(1, 3, (n, columns))
     v = rng.normal(size=(n, columns, 3)) / rho[..., None] + 5.0
-    f = as_result(rho, velocity=(("time", "x", "component"), v)).assign_coords(component=list("xyz"))
+    f = as_result(rho, velocity=(("time", "x", "component"), v)).assign_coords(
+        component=list("xyz")
+    )
     got = f.cg.time_average()
-    np.testing.assert_allclose(got.velocity, (rho[..., None] * v).sum(0) / rho.sum(0)[:, None], rtol=1e-12)
+    np.testing.assert_allclose(
+        got.velocity, (rho[..., None] * v).sum(0) / rho.sum(0)[:, None], rtol=1e-12
+    )
     assert float(got.velocity_error.mean()) == pytest.approx(float(got.velocity.std()), rel=0.1)
 
 
 def test_the_density_of_the_material_is_averaged_by_volume():
     rng = np.random.default_rng(3)
     rho, phi = rng.uniform(500, 3000, (9, 4)), rng.uniform(0.1, 0.6, (9, 4))
-    ratios = {"volume_fraction": (("time", "x"), phi), "particle_density": (("time", "x"), rho / phi)}
+    ratios = {
+        "volume_fraction": (("time", "x"), phi),
+        "particle_density": (("time", "x"), rho / phi),
+    }
     got = as_result(rho, **ratios).cg.time_average()
     np.testing.assert_allclose(got.particle_density, rho.sum(axis=0) / phi.sum(axis=0), rtol=1e-12)
 
@@ -223,17 +272,29 @@ def test_missing_sums_and_bad_arguments_are_named():
 def test_every_field_has_an_averaging_rule():
     """Those of two frames are averaged in test_displacement, and those between phases where phases are."""
     ds = series(2)
-    ds = ds.assign(angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1, director=ds.velocity)
+    ds = ds.assign(
+        angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1, director=ds.velocity
+    )
     rows = {name: registry.FIELDS[name] for name in registry.listed()}
-    names = [name for name, row in rows.items() if row.option in ("", "fluid_viscosity") and not row.paired]
+    names = [
+        name
+        for name, row in rows.items()
+        if row.option in ("", "fluid_viscosity") and not row.paired
+    ]
     names = [name for name in names if not name.endswith("_error")]  # see test_errors
     f = ds.cg.coarse_grain(names, fluid_viscosity=1e-3, for_averages=True, **ALL)
     assert set(f.cg.time_average()) == {*f, *(f"{n}_error" for n in f)}
-    derived = {name for name, row in rows.items() if not row.additive and not row.weight and row.option != "lag"}
+    derived = {
+        name
+        for name, row in rows.items()
+        if not row.additive and not row.weight and row.option != "lag"
+    }
     assert {name for name in derived if not name.endswith("_error")} <= set(f)
 
 
-@pytest.mark.parametrize("options", [{}, {"size": "d32"}, {"size": "d50"}, {"shear_dims": "xz", "pressure_dims": "z"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"size": "d32"}, {"size": "d50"}, {"shear_dims": "xz", "pressure_dims": "z"}]
+)
 def test_all_missing_sums_are_named_at_once(options):
     """Each field by itself, and what it needs: its averages are those of the result that holds all fields."""
     ds, options = series(3), {**ALL, "fluid_viscosity": 1e-3, **options}
@@ -244,7 +305,9 @@ def test_all_missing_sums_are_named_at_once(options):
         part = whole[[name, *needs]]
         got = part.cg.time_average()[[name, f"{name}_error"]]
         np.testing.assert_allclose(got[name], average[name], rtol=1e-12, atol=1e-15, err_msg=name)
-        np.testing.assert_allclose(got[f"{name}_error"], average[f"{name}_error"], rtol=1e-6, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            got[f"{name}_error"], average[f"{name}_error"], rtol=1e-6, atol=1e-9, err_msg=name
+        )
         for need in needs:
             with pytest.raises(ValueError, match=f"{name} needs .*{need}"):
                 part.drop_vars(need).cg.time_average()
@@ -253,7 +316,14 @@ def test_all_missing_sums_are_named_at_once(options):
 def test_for_averages_adds_the_needed_sums():
     names, ds = ["velocity", "inertial_number"], series(3)
     f = ds.cg.coarse_grain(names, for_averages=True, **ALL)
-    sums = {"density", "shear_rate_tensor", "pressure", "particle_density", "volume_fraction", "d43"}
+    sums = {
+        "density",
+        "shear_rate_tensor",
+        "pressure",
+        "particle_density",
+        "volume_fraction",
+        "d43",
+    }
     assert list(f)[:2] == names
     assert set(f) == {*names, *sums}
     average, whole = f.cg.time_average(), ds.cg.coarse_grain(**ALL).cg.time_average()
@@ -266,21 +336,34 @@ def test_nodes_that_are_empty_at_times():
     ds = xcg.scene_from_arrays(
         [[[0.0, 0, 0]], [[9.0, 0, 0]]], velocity=[[[1.0, 0, 0]], [[3.0, 0, 0]]], diameter=[[1.0], [1.0]], density=1.0,
     )  # fmt: skip
-    options = {"axes": "x", "at": {"y": 0, "z": 0}, "bounds": {"x": (0, 9)}, "spacing": 4.5, "width": 1.2}
+    options = {
+        "axes": "x",
+        "at": {"y": 0, "z": 0},
+        "bounds": {"x": (0, 9)},
+        "spacing": 4.5,
+        "width": 1.2,
+    }
     a = ds.cg.coarse_grain(["density", "velocity", "sample_count"], **options).cg.time_average()
-    assert a.velocity.sel(component="x").values[[0, 2]].tolist() == [1.0, 3.0]  # not halved by the empty step
+    assert a.velocity.sel(component="x").values[[0, 2]].tolist() == [
+        1.0,
+        3.0,
+    ]  # not halved by the empty step
     assert np.isnan(a.velocity.values[1]).all()
     assert a.sample_count.values.tolist() == [0.5, 0, 0.5]
 
 
 def test_components_in_any_order_have_the_same_averages():
-    f = series(3).cg.coarse_grain(["stress", "shear_stress", "shear_rate"], **ALL, shear_dims="xz", for_averages=True)
+    f = series(3).cg.coarse_grain(
+        ["stress", "shear_stress", "shear_rate"], **ALL, shear_dims="xz", for_averages=True
+    )
     turned = f.sel(component=["z", "x", "y"], direction=["y", "z", "x"])
     for average in (lambda f: f.cg.time_average(), lambda f: f.cg.profile("z")):
         got, expected = average(turned), average(f)
         assert set(got.data_vars) == set(expected.data_vars)
         for name in expected.data_vars:
-            labels = {dim: list("xyz") for dim in ("component", "direction") if dim in expected[name].dims}
+            labels = {
+                dim: list("xyz") for dim in ("component", "direction") if dim in expected[name].dims
+            }
             np.testing.assert_allclose(got[name].sel(labels), expected[name], rtol=1e-9, atol=1e-15)
 
 
@@ -297,7 +380,8 @@ def test_fields_that_need_all_components_are_not_averaged_from_some():
 def test_standard_errors_are_not_averaged():
     f = series(3).cg.coarse_grain(["velocity", "density"], **ALL).cg.time_average()
     with pytest.raises(
-        ValueError, match=r"no mean of standard errors \(velocity_error, density_error\): call it before"
+        ValueError,
+        match=r"no mean of standard errors \(velocity_error, density_error\): call it before",
     ):
         f.cg.profile("z")
 
@@ -305,11 +389,15 @@ def test_standard_errors_are_not_averaged():
 def test_averages_of_stacked_nodes_do_not_warn():
     f = series(3).cg.coarse_grain("density", **ALL)
     stacked = f.stack(node=("x", "y", "z")).cg.time_average()  # warnings are errors in the tests
-    xr.testing.assert_identical(stacked.density_error.unstack("node"), f.cg.time_average().density_error)
+    xr.testing.assert_identical(
+        stacked.density_error.unstack("node"), f.cg.time_average().density_error
+    )
 
 
 def test_averages_of_a_scene_raise():
-    with pytest.raises(ValueError, match="this is a scene: call time_average on what its coarse_grain returns"):
+    with pytest.raises(
+        ValueError, match="this is a scene: call time_average on what its coarse_grain returns"
+    ):
         xcg.datasets.random_scene(20).cg.time_average()
 
 
@@ -317,7 +405,9 @@ def test_averages_of_a_scene_raise():
 def test_the_error_is_nan_where_the_mean_is(unknown):
     values = np.random.default_rng(1).normal(size=(33, 4))
     values[unknown, 2] = np.nan
-    f = xr.Dataset({"density": (("time", "z"), values)}, {"time": np.arange(33.0), "z": np.arange(4.0)})
+    f = xr.Dataset(
+        {"density": (("time", "z"), values)}, {"time": np.arange(33.0), "z": np.arange(4.0)}
+    )
     average = f.cg.time_average()
     assert np.isnan(average.density.values).tolist() == [False, False, True, False]
     assert np.isnan(average.density_error.values).tolist() == [False, False, True, False]

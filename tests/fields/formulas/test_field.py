@@ -31,7 +31,9 @@ def sides(ds):
 
 
 def shifts(ds):
-    return np.array(list(product(*((-5.0, 0.0, 5.0) if a in ds.periodic else (0.0,) for a in "xyz"))))
+    return np.array(
+        list(product(*((-5.0, 0.0, 5.0) if a in ds.periodic else (0.0,) for a in "xyz")))
+    )
 
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
@@ -44,9 +46,13 @@ def test_conduction_equals_its_definition(periodic):
         line = ds.position.values[0, grain] + (1 + s)[:, None] / 2 * b
         for shift in shifts(ds):
             psi = kernel(np.linalg.norm(nodes[:, None] - line - shift, axis=-1))
-            expected += received * (psi @ weights / 2)[:, None] * -b  # from the contact point to the centre
+            expected += (
+                received * (psi @ weights / 2)[:, None] * -b
+            )  # from the contact point to the centre
     at = {a: xr.DataArray(nodes[:, k], dims="place") for k, a in enumerate("xyz")}
-    q = ds.cg.coarse_grain(xcg.Conduction("contact_heat"), at=at, width=WIDTH).conduction_contact_heat
+    q = ds.cg.coarse_grain(
+        xcg.Conduction("contact_heat"), at=at, width=WIDTH
+    ).conduction_contact_heat
     np.testing.assert_allclose(q[0], expected, atol=1e-6 * np.abs(expected).max())
     assert q.attrs["units"] == "W m^-2"
 
@@ -77,7 +83,9 @@ def test_the_heat_balance_closes(periodic):
     images = 5.0 * np.arange(-2, 3)[:, None] if "z" in periodic else 0.0
 
     def within(z):
-        return np.atleast_2d(cumulative(z + images - low, c) - cumulative(z + images - high, c)).sum(0)
+        return np.atleast_2d(
+            cumulative(z + images - low, c) - cumulative(z + images - high, c)
+        ).sum(0)
 
     def passing(z):
         return np.atleast_2d(marginal(z + images - low, c) - marginal(z + images - high, c)).sum(0)

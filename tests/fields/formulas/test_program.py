@@ -19,7 +19,9 @@ from xcg.fields.formulas.rows import orientation
 
 # scenes here hold no directors, and axes of tensors are found by NumPy, see test_orientation
 LISTED = [name for name in registry.listed() if name not in orientation.ROWS]
-ALL = tuple(name for name in LISTED if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
+ALL = tuple(
+    name for name in LISTED if not (registry.FIELDS[name].option or registry.FIELDS[name].paired)
+)
 
 
 def played_and_plain(ds, *fields, **options):
@@ -57,7 +59,9 @@ def test_programs_of_any_fields_in_any_order(seed):
     assert_same(*played_and_plain(xcg.datasets.random_scene(60, seed=seed), names, width=0.6)[:2])
 
 
-@pytest.mark.parametrize("nodes", [1, 7, kernel.TILE - 1, kernel.TILE, kernel.TILE + 1, 3 * kernel.TILE])
+@pytest.mark.parametrize(
+    "nodes", [1, 7, kernel.TILE - 1, kernel.TILE, kernel.TILE + 1, 3 * kernel.TILE]
+)
 def test_programs_on_any_number_of_nodes(nodes):
     ds = xcg.datasets.random_scene(60, seed=4)
     bounds = {"z": (0.0, 0.1 * (nodes - 1))}
@@ -122,7 +126,10 @@ def test_all_fields_of_the_registry_are_traced(gradient, groups):
     options = Options(gradient=gradient, fluid_viscosity=1e-3)
     names = tuple(name for name in LISTED if groups or not registry.FIELDS[name].paired)
     # rotations take singular values, and follow from the deformation gradient when that is whole
-    assert set(program.program_for(names, options, groups).widths) == set(names) - {"rotation", "rotation_vector"}
+    assert set(program.program_for(names, options, groups).widths) == set(names) - {
+        "rotation",
+        "rotation_vector",
+    }
 
 
 def test_negation_is_traced_to_the_bit():
@@ -170,8 +177,13 @@ def test_arrays_that_are_written_by_address_are_checked(spoil, message):
         return run(self, sums, place, out | {"stress": spoil(out["stress"])}, order)
 
     ds = xcg.datasets.random_scene(20, seed=1)
-    with mock.patch.object(program.Program, "run", spoiled), pytest.raises(ValueError, match=message):
-        ds.cg.coarse_grain("stress", width=1.0, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 0.5)))
+    with (
+        mock.patch.object(program.Program, "run", spoiled),
+        pytest.raises(ValueError, match=message),
+    ):
+        ds.cg.coarse_grain(
+            "stress", width=1.0, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 0.5))
+        )
 
 
 def test_arrays_that_are_read_by_address_are_checked():
@@ -185,7 +197,11 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
     """A formula runs on exactly the fields and moments that its row names; without any one of them it fails."""
     rows, needed = {}, {}
     for gradient, deviatoric, temperature, friction, size in product(
-        get_args(Gradient), ("stress", "neither"), get_args(Temperature), (None, 0.5), ("d43", "d32", "d50")
+        get_args(Gradient),
+        ("stress", "neither"),
+        get_args(Temperature),
+        (None, 0.5),
+        ("d43", "d32", "d50"),
     ):
         options = Options(
             gradient=gradient, deviatoric=deviatoric, temperature=temperature, friction=friction, size=size,
@@ -203,7 +219,9 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
                 with np.errstate(all="ignore"):
                     row.compute(some(f, row.fields), some(s, (*row.moments, "reference")), options)
                     for need in {*row.fields, *row.moments} - taken:
-                        fields, moments = ([n for n in kind if n != need] for kind in (row.fields, row.moments))
+                        fields, moments = (
+                            [n for n in kind if n != need] for kind in (row.fields, row.moments)
+                        )
                         try:
                             row.compute(some(f, fields), some(s, (*moments, "reference")), options)
                         except AttributeError:

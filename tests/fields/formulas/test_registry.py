@@ -14,7 +14,11 @@ from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.rows.errors import OF_FITS
 
 OWN = {
-    "deviation": (lambda f, s, o: -f.stress * 0.5 + f.pressure[..., None, None] ** 2, 2, ["stress", "pressure"]),
+    "deviation": (
+        lambda f, s, o: -f.stress * 0.5 + f.pressure[..., None, None] ** 2,
+        2,
+        ["stress", "pressure"],
+    ),
     "exponential": (lambda f, s, o: np.exp(-f.volume_fraction), 0, ["volume_fraction"]),
     "doubled": (lambda f, s, o: 2 * f.exponential + s.mass, 0, ["exponential"]),
     "cube": (lambda f, s, o: np.abs(f.velocity) ** 3, 1, ["velocity"]),
@@ -26,17 +30,25 @@ TRACED = {"deviation"}
 
 def register_all():
     for name, (compute, rank, fields) in OWN.items():
-        xcg.register_field(name, compute, rank=rank, fields=fields, moments=["mass"] if name == "doubled" else [])
+        xcg.register_field(
+            name, compute, rank=rank, fields=fields, moments=["mass"] if name == "doubled" else []
+        )
 
 
 def test_numpy_computes_operations_that_cannot_be_traced():
     register_all()
     names = (*OWN, "stress", "velocity_gradient")
-    assert set(program.program_for(names, Options()).widths) == {*TRACED, "stress", "velocity_gradient"}
+    assert set(program.program_for(names, Options()).widths) == {
+        *TRACED,
+        "stress",
+        "velocity_gradient",
+    }
     assert program.program_for(("cube",), Options()) is None
 
 
-@pytest.mark.parametrize("options", [{}, {"by": "species"}, {"axes": "z"}, {"gradient": "finite_difference"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"by": "species"}, {"axes": "z"}, {"gradient": "finite_difference"}]
+)
 def test_program_and_numpy_give_the_same_bits(options):
     register_all()
     ds = xcg.datasets.random_scene(120, seed=8)
@@ -65,7 +77,9 @@ def test_rows_pickle(computing, scheduler):
     xcg.register_field("rest", lambda f, s, o: f.swing - 1.0, fields="swing")
     ds = steps_of_random_scenes(2).chunk(time=1)
     f = ds.cg.coarse_grain(["density", "rest"], width=0.8)
-    xcg.register_field("swing", lambda f, s, o: np.cos(f.density), fields="density")  # is for later calls
+    xcg.register_field(
+        "swing", lambda f, s, o: np.cos(f.density), fields="density"
+    )  # is for later calls
     f = f.compute(**computing(scheduler))
     np.testing.assert_array_equal(f.rest, np.sin(f.density) - 1.0)
     again = ds.cg.coarse_grain(["density", "swing"], width=0.8).compute()

@@ -58,7 +58,9 @@ def kernel_sums(f, points, axes="xyz", width=WIDTH, periodic="xz"):
     """Weights (nodes, points) of points at the nodes of a result, over all images."""
     seen = [k for k, a in enumerate("xyz") if a in axes]
     kernel = BruteKernel("lucy", width, seen=len(seen))
-    nodes = np.stack(np.meshgrid(*(f[a].to_numpy() for a in axes if f[a].ndim), indexing="ij"), axis=-1)
+    nodes = np.stack(
+        np.meshgrid(*(f[a].to_numpy() for a in axes if f[a].ndim), indexing="ij"), axis=-1
+    )
     nodes = nodes.reshape(-1, nodes.shape[-1])
     for k, a in enumerate(axes):
         if not f[a].ndim:
@@ -91,17 +93,27 @@ def written_out(psi, u, q, v, bulk=None):
         variance = np.einsum("ni,nik->nk", weights, (q[None] - about_q[:, None]) ** 2) / below
     flux = None
     if about_v is not None:
-        terms = weights[:, :, None, None] * (q - about_q[:, None])[..., None] * (v - about_v[:, None])[:, :, None]
+        terms = (
+            weights[:, :, None, None]
+            * (q - about_q[:, None])[..., None]
+            * (v - about_v[:, None])[:, :, None]
+        )
         flux = np.nan_to_num(terms).sum(1)
     return weights @ q, mean, variance, flux
 
 
 def weights_of(a, ds):
-    return {"mass": ds.mass.to_numpy()[0], "volume": ds.volume.to_numpy()[0], "number": np.ones(N)}[a]
+    return {"mass": ds.mass.to_numpy()[0], "volume": ds.volume.to_numpy()[0], "number": np.ones(N)}[
+        a
+    ]
 
 
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
-@given(st.sampled_from(["mass", "volume", "number"]), st.sampled_from(["heat", "whirl", "inner"]), st.integers(0, 3))
+@given(
+    st.sampled_from(["mass", "volume", "number"]),
+    st.sampled_from(["heat", "whirl", "inner"]),
+    st.integers(0, 3),
+)
 @settings(max_examples=8, deadline=None)
 def test_variables_of_particles_are_their_sums(axes, weight, name, seed):
     a, ds = arrays(seed), build(seed)
@@ -133,7 +145,9 @@ def test_parts_of_phases_are_about_the_bulk_and_add_up(weight):
     _, mean, _, _ = written_out(psi, u, a["heat"], a["velocity"])
     for phase in ("bulk", "1", "2", "3"):
         here = u if phase == "bulk" else u * (a["species"] == int(phase))
-        total, _, variance, flux = written_out(psi, here, a["heat"], a["velocity"], (mean, velocity))
+        total, _, variance, flux = written_out(
+            psi, here, a["heat"], a["velocity"], (mean, velocity)
+        )
         g = f.sel(phase=phase)
         close(g.sum_heat, total)
         close(g.variance_heat, variance)
@@ -149,7 +163,10 @@ def test_variables_of_contacts_are_sums_at_the_contact_points(name, by):
     psi = kernel_sums(f, a["contact_point"])
     _, mean, _, _ = written_out(psi, 1.0, a[name], None)
     for phase in ["bulk", "1", "2", "3"] if by else ["bulk"]:
-        sides = [a["species"][a["contact_i"]], np.where(a["contact_j"] < 0, 0, a["species"][a["contact_j"]])]
+        sides = [
+            a["species"][a["contact_i"]],
+            np.where(a["contact_j"] < 0, 0, a["species"][a["contact_j"]]),
+        ]
         share = np.ones(CONTACTS)
         if phase != "bulk":
             one, other = (side == int(phase) for side in sides)
@@ -204,7 +221,11 @@ def test_fluctuations_of_a_millionth_keep_their_digits(large):
         base = np.where(ds.position.to_numpy()[0, :, 1] > 0.1, 2.0**30, -(2.0**30))
         plain = ds.assign(q=(("time", "particle"), small[None]))
         shifted = ds.assign(q=(("time", "particle"), (small + base)[None]))
-        options = {"width": 0.2, "spacing": {"x": 0.3, "y": 1.0, "z": 0.3}, "bounds": {"y": (-0.4, 0.6)}}
+        options = {
+            "width": 0.2,
+            "spacing": {"x": 0.3, "y": 1.0, "z": 0.3},
+            "bounds": {"y": (-0.4, 0.6)},
+        }
     asked = [xcg.Variance("q"), xcg.Flux("q")]
     one, other = (s.cg.coarse_grain(asked, **options) for s in (plain, shifted))
     for name in ("variance_q", "flux_q"):
@@ -255,7 +276,9 @@ def test_fields_of_the_registry_come_first():
 )
 def test_quantities_are_parsed_from_text(text, quantity):
     ds = build()
-    xr.testing.assert_equal(ds.cg.coarse_grain([text], axes="z"), ds.cg.coarse_grain(quantity, axes="z"))
+    xr.testing.assert_equal(
+        ds.cg.coarse_grain([text], axes="z"), ds.cg.coarse_grain(quantity, axes="z")
+    )
 
 
 def test_wrong_quantities_raise():
@@ -274,7 +297,10 @@ def test_wrong_quantities_raise():
         (xcg.Mean("heat", name="stress"), "pass name="),
         ([xcg.Mean("heat"), xcg.Mean("heat", "volume")], "pass name="),
         (xcg.Mean("wear"), "ds.rename(wear='contact_wear')"),
-        (xcg.Mean("still"), "add the dimension time, ds.assign(still=ds.still.expand_dims(time=ds.time))"),
+        (
+            xcg.Mean("still"),
+            "add the dimension time, ds.assign(still=ds.still.expand_dims(time=ds.time))",
+        ),
         (xcg.Mean("odd"), "'odd' has the dimensions"),
     ]:
         with pytest.raises(ValueError, match=re.escape(words)):
@@ -304,21 +330,36 @@ def series(steps=3):
             if name in ("contact_i", "contact_j") or name.startswith("contact"):
                 a[name] = a[name][: CONTACTS - k]
     return xcg.scene_from_arrays(
-        **{name: [a[name] for a in many] for name in many[0]}, time=np.arange(steps) * 0.1, box=EDGES, periodic="xz"
+        **{name: [a[name] for a in many] for name in many[0]},
+        time=np.arange(steps) * 0.1,
+        box=EDGES,
+        periodic="xz",
     )
 
 
-ASKED = ["velocity", "heat", "inner", "contact_slip", xcg.Flux("whirl"), xcg.Variance("contact_wear"), xcg.Sum("heat")]
+ASKED = [
+    "velocity",
+    "heat",
+    "inner",
+    "contact_slip",
+    xcg.Flux("whirl"),
+    xcg.Variance("contact_wear"),
+    xcg.Sum("heat"),
+]
 
 
 def test_lazy_scenes_give_the_same_bits():
     ds = series()
     whole = ds.cg.coarse_grain(ASKED, width=WIDTH, spacing=0.3, by="species")
     lazy = ds.chunk(time=1)
-    f = lazy.cg.coarse_grain(ASKED, width=WIDTH, spacing=0.3, by="species", groups=[1, 2, 3], bounds=bounds_of(whole))
+    f = lazy.cg.coarse_grain(
+        ASKED, width=WIDTH, spacing=0.3, by="species", groups=[1, 2, 3], bounds=bounds_of(whole)
+    )
     assert all(isinstance(a.data, da.Array) for a in f.data_vars.values())
     xr.testing.assert_identical(whole.drop_attrs(), f.compute(scheduler="threads").drop_attrs())
-    one = ds.isel(time=1).cg.coarse_grain(ASKED, width=WIDTH, spacing=0.3, by="species", bounds=bounds_of(whole))
+    one = ds.isel(time=1).cg.coarse_grain(
+        ASKED, width=WIDTH, spacing=0.3, by="species", bounds=bounds_of(whole)
+    )
     xr.testing.assert_identical(whole.isel(time=1).drop_attrs(), one.drop_attrs())
 
 
@@ -333,7 +374,9 @@ def test_variables_may_be_assigned_lazily():
         "direction", "component", "time", "particle"
     )
     ds = ds.assign(dyad=dyad)
-    f = ds.cg.coarse_grain(["sum(energy)", "mean(dyad)", "kinetic_stress", "momentum_density"], width=WIDTH, axes="z")
+    f = ds.cg.coarse_grain(
+        ["sum(energy)", "mean(dyad)", "kinetic_stress", "momentum_density"], width=WIDTH, axes="z"
+    )
     assert f.dyad.dims == ("time", "z", "component", "direction")
     a = ds.isel(time=0)
     v, w = a.velocity.to_numpy(), a.whirl.to_numpy()
@@ -361,17 +404,31 @@ def test_frozen_grains_are_not_counted():
     psi = kernel_sums(f, a["position"]) * (frozen == 0)
     close(f.heat, written_out(psi, held.mass.to_numpy()[0], a["heat"], None)[1])
     free = (frozen[a["contact_i"]] == 0) | ((a["contact_j"] >= 0) & (frozen[a["contact_j"]] == 0))
-    close(f.contact_wear, written_out(kernel_sums(f, a["contact_point"]) * free, 1.0, a["contact_wear"], None)[1])
+    close(
+        f.contact_wear,
+        written_out(kernel_sums(f, a["contact_point"]) * free, 1.0, a["contact_wear"], None)[1],
+    )
 
 
 def test_averages_are_ratios_of_sums(tmp_path):
     ds = series()
-    asked = ["heat", "density", "contact_slip", "contact_number_density", xcg.Flux("heat"), xcg.Variance("heat")]
+    asked = [
+        "heat",
+        "density",
+        "contact_slip",
+        "contact_number_density",
+        xcg.Flux("heat"),
+        xcg.Variance("heat"),
+    ]
     f = ds.cg.coarse_grain(asked, width=WIDTH, axes="yz", spacing=0.3)
     f.to_netcdf(tmp_path / "f.nc")
     with xr.open_dataset(tmp_path / "f.nc") as reopened:
         mean, line = reopened.cg.time_average(), reopened.cg.profile("z")
-    for name, weight in (("heat", "density"), ("variance_heat", "density"), ("contact_slip", "contact_number_density")):
+    for name, weight in (
+        ("heat", "density"),
+        ("variance_heat", "density"),
+        ("contact_slip", "contact_number_density"),
+    ):
         w, q = f[weight], f[name].fillna(0)
         xr.testing.assert_allclose(mean[name], (w * q).sum("time") / w.sum("time"))
         xr.testing.assert_allclose(line[name], (w * q).sum("y") / w.sum("y"))
@@ -392,7 +449,9 @@ def test_a_job_file_holds_quantities_as_text(tmp_path):
     job = tmp_path / "job.toml"
     for t in range(2):
         one = ds.isel(time=t)
-        rows = np.column_stack([one.particle_id, one.position, one.velocity, one.diameter, one.heat])
+        rows = np.column_stack(
+            [one.particle_id, one.position, one.velocity, one.diameter, one.heat]
+        )
         table = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in rows)
         head = f"ITEM: TIMESTEP\n{t}\nITEM: NUMBER OF ATOMS\n{N}\nITEM: BOX BOUNDS pp ff pp\n"
         head += "\n".join(f"{low} {high}" for low, high in EDGES)
@@ -417,19 +476,28 @@ def test_columns_of_contacts_become_variables(tmp_path):
     grains.write_text(head.format("ATOMS", 3, "ATOMS", "id x y z diameter") + table + "\n")
     pairs = "1 2 1 0 0 7.5\n2 3 1 0 0 2.5\n"
     contacts.write_text(head.format("ENTRIES", 2, "ENTRIES", "id1 id2 fx fy fz c_age") + pairs)
-    open_files = {"particles": str(grains), "contacts": str(contacts), "density": 1.0, "units": "SI"}
+    open_files = {
+        "particles": str(grains),
+        "contacts": str(contacts),
+        "density": 1.0,
+        "units": "SI",
+    }
     for chunks in (None, 1):
         ds = xcg.open_scene(**open_files, chunks=chunks, names={"c_age": "contact_age"})
         assert ds.contact_age.dims == ("time", "contact")
         assert ds.contact_age.to_numpy()[0].tolist() == [7.5, 2.5]
-        f = ds.cg.coarse_grain("contact_age", width=0.4, axes="x", at={"y": 0.0, "z": 0.0}, spacing=0.25)
+        f = ds.cg.coarse_grain(
+            "contact_age", width=0.4, axes="x", at={"y": 0.0, "z": 0.0}, spacing=0.25
+        )
         assert f.contact_age.sel(x=0.5, method="nearest").to_numpy().item() == pytest.approx(7.5)
 
 
 def test_variables_of_one_layer():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.random((40, 2)), np.zeros(40)])
-    ds = xcg.scene_from_arrays(position, diameter=np.full(40, 0.1), density=2.0, dimension=2, charge=np.arange(40.0))
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.full(40, 0.1), density=2.0, dimension=2, charge=np.arange(40.0)
+    )
     f = ds.cg.coarse_grain("sum(charge)", width=0.15, spacing=0.05)
     assert f.sum_charge.dims == ("time", "x", "y")
     cell = (float(f.x[1] - f.x[0]) * float(f.y[1] - f.y[0])) * 0.1
@@ -458,8 +526,12 @@ def test_arrays_of_other_shapes_raise(shape):
 
 
 def test_own_variables_of_a_series_may_be_stacks_or_lists():
-    position = np.zeros((2, 3, 3)) + np.arange(3)[:, None]  # two steps of three grains: what is (2, 3) is no vector
-    ds = xcg.scene_from_arrays(position, q=np.zeros((2, 3)), w=[np.ones((3, 3))] * 2, t=np.zeros((2, 3, 3, 3)))
+    position = (
+        np.zeros((2, 3, 3)) + np.arange(3)[:, None]
+    )  # two steps of three grains: what is (2, 3) is no vector
+    ds = xcg.scene_from_arrays(
+        position, q=np.zeros((2, 3)), w=[np.ones((3, 3))] * 2, t=np.zeros((2, 3, 3, 3))
+    )
     assert ds.q.dims == ("time", "particle")
     assert ds.w.dims == ("time", "particle", "component")
     assert ds.t.dims == ("time", "particle", "component", "direction")
@@ -469,10 +541,15 @@ def test_own_variables_of_a_series_may_be_stacks_or_lists():
 
 def test_names_with_contact_are_variables_of_contacts():
     given = {"diameter": np.ones(3), "density": 1.0}
-    with pytest.raises(xcg.SceneError, match=r"'contact_heat' is a variable of contacts.*there are none"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'contact_heat' is a variable of contacts.*there are none"
+    ):
         xcg.scene_from_arrays(np.eye(3) * 5, contact_heat=np.ones(3), **given)
     ds = xcg.datasets.random_scene(20).assign(contact_heat=(("time", "particle"), np.ones((1, 20))))
-    with pytest.raises(xcg.SceneError, match=r"has the dimensions .*names that begin with 'contact_'.* another name"):
+    with pytest.raises(
+        xcg.SceneError,
+        match=r"has the dimensions .*names that begin with 'contact_'.* another name",
+    ):
         ds.cg.coarse_grain("contact_heat")
 
 
@@ -486,8 +563,12 @@ def test_the_mean_of_a_linear_temperature_is_linear():
         position, diameter=np.full(300, 0.1), density=1000.0, velocity=rng.normal(size=(300, 3)),
         box={"x": (0, 1), "y": (0, 1), "z": (0, 2)}, periodic="xyz",
     )  # fmt: skip
-    ds = ds.assign(temperature=(("time", "particle"), 290.0 + 10.0 * position[None, :, 2], {"units": "K"}))
-    f = ds.cg.coarse_grain(["velocity", "temperature", xcg.Flux("temperature")], width=0.2, axes="z")
+    ds = ds.assign(
+        temperature=(("time", "particle"), 290.0 + 10.0 * position[None, :, 2], {"units": "K"})
+    )
+    f = ds.cg.coarse_grain(
+        ["velocity", "temperature", xcg.Flux("temperature")], width=0.2, axes="z"
+    )
     assert f.temperature.dims == ("time", "z")
     assert f.temperature.attrs["units"] == "K"
     middle = f.temperature.sel(z=slice(0.6, 1.4)).isel(time=0)

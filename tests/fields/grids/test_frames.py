@@ -24,7 +24,9 @@ directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(
 @cache
 def scene(periodic="", dimension=3):
     ds = xcg.datasets.random_scene(150, periodic=periodic, dimension=dimension)
-    return ds.assign(pull=ds.velocity * 2.0, strain=ds.velocity * ds.position.rename(component="direction"))
+    return ds.assign(
+        pull=ds.velocity * 2.0, strain=ds.velocity * ds.position.rename(component="direction")
+    )
 
 
 def by_hand(ds, axes, origin=(0.0, 0.0, 0.0)):
@@ -34,7 +36,10 @@ def by_hand(ds, axes, origin=(0.0, 0.0, 0.0)):
         if name in ds:
             shift = np.asarray(origin) if name in PLACES else 0.0
             found[name] = (ds[name].dims, np.einsum("ij,...j->...i", axes, ds[name].values - shift))
-    found["strain"] = (ds.strain.dims, np.einsum("ij,kl,...jl->...ik", axes, axes, ds.strain.values))
+    found["strain"] = (
+        ds.strain.dims,
+        np.einsum("ij,kl,...jl->...ik", axes, axes, ds.strain.values),
+    )
     out = ds.drop_vars("box").assign(found)
     out.attrs = {k: v for k, v in ds.attrs.items() if not k.startswith(("box", "particle_"))}
     return out
@@ -44,7 +49,9 @@ def assert_equal(a, b, rtol=ROUNDING):
     assert a.sizes == b.sizes
     for name in b.data_vars:
         size = float(np.abs(b[name]).max())
-        np.testing.assert_allclose(a[name].values, b[name].values, rtol=rtol, atol=rtol * size, err_msg=name)
+        np.testing.assert_allclose(
+            a[name].values, b[name].values, rtol=rtol, atol=rtol * size, err_msg=name
+        )
 
 
 # --- axes ------------------------------------------------------------------------------------------------
@@ -86,7 +93,10 @@ def test_axes_that_are_not_given_follow(given, want):
         ({"z": (0, 0, 0)}, "not all zero"),
         ({"z": (0, np.nan, 1)}, r"z=\(0, nan, 1\): expected three finite numbers"),
         ({"z": (0, 1)}, "three finite numbers"),
-        ({"z": (0, 0, 1), "origin": (0, np.inf, 0)}, r"origin=\(0, inf, 0\): expected three finite numbers"),
+        (
+            {"z": (0, 0, 1), "origin": (0, np.inf, 0)},
+            r"origin=\(0, inf, 0\): expected three finite numbers",
+        ),
         ({"z": (0, 0, 1), "x": (0, 0, -2)}, "parallel"),
     ],
 )
@@ -129,12 +139,20 @@ def test_tensors_turn_back_into_those_of_the_scene():
         found = ds.cg.coarse_grain(name, at=there, frame=frame)[name].values[0]
         for axis in range(here.ndim):
             here = np.moveaxis(np.tensordot(frame.axes, here, (1, axis)), 0, axis)
-        np.testing.assert_allclose(found, here, rtol=1e-11, atol=1e-11 * np.abs(here).max(), err_msg=name)
+        np.testing.assert_allclose(
+            found, here, rtol=1e-11, atol=1e-11 * np.abs(here).max(), err_msg=name
+        )
 
 
 def test_arguments_are_in_the_axes_of_the_frame():
     ds, frame = scene(), xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
-    options = {"pressure_dims": "z", "shear_dims": "xz", "axes": "z", "at": {"x": 2.0}, "extent": {"y": 4.0}}
+    options = {
+        "pressure_dims": "z",
+        "shear_dims": "xz",
+        "axes": "z",
+        "at": {"x": 2.0},
+        "extent": {"y": 4.0},
+    }
     f = ds.cg.coarse_grain(["pressure", "shear_stress", "stress"], frame=frame, **options)
     g = by_hand(ds, frame.axes).cg.coarse_grain(["pressure", "shear_stress", "stress"], **options)
     assert_equal(f, g)
@@ -145,7 +163,9 @@ def test_arguments_are_in_the_axes_of_the_frame():
 def test_gravity_turns_with_the_frame():
     ds = scene().assign_attrs(gravity=np.array([0.0, 0.0, -9.81]))
     f = ds.cg.coarse_grain("density", frame=xcg.Rotated(z=(1, 0, 1), x=(1, 0, -1)), spacing=2.0)
-    np.testing.assert_allclose(f.attrs["gravity"], np.array([1, 0, -1]) * 9.81 / np.sqrt(2), atol=1e-12)
+    np.testing.assert_allclose(
+        f.attrs["gravity"], np.array([1, 0, -1]) * 9.81 / np.sqrt(2), atol=1e-12
+    )
 
 
 # --- boxes -----------------------------------------------------------------------------------------------
@@ -160,7 +180,9 @@ def test_periods_along_the_axes_stay_periods_along_axes(z):
     g = ds.cg.coarse_grain("density", spacing=0.5)
     np.testing.assert_allclose(float(f.density.mean()), float(g.density.mean()), rtol=1e-12)
     own = "xyz"[int(np.argmax(np.abs(frame.axes[2])))]
-    turned = ds.cg.coarse_grain("contact_stress", axes="z", frame=frame, spacing=0.5).contact_stress[0]
+    turned = ds.cg.coarse_grain(
+        "contact_stress", axes="z", frame=frame, spacing=0.5
+    ).contact_stress[0]
     here = ds.cg.coarse_grain("contact_stress", axes=own, spacing=0.5).contact_stress[0]
     here = np.einsum("ij,kl,njl->nik", frame.axes, frame.axes, here.values)
     turned = turned.values[:: int(np.sign(frame.axes[2].sum()))]
@@ -176,7 +198,10 @@ def test_points_in_a_turned_periodic_box(periodic, z):
     ds, frame = scene(periodic), xcg.Rotated(z=z, origin=(1, 0, 0))
     place = np.random.default_rng(0).uniform(-2, 7, (12, 3))
     turned = (place - frame.origin) @ frame.axes.T
-    here, there = ({a: xr.DataArray(x, dims="point") for a, x in zip("xyz", p.T, strict=True)} for p in (place, turned))
+    here, there = (
+        {a: xr.DataArray(x, dims="point") for a, x in zip("xyz", p.T, strict=True)}
+        for p in (place, turned)
+    )
     names = ["density", "contact_stress", "velocity"]
     a, b = ds.cg.coarse_grain(names, at=here), ds.cg.coarse_grain(names, at=there, frame=frame)
     np.testing.assert_allclose(b.density, a.density, rtol=1e-10, atol=1e-12)
@@ -202,7 +227,9 @@ def test_undefined_averages_raise():
     with pytest.raises(xcg.SceneError, match="extent="):
         scene("x").cg.coarse_grain("density", frame=frame, axes="y")
     f = scene("y").cg.coarse_grain("density", frame=frame, axes="z", extent={"x": 5.0})
-    assert float(f.density.sum() * (f.z[1] - f.z[0])) * 25 == pytest.approx(float(scene("y").mass.sum()), rel=0.01)
+    assert float(f.density.sum() * (f.z[1] - f.z[0])) * 25 == pytest.approx(
+        float(scene("y").mass.sum()), rel=0.01
+    )
 
 
 def test_layers_turn_in_their_plane_only():
@@ -219,12 +246,20 @@ def test_layers_turn_in_their_plane_only():
 def test_lazy_results_in_turned_axes_equal_eager_ones(tmp_path):
     ds = xr.concat([scene(), scene().assign_coords(time=[1.0])], "time", data_vars="all")
     ds.cg.save(tmp_path / "scene.nc")
-    lazy, frame = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1}), xcg.Rotated(z=(1, 2, 3))
+    lazy, frame = (
+        xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1}),
+        xcg.Rotated(z=(1, 2, 3)),
+    )
     bounds = dict.fromkeys("xyz", (-1.0, 4.0))
     f = lazy.cg.coarse_grain(["density", "velocity"], frame=frame, spacing=1.0, bounds=bounds)
     assert f.density.chunks is not None
-    assert_equal(f.compute(), ds.cg.coarse_grain(["density", "velocity"], frame=frame, spacing=1.0, bounds=bounds))
-    wide = lazy.cg.coarse_grain("density", frame=frame, spacing=1.0)  # around the corners of the grains' extent
+    assert_equal(
+        f.compute(),
+        ds.cg.coarse_grain(["density", "velocity"], frame=frame, spacing=1.0, bounds=bounds),
+    )
+    wide = lazy.cg.coarse_grain(
+        "density", frame=frame, spacing=1.0
+    )  # around the corners of the grains' extent
     assert float(wide.density[0].sum()) == pytest.approx(float(scene().mass.sum()), rel=0.05)
 
 
@@ -234,7 +269,10 @@ def test_widths_displacements_and_balances_take_a_frame():
     turned = by_hand(ds, frame.axes, frame.origin)
     at = {"x": 1.0, "y": 1.0, "z": 2.0}
     sweep = {"widths": [0.8, 1.0, 1.3], "fields": "stress", "at": at}
-    assert_equal(ds.cg.width_sweep(frame=frame, **sweep)[["stress"]], turned.cg.width_sweep(**sweep)[["stress"]])
+    assert_equal(
+        ds.cg.width_sweep(frame=frame, **sweep)[["stress"]],
+        turned.cg.width_sweep(**sweep)[["stress"]],
+    )
     mesh = {"spacing": 0.5, "of": ["force"], "kernel": "lucy", "width": 1.2}
     assert_equal(ds.cg.balance(frame=frame, **mesh), turned.cg.balance(**mesh), 1e-9)
     later = ds.assign(position=ds.position + 0.1 * ds.velocity).assign_coords(time=[1.0])

@@ -9,22 +9,48 @@ from xcg.common.messages import SceneWarning
 from xcg.fields.grids.grid import make_grid
 
 
-def grid(axes="x", *, at=None, bounds=None, spacing=1.0, plane="xyz", cutoff=10.0, automatic=None, period=None):
-    options = {"plane": plane, "cutoff": cutoff, "automatic": automatic or {}, "period": period or {}}
+def grid(
+    axes="x",
+    *,
+    at=None,
+    bounds=None,
+    spacing=1.0,
+    plane="xyz",
+    cutoff=10.0,
+    automatic=None,
+    period=None,
+):
+    options = {
+        "plane": plane,
+        "cutoff": cutoff,
+        "automatic": automatic or {},
+        "period": period or {},
+    }
     return make_grid(axes, at or {}, bounds or {}, spacing, **options)
 
 
 def test_bounds_include_their_last_node_despite_rounding():
     rng = np.random.default_rng(0)
-    for first, step, parts in zip(rng.normal(size=200), 10 ** rng.uniform(-3, 0.5, 200), range(200), strict=True):
+    for first, step, parts in zip(
+        rng.normal(size=200), 10 ** rng.uniform(-3, 0.5, 200), range(200), strict=True
+    ):
         last = first + parts * step
         nodes = grid(bounds={"x": (first, last)}, spacing=step).coords["x"].values
-        np.testing.assert_allclose(nodes, np.linspace(first, last, parts + 1), rtol=1e-12, atol=1e-12)
-        assert len(grid(bounds={"x": (first, last + 0.99 * step)}, spacing=step).coords["x"].values) == parts + 1
-    assert len(grid(bounds={"x": (0, 0.3)}, spacing=0.1).coords["x"].values) == 4  # 0.3 / 0.1 is less than 3
+        np.testing.assert_allclose(
+            nodes, np.linspace(first, last, parts + 1), rtol=1e-12, atol=1e-12
+        )
+        assert (
+            len(grid(bounds={"x": (first, last + 0.99 * step)}, spacing=step).coords["x"].values)
+            == parts + 1
+        )
+    assert (
+        len(grid(bounds={"x": (0, 0.3)}, spacing=0.1).coords["x"].values) == 4
+    )  # 0.3 / 0.1 is less than 3
 
 
-@pytest.mark.parametrize(("step", "count"), [(0.7, 7), (0.75, 7), (0.78, 6), (1.0, 5), (2.1, 2), (3.4, 1), (11.0, 1)])
+@pytest.mark.parametrize(
+    ("step", "count"), [(0.7, 7), (0.75, 7), (0.78, 6), (1.0, 5), (2.1, 2), (3.4, 1), (11.0, 1)]
+)
 def test_nodes_divide_a_period_by_the_nearest_spacing(step, count):
     g = grid(spacing=step, automatic={"x": (-1.0, 4.0)}, period={"x": 5.0})
     np.testing.assert_allclose(g.coords["x"].values, -1 + 5 / count * np.arange(count))

@@ -29,7 +29,9 @@ def shuffled(mesh, dim="point"):
     """The nodes of a mesh as points in any order."""
     axes = [a for a in "xyz" if a in mesh.coords]
     resolved = [a for a in axes if mesh[a].ndim]
-    grid = np.stack(np.meshgrid(*(mesh[a].values for a in resolved), indexing="ij"), -1).reshape(-1, len(resolved))
+    grid = np.stack(np.meshgrid(*(mesh[a].values for a in resolved), indexing="ij"), -1).reshape(
+        -1, len(resolved)
+    )
     order = np.random.default_rng(0).permutation(len(grid))
     at = {a: xr.DataArray(grid[order, k], dims=dim) for k, a in enumerate(resolved)}
     return order, at | {a: float(mesh[a]) for a in axes if not mesh[a].ndim}
@@ -40,7 +42,12 @@ def assert_as_mesh(f, mesh, order, rtol):
     assert set(f.data_vars) == set(mesh.data_vars)
     for name in mesh.data_vars:
         found = f[name].transpose("time", "point", ...).values
-        expected = mesh[name].stack(point=resolved, create_index=False).transpose("time", "point", ...).values[:, order]
+        expected = (
+            mesh[name]
+            .stack(point=resolved, create_index=False)
+            .transpose("time", "point", ...)
+            .values[:, order]
+        )
         assert found.shape == expected.shape
         np.testing.assert_array_equal(np.isnan(found), np.isnan(expected), name)
         scale = np.nanmax(np.abs(expected), initial=0.0)
@@ -73,7 +80,9 @@ def scene():
 def test_points_equal_a_mesh_with_the_same_nodes(scene, options):
     mesh = scene.cg.coarse_grain(**options)
     order, at = shuffled(mesh)
-    f = scene.cg.coarse_grain(at=at, **{k: v for k, v in options.items() if k not in ("axes", "at", "spacing")})
+    f = scene.cg.coarse_grain(
+        at=at, **{k: v for k, v in options.items() if k not in ("axes", "at", "spacing")}
+    )
     assert f.attrs["averaged_axes"] == mesh.attrs["averaged_axes"]
     assert_as_mesh(f, mesh, order, 1e-12)
 
@@ -101,9 +110,18 @@ def test_points_against_the_definitions(scene):
     at = {a: xr.DataArray(where[:, k], dims="point") for k, a in enumerate("xyz")}
     expected = brute_force(scene, BruteKernel("lucy", 0.8), where, gradient=False)
     f = scene.cg.coarse_grain(width=0.8, at=at).isel(time=0)
-    for name in ("density", "momentum_density", "kinetic_stress", "contact_stress", "fabric", "wall_traction"):
+    for name in (
+        "density",
+        "momentum_density",
+        "kinetic_stress",
+        "contact_stress",
+        "fabric",
+        "wall_traction",
+    ):
         values = np.array(expected[name], float)
-        np.testing.assert_allclose(f[name], values, rtol=1e-11, atol=1e-12 * np.abs(values).max(), err_msg=name)
+        np.testing.assert_allclose(
+            f[name], values, rtol=1e-11, atol=1e-12 * np.abs(values).max(), err_msg=name
+        )
     np.testing.assert_array_equal(f.sample_count, expected["sample_count"])
 
 
@@ -113,7 +131,10 @@ NUMBERS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1.0, 2.5, 2.5 + 1e-9, 5.0
 
 
 @settings(max_examples=40, deadline=None)
-@given(where=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=1, max_size=30), repeat=st.integers(1, 3))
+@given(
+    where=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=1, max_size=30),
+    repeat=st.integers(1, 3),
+)
 @pytest.mark.filterwarnings("ignore::xcg.SceneWarning")
 def test_points_do_not_influence_each_other(where, repeat):
     """Duplicates, points far from each other and outside the grains: every one sees what it sees by itself."""
@@ -123,16 +144,22 @@ def test_points_do_not_influence_each_other(where, repeat):
     at = {a: xr.DataArray(where[:, k], dims="point") for k, a in enumerate("xyz")}
     f = ds.cg.coarse_grain(names, at=at, width=0.7).isel(time=0)
     for k in {0, len(where) // 2, len(where) - 1}:
-        alone = ds.cg.coarse_grain(names, at=dict(zip("xyz", where[k].tolist(), strict=True)), width=0.7).isel(time=0)
+        alone = ds.cg.coarse_grain(
+            names, at=dict(zip("xyz", where[k].tolist(), strict=True)), width=0.7
+        ).isel(time=0)
         for name in names:
             scale = max(1.0, float(abs(alone[name]).max()))
-            np.testing.assert_allclose(f[name][k], alone[name], rtol=0, atol=1e-6 * scale, err_msg=name)
+            np.testing.assert_allclose(
+                f[name][k], alone[name], rtol=0, atol=1e-6 * scale, err_msg=name
+            )
 
 
 @pytest.fixture(scope="module")
 def many():
     rng = np.random.default_rng(8)
-    where = np.concatenate([rng.uniform(0, 5, (9000, 3)), np.full((50, 3), 2.5), [[40.0, 0, 0], [-30, 19, 1]]])
+    where = np.concatenate(
+        [rng.uniform(0, 5, (9000, 3)), np.full((50, 3), 2.5), [[40.0, 0, 0], [-30, 19, 1]]]
+    )
     return {a: xr.DataArray(where[:, k], dims="point") for k, a in enumerate("xyz")}
 
 
@@ -163,7 +190,9 @@ def test_parts_cover_all_points_once(many, scene):
             assert len(part.start) <= grids._MOST_CELLS + 4 * part.count + 1
             for k, a in enumerate("xyz"):
                 back = part.position[k, : part.count] * part.unit + grid.origin[k]
-                np.testing.assert_allclose(back, many[a].values[part.places], rtol=1e-12, atol=1e-12)
+                np.testing.assert_allclose(
+                    back, many[a].values[part.places], rtol=1e-12, atol=1e-12
+                )
 
 
 def test_no_points_give_an_empty_result(scene):
@@ -177,7 +206,9 @@ def test_no_points_give_an_empty_result(scene):
 
 
 def test_dimensions_and_coordinates_equal_those_of_the_arrays(scene):
-    run = xr.DataArray([0.1, 0.2, 0.3], dims="run", coords={"run": [7, 8, 9], "name": ("run", list("abc"))})
+    run = xr.DataArray(
+        [0.1, 0.2, 0.3], dims="run", coords={"run": [7, 8, 9], "name": ("run", list("abc"))}
+    )
     side = xr.DataArray([1.0, 2.0], dims="side", attrs={"long_name": "height"})
     f = scene.cg.coarse_grain("velocity", at={"x": run, "y": run + 1, "z": side})
     assert f.velocity.dims == ("time", "run", "side", "component")
@@ -193,10 +224,14 @@ def test_dimensions_and_coordinates_equal_those_of_the_arrays(scene):
 
 def test_an_axis_with_a_dimension_of_its_own_name_makes_a_product(scene):
     z = xr.DataArray([0.5, 1.0, 1.5], dims="z")
-    f = scene.cg.coarse_grain("density", at={"x": xr.DataArray([1.0, 2.0], dims="point"), "y": 2.0, "z": z})
+    f = scene.cg.coarse_grain(
+        "density", at={"x": xr.DataArray([1.0, 2.0], dims="point"), "y": 2.0, "z": z}
+    )
     assert f.density.dims == ("time", "point", "z")
     assert f.sel(z=1.0).density.shape == (1, 2)
-    mesh = scene.cg.coarse_grain("density", axes="z", at={"x": 2.0, "y": 2.0}, bounds={"z": (0.5, 1.5)}, spacing=0.5)
+    mesh = scene.cg.coarse_grain(
+        "density", axes="z", at={"x": 2.0, "y": 2.0}, bounds={"z": (0.5, 1.5)}, spacing=0.5
+    )
     np.testing.assert_allclose(f.density.isel(point=1), mesh.density, rtol=1e-12)
 
 
@@ -249,8 +284,13 @@ def test_points_outside_a_periodic_box_or_beyond_all_grains_warn(scene):
 
 
 def test_all_functions_of_fields_accept_points(scene, tmp_path):
-    at = {"x": xr.DataArray([0.5, 2.0, 3.5], dims="point"), "z": xr.DataArray([0.5, 1.0, 1.5], dims="point")}
-    assert "3 point, points with x from 0.5 to 3.5, z from 0.5 to 1.5" in str(scene.cg.explain("density", at=at))
+    at = {
+        "x": xr.DataArray([0.5, 2.0, 3.5], dims="point"),
+        "z": xr.DataArray([0.5, 1.0, 1.5], dims="point"),
+    }
+    assert "3 point, points with x from 0.5 to 3.5, z from 0.5 to 1.5" in str(
+        scene.cg.explain("density", at=at)
+    )
     assert "y (box)" in str(scene.cg.explain("density", at=at))
     swept = scene.cg.width_sweep([0.5, 0.7, 0.9], "density", at=at)
     one = scene.cg.coarse_grain("density", at=at, width=0.7)
@@ -269,7 +309,9 @@ def test_a_lazy_scene_stays_lazy(scene):
     at = {a: xr.DataArray([0.5, 2.0, 3.5], dims="point") for a in "xyz"}
     lazy = scene.chunk({"time": 1}).cg.coarse_grain(["velocity", "contact_stress"], at=at)
     assert lazy.velocity.chunks is not None
-    xr.testing.assert_equal(lazy.compute(), scene.cg.coarse_grain(["velocity", "contact_stress"], at=at))
+    xr.testing.assert_equal(
+        lazy.compute(), scene.cg.coarse_grain(["velocity", "contact_stress"], at=at)
+    )
 
 
 UNCOMPILED = """
@@ -285,9 +327,15 @@ for rtol in (0.0, 1e-3):
 def test_loops_over_points_run_uncompiled_to_the_same_bits(tmp_path):
     for name, disabled in (("compiled", "0"), ("python", "1")):
         code = f"folder, name = {str(tmp_path)!r}, {name!r}\n{UNCOMPILED}"
-        subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "NUMBA_DISABLE_JIT": disabled})
+        subprocess.run(
+            [sys.executable, "-c", code],
+            check=True,
+            env={**os.environ, "NUMBA_DISABLE_JIT": disabled},
+        )
     for rtol in (0.0, 1e-3):
-        one, other = (xr.open_dataset(tmp_path / f"{name}-{rtol}.nc") for name in ("compiled", "python"))
+        one, other = (
+            xr.open_dataset(tmp_path / f"{name}-{rtol}.nc") for name in ("compiled", "python")
+        )
         for name in one.data_vars:
             if rtol == 0.0 and name == "contact_stress":  # logarithms of the C library
                 np.testing.assert_allclose(other[name], one[name], rtol=1e-12, atol=1e-14)
@@ -298,7 +346,9 @@ def test_loops_over_points_run_uncompiled_to_the_same_bits(tmp_path):
 def test_usual_points_do_not_warn(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene.cg.coarse_grain("density", at={a: xr.DataArray([0.5, 2.0], dims="point") for a in "xyz"})
+        scene.cg.coarse_grain(
+            "density", at={a: xr.DataArray([0.5, 2.0], dims="point") for a in "xyz"}
+        )
 
 
 def test_the_history_of_points_is_one_line(scene):

@@ -8,7 +8,14 @@ import xarray as xr
 
 import xcg
 
-SUMS = ["density", "momentum_density", "contact_stress", "fabric", "contact_force_density", "couple_stress"]
+SUMS = [
+    "density",
+    "momentum_density",
+    "contact_stress",
+    "fabric",
+    "contact_force_density",
+    "couple_stress",
+]
 OMEGA = 0.7
 
 
@@ -24,10 +31,18 @@ def rotating(axis=(0.0, 0.0, 1.0), drift=(0.0, 0.0, 0.0), dimension=3, noise=0.0
     axis = np.asarray(axis) / np.linalg.norm(axis)
     middle = np.array([1.0, 2.0, 3.0 if dimension == 3 else 0.0])
     place = rng.uniform(-3, 3, (1500, 3)) * (1, 1, dimension == 3)
-    velocity = np.cross(OMEGA * axis, place) + drift + noise * rng.normal(size=(1500, 3)) * (1, 1, dimension == 3)
+    velocity = (
+        np.cross(OMEGA * axis, place)
+        + drift
+        + noise * rng.normal(size=(1500, 3)) * (1, 1, dimension == 3)
+    )
     thickness = {"dimension": 2, "thickness": 1.0} if dimension == 2 else {}
     return xcg.scene_from_arrays(
-        place + middle, diameter=rng.uniform(0.4, 0.6, 1500), density=1.0, velocity=velocity, **thickness
+        place + middle,
+        diameter=rng.uniform(0.4, 0.6, 1500),
+        density=1.0,
+        velocity=velocity,
+        **thickness,
     )
 
 
@@ -44,7 +59,8 @@ def turning(theta):
 def test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature(axes, axis):
     """Antisymmetric gradient, no temperature, and V_theta = Omega r at the centre of mass of what a node sees."""
     ds = rotating(
-        (0.0, 0.0, 1.0) if axis == "z" else axis, tuple(0.3 * np.array([0, 0, 1.0])) if axis == "z" else (0,) * 3
+        (0.0, 0.0, 1.0) if axis == "z" else axis,
+        tuple(0.3 * np.array([0, 0, 1.0])) if axis == "z" else (0,) * 3,
     )
     bounds = {"r": (0.0, 2.0), "z": (-0.5, 0.5)}
     f = ds.cg.coarse_grain(
@@ -60,9 +76,13 @@ def test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature(axes, axis
     want = np.array([[0, -OMEGA, 0], [OMEGA, 0, 0], [0, 0, 0.0]])
     np.testing.assert_allclose(g, np.broadcast_to(want, g.shape), atol=1e-11)
     assert float(np.abs(f.granular_temperature).max()) < 1e-14
-    there = f.velocity - xr.dot(f.velocity_gradient, f.centre_offset.rename(component="direction"), dim="direction")
+    there = f.velocity - xr.dot(
+        f.velocity_gradient, f.centre_offset.rename(component="direction"), dim="direction"
+    )
     np.testing.assert_allclose(
-        there.sel(component="theta"), (OMEGA * f.r).broadcast_like(there.isel(component=0)), atol=1e-11
+        there.sel(component="theta"),
+        (OMEGA * f.r).broadcast_like(there.isel(component=0)),
+        atol=1e-11,
     )
     np.testing.assert_allclose(there.sel(component="r"), 0.0, atol=1e-11)
     np.testing.assert_allclose(there.sel(component="z"), 0.3 if axis == "z" else 0.0, atol=1e-11)
@@ -85,13 +105,27 @@ def test_rigid_rotation_in_a_plane():
 
 def test_nodes_are_points_whose_fields_are_turned():
     ds, frame = scene(), xcg.Cylindrical(origin=(2.5, 2.5, 1.0))
-    names = ["density", "velocity", "contact_stress", "velocity_gradient", "granular_temperature", "fabric"]
+    names = [
+        "density",
+        "velocity",
+        "contact_stress",
+        "velocity_gradient",
+        "granular_temperature",
+        "fabric",
+    ]
     grid = {"r": (0.5, 2.0), "theta": (0.3, 5.0), "z": (0.0, 2.0)}
     f = ds.cg.coarse_grain(
-        names, frame=frame, axes="rtz", bounds=grid, spacing={"r": 0.75, "theta": 1.2, "z": 1.0}, width=0.8
+        names,
+        frame=frame,
+        axes="rtz",
+        bounds=grid,
+        spacing={"r": 0.75, "theta": 1.2, "z": 1.0},
+        width=0.8,
     )
     x, y, z = 2.5 + f.r * np.cos(f.theta), 2.5 + f.r * np.sin(f.theta), 1.0 + f.z
-    g = ds.cg.coarse_grain(names, at={"x": x, "y": y, "z": z}, width=0.8).transpose("time", "r", "theta", "z", ...)
+    g = ds.cg.coarse_grain(names, at={"x": x, "y": y, "z": z}, width=0.8).transpose(
+        "time", "r", "theta", "z", ...
+    )
     for name in names:
         want = g[name].values[0]
         for k, theta in enumerate(f.theta.values):
@@ -99,7 +133,9 @@ def test_nodes_are_points_whose_fields_are_turned():
             for axis in range(2, here.ndim):
                 here = np.moveaxis(np.tensordot(turning(theta), here, (1, axis)), 0, axis)
             found = f[name].values[0][:, k]
-            np.testing.assert_allclose(found, here, atol=1e-10 * np.nanmax(np.abs(want)), err_msg=name)
+            np.testing.assert_allclose(
+                found, here, atol=1e-10 * np.nanmax(np.abs(want)), err_msg=name
+            )
 
 
 @pytest.mark.parametrize("part", [None, (0.4, 2.0), (-3.0, 1.0)])
@@ -108,21 +144,35 @@ def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
     """Sums at fine angles, turned one by one and averaged; ratios and gradients follow from them."""
     ds, width = scene(), 0.6
     low, high = part or (0.0, 2 * np.pi)
-    bounds = {"r": (0.6, 1.8)} | ({"z": (1.0, 2.0)} if "z" in axes else {}) | ({"theta": part} if part else {})
+    bounds = (
+        {"r": (0.6, 1.8)}
+        | ({"z": (1.0, 2.0)} if "z" in axes else {})
+        | ({"theta": part} if part else {})
+    )
     frame = xcg.Cylindrical(origin=(2.5, 2.5, 0.0), error=1e-6)
-    f = ds.cg.coarse_grain([*SUMS, "velocity"], frame=frame, axes=axes, bounds=bounds, spacing=0.6, width=width)
+    f = ds.cg.coarse_grain(
+        [*SUMS, "velocity"], frame=frame, axes=axes, bounds=bounds, spacing=0.6, width=width
+    )
     count = 600
     theta = xr.DataArray(low + (high - low) * (np.arange(count) + 0.5) / count, dims="theta")
-    at = {"x": 2.5 + f.r * np.cos(theta), "y": 2.5 + f.r * np.sin(theta)} | ({"z": f.z} if "z" in axes else {})
+    at = {"x": 2.5 + f.r * np.cos(theta), "y": 2.5 + f.r * np.sin(theta)} | (
+        {"z": f.z} if "z" in axes else {}
+    )
     g = ds.cg.coarse_grain(SUMS, at=at, width=width)
-    matrix = xr.DataArray(np.stack([turning(t) for t in theta.values]), dims=("theta", "new", "old"))
+    matrix = xr.DataArray(
+        np.stack([turning(t) for t in theta.values]), dims=("theta", "new", "old")
+    )
     for name in SUMS:
         values = g[name]
         for dim in [d for d in ("component", "direction") if d in values.dims]:
-            values = xr.dot(values.drop_vars(dim).rename({dim: "old"}), matrix, dim="old").rename(new=dim)
+            values = xr.dot(values.drop_vars(dim).rename({dim: "old"}), matrix, dim="old").rename(
+                new=dim
+            )
         want = values.mean("theta").transpose(*f[name].dims)
         # midpoints of a part of a circle are right to the square of their distance
-        np.testing.assert_allclose(f[name], want, atol=3e-5 * float(np.abs(want).max()), err_msg=name)
+        np.testing.assert_allclose(
+            f[name], want, atol=3e-5 * float(np.abs(want).max()), err_msg=name
+        )
     np.testing.assert_allclose(f.velocity, f.momentum_density / f.density, rtol=1e-9, atol=1e-12)
 
 
@@ -138,7 +188,9 @@ def test_the_heat_flux_of_a_ring_by_brute_force():
         weight, turned = [], []
         for theta in 2 * np.pi * (np.arange(count) + 0.5) / count:
             node = (r * np.cos(theta), r * np.sin(theta), 0.0)
-            weight.append(ds.mass.values[0] * kernel.value(np.linalg.norm(place - node, axis=1)) / count)
+            weight.append(
+                ds.mass.values[0] * kernel.value(np.linalg.norm(place - node, axis=1)) / count
+            )
             turned.append(ds.velocity.values[0] @ turning(theta).T)
         w, v = np.concatenate(weight), np.concatenate(turned)
         mean = w @ v / w.sum()
@@ -153,7 +205,9 @@ def test_averages_over_theta_are_within_their_stated_error():
     options = {"axes": "r", "bounds": {"r": (0.0, 2.0)}, "spacing": 0.4, "width": 0.5}
 
     def density(error):
-        return ds.cg.coarse_grain("density", frame=xcg.Cylindrical(origin=(2.5, 2.5, 0), error=error), **options)
+        return ds.cg.coarse_grain(
+            "density", frame=xcg.Cylindrical(origin=(2.5, 2.5, 0), error=error), **options
+        )
 
     exact = density(1e-9)
     for error in (1e-1, 1e-2, 1e-4):
@@ -172,7 +226,12 @@ def test_averages_over_theta_are_within_their_stated_error():
 def test_the_integral_over_the_cylinder_is_the_mass(axis):
     ds, mass = rotating(), float(rotating().mass.sum())
     f = ds.cg.coarse_grain(
-        ["density"], frame=xcg.Cylindrical(axis, origin=(1, 2, 3)), axes="r", width=0.5, spacing=0.05, extent={"z": 1.0}
+        ["density"],
+        frame=xcg.Cylindrical(axis, origin=(1, 2, 3)),
+        axes="r",
+        width=0.5,
+        spacing=0.05,
+        extent={"z": 1.0},
     )  # around all grains by default
     total = float((f.density * 2 * np.pi * f.r).sum() * 0.05)
     assert total == pytest.approx(mass, rel=1e-3)
@@ -250,8 +309,12 @@ def test_phases_own_variables_and_time_averages():
     parts = f.sel(phase=["1", "2"])
     for name in SUMS:
         if "phase" in f[name].dims:
-            np.testing.assert_allclose(parts[name].sum("phase"), f[name].sel(phase="bulk"), atol=1e-9, err_msg=name)
-    g = ds.cg.coarse_grain(["charge", "pull", xcg.Variance("charge"), xcg.Variance("pull"), "velocity"], **options)
+            np.testing.assert_allclose(
+                parts[name].sum("phase"), f[name].sel(phase="bulk"), atol=1e-9, err_msg=name
+            )
+    g = ds.cg.coarse_grain(
+        ["charge", "pull", xcg.Variance("charge"), xcg.Variance("pull"), "velocity"], **options
+    )
     np.testing.assert_allclose(g.pull, 3 * g.velocity, rtol=1e-9, atol=1e-9)
     square = ds.assign(square=ds.charge**2).cg.coarse_grain("square", **options).square
     np.testing.assert_allclose(g.variance_charge, square - g.charge**2, rtol=1e-7)
@@ -267,7 +330,11 @@ def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
     ds = scene()
     ds.cg.save(tmp_path / "scene.nc")
     lazy = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1})
-    options = {"frame": xcg.Cylindrical("z", origin=(2.5, 2.5, 0)), "axes": "rz", "bounds": {"r": (0, 2.0)}}
+    options = {
+        "frame": xcg.Cylindrical("z", origin=(2.5, 2.5, 0)),
+        "axes": "rz",
+        "bounds": {"r": (0, 2.0)},
+    }
     f = lazy.cg.coarse_grain(["stress", "density"], **options)
     assert f.density.chunks is not None
     g = ds.cg.coarse_grain(["stress", "density"], **options)
@@ -296,7 +363,12 @@ def test_meaningless_requests_raise(given, message):
 
 
 def test_wrong_frames_raise():
-    for given in ({"axis": "w"}, {"axis": (0, 0, 0)}, {"error": 0.0}, {"axis": "z", "x": (0, 0, 1)}):
+    for given in (
+        {"axis": "w"},
+        {"axis": (0, 0, 0)},
+        {"error": 0.0},
+        {"axis": "z", "x": (0, 0, 1)},
+    ):
         with pytest.raises(ValueError, match=r"expected|parallel"):
             xcg.Cylindrical(**given)
     for call in ("balance", "width_sweep"):

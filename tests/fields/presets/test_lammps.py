@@ -19,7 +19,9 @@ COLUMNS = {
 @pytest.fixture(scope="module")
 def chute():
     folder = shared_data("lammps_continuum")
-    ds = xcg.open_scene(folder / "particles.*.gz", contacts=folder / "contacts.*.gz", frozen=2).load()
+    ds = xcg.open_scene(
+        folder / "particles.*.gz", contacts=folder / "contacts.*.gz", frozen=2
+    ).load()
     return ds, np.loadtxt(folder / "fields_3d.txt.gz", skiprows=4)[:, 1:]
 
 
@@ -60,7 +62,11 @@ def test_the_boundary_force_equals_that_of_lammps_where_no_contact_crosses_an_ed
 
 def kernel(r, dimension):
     """Its kernel, normalised numerically in the dimension of its bins."""
-    shape = lambda r: np.where(r < CUTOFF, np.exp(-(r**2) / 2 / WIDTH**2) - np.exp(-(CUTOFF**2) / 2 / WIDTH**2), 0.0)  # noqa: E731
+
+    def shape(r):
+        inside = np.exp(-(r**2) / 2 / WIDTH**2) - np.exp(-(CUTOFF**2) / 2 / WIDTH**2)
+        return np.where(r < CUTOFF, inside, 0.0)
+
     x, w = np.polynomial.legendre.leggauss(200)
     radii, sphere = 0.5 * CUTOFF * (1 + x), {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}[dimension]
     return shape(r) / (0.5 * CUTOFF * w @ (sphere * radii ** (dimension - 1) * shape(radii)))
@@ -91,7 +97,9 @@ def test_fields_equal_their_formulas_written_out(axes):
             "stress": kinetic + at.stress_contacts.values,
         }  # fmt: skip
         for name, value in expected.items():
-            np.testing.assert_allclose(at[name], value, rtol=1e-11, atol=1e-13 * np.abs(value).max(), err_msg=name)
+            np.testing.assert_allclose(
+                at[name], value, rtol=1e-11, atol=1e-13 * np.abs(value).max(), err_msg=name
+            )
 
 
 def test_gradients_are_differences_between_bins():
@@ -99,7 +107,9 @@ def test_gradients_are_differences_between_bins():
     mesh = xcg.lammps_mesh(ds, "xz", delta={"x": 1.0, "z": 1.25}, cutoff=CUTOFF, width=WIDTH)
     f = ds.cg.coarse_grain(["velocity", "velocity/grad", "strain_rate"], preset="lammps", **mesh)
     differences = (f.velocity.roll(z=-1) - f.velocity.roll(z=1)) / 2.5
-    np.testing.assert_allclose(f.velocity_grad.sel(direction="z"), differences, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        f.velocity_grad.sel(direction="z"), differences, rtol=1e-12, atol=1e-13
+    )
     assert (f.velocity_grad.sel(direction="y") == 0).all()
     g = f.velocity_grad
     swapped = g.rename(component="direction", direction="component").transpose(*g.dims)
@@ -108,7 +118,9 @@ def test_gradients_are_differences_between_bins():
 
 def test_mesh_equals_that_of_the_bins():
     ds = xcg.datasets.random_scene(20)  # a box of 5
-    mesh = xcg.lammps_mesh(ds, "xy", delta={"x": 0.1, "y": 2.0}, cutoff=1.0, width=0.3, origin={"y": 0.5})
+    mesh = xcg.lammps_mesh(
+        ds, "xy", delta={"x": 0.1, "y": 2.0}, cutoff=1.0, width=0.3, origin={"y": 0.5}
+    )
     assert mesh["bounds"]["x"] == pytest.approx((0.05, 4.95))
     assert mesh["bounds"]["y"] == pytest.approx((1.5, 5.5))  # the last bin reaches beyond the box
     f = ds.cg.coarse_grain("density", **mesh)
@@ -130,7 +142,9 @@ def test_kernel_and_units_of_the_preset():
 
 def test_arguments_that_are_defaults_elsewhere_count():
     ds = xcg.datasets.random_scene(60)
-    f = ds.cg.coarse_grain("velocity/grad", preset="lammps", width=0.8, kernel="lucy", gradient="least_squares")
+    f = ds.cg.coarse_grain(
+        "velocity/grad", preset="lammps", width=0.8, kernel="lucy", gradient="least_squares"
+    )
     ours = ds.cg.coarse_grain("velocity_gradient", width=0.8)
     np.testing.assert_array_equal(f.velocity_grad, ours.velocity_gradient)
     assert (f.attrs["kernel"], f.attrs["gradient"]) == ("lucy", "least_squares")
@@ -145,15 +159,23 @@ def test_places_without_differences_lack_gradients_alone(place):
     assert set(ds.cg.coarse_grain(**options)) >= {"density", "velocity", "stress"}
     with pytest.raises(ValueError, match="finite_difference"):
         ds.cg.coarse_grain("velocity/grad", **options)
-    assert "velocity_grad" in ds.cg.coarse_grain("velocity/grad", gradient="least_squares", **options)
+    assert "velocity_grad" in ds.cg.coarse_grain(
+        "velocity/grad", gradient="least_squares", **options
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"fields": "stress/xy"}, r"'stress/xy' is a component: .*\.sel\(component='x', direction='y'\)"),
+        (
+            {"fields": "stress/xy"},
+            r"'stress/xy' is a component: .*\.sel\(component='x', direction='y'\)",
+        ),
         ({"fields": "velocity_x"}, r"take \.sel\(component='x'\)"),
-        ({"fields": "fabric/*"}, "'fabric/\\*' is not followed by the preset 'lammps': it is smeared"),
+        (
+            {"fields": "fabric/*"},
+            "'fabric/\\*' is not followed by the preset 'lammps': it is smeared",
+        ),
         ({"fields": ["densty"]}, "preset='lammps': unknown field 'densty'; did you mean 'density'"),
         ({"size": "d32"}, r"none of its fields depends on \['size'\]"),
         ({"errors": True}, r"none of its fields depends on \['errors'\]"),
@@ -176,4 +198,6 @@ def test_wrong_arguments_raise(arguments, message):
 ])  # fmt: skip
 def test_wrong_meshes_raise(arguments, message):
     with pytest.raises(ValueError, match=message):
-        xcg.lammps_mesh(xcg.datasets.random_scene(20), **{"delta": 1.0, "cutoff": 1.0, "width": 0.3} | arguments)
+        xcg.lammps_mesh(
+            xcg.datasets.random_scene(20), **{"delta": 1.0, "cutoff": 1.0, "width": 0.3} | arguments
+        )

@@ -59,7 +59,10 @@ def by_hand(base, fluctuation):
         out[f"shear_rate_tensor_{dims}_mag"] = np.sqrt(2 * (g**2).sum())
         out[f"shear_rate_tensor_{dims}_dev_mag"] = np.sqrt(2 * (e**2).sum())
         out[f"pressure_{dims}"] = sum(sigma[k, k] for k in axes) / len(axes)
-    out |= {"total_stress_tensor_xyz": sigma, "total_stress_tensor_xyz_mag": np.sqrt((sigma**2).sum() / 2)}
+    out |= {
+        "total_stress_tensor_xyz": sigma,
+        "total_stress_tensor_xyz_mag": np.sqrt((sigma**2).sum() / 2),
+    }
     for k, a in enumerate("xyz"):
         out[f"pressure_{a}"] = sigma[k, k]
         out[f"granular_temperature_{a}"] = fluctuation[k, k] / base["density"]
@@ -67,12 +70,21 @@ def by_hand(base, fluctuation):
     for p in ("xyz", "xy", "y"):
         pressure = out[f"pressure_{p}"]
         for d in ("d43", "d32"):
-            number = out["shear_rate_tensor_xy_dev_mag"] * base[d] * np.sqrt(base["particle_density"] / abs(pressure))
+            number = (
+                out["shear_rate_tensor_xy_dev_mag"]
+                * base[d]
+                * np.sqrt(base["particle_density"] / abs(pressure))
+            )
             out[f"inertial_number_Sxy_P{p}_{d}"] = number if pressure > 0 else np.nan
-        shears = {"Dxyz": "total_stress_tensor_xyz_dev_mag", "Dxy": "total_stress_tensor_xy_dev_mag"}
+        shears = {
+            "Dxyz": "total_stress_tensor_xyz_dev_mag",
+            "Dxy": "total_stress_tensor_xy_dev_mag",
+        }
         shears = {k: out[v] for k, v in shears.items()} | {"01": abs(sigma[0, 1])}
         for kind, shear in shears.items():
-            out[f"frictional_coefficient_{kind}_P{p}"] = shear / pressure if pressure > 0 else np.nan
+            out[f"frictional_coefficient_{kind}_P{p}"] = (
+                shear / pressure if pressure > 0 else np.nan
+            )
     return out
 
 
@@ -115,7 +127,9 @@ def test_temperature_about_the_node():
         gradient = np.linalg.lstsq(root * (x - r), root * (v - mean), rcond=None)[0].T
         rest = v - mean - (x - r) @ gradient.T
         expected = w @ rest**2 / w.sum()
-        f = preset(ds, "granular_temperature", gradient="paper", width=0.9, axes="", at=at).isel(time=0)
+        f = preset(ds, "granular_temperature", gradient="paper", width=0.9, axes="", at=at).isel(
+            time=0
+        )
         for k, a in enumerate("xyz"):
             assert f[f"granular_temperature_{a}"].item() == pytest.approx(expected[k], rel=1e-9)
         assert f.granular_temperature_xyz.item() == pytest.approx(expected.mean(), rel=1e-9)
@@ -146,7 +160,13 @@ def test_keys_choose_families_and_planes():
         "velocity", *(f"pressure_{p}" for p in ("xyz", "xz", "x", "y", "z")),
         *(f"inertial_number_Sxz_P{p}_{d}" for p in ("xyz", "xz", "z") for d in ("d43", "d32")),
     }  # fmt: skip
-    options = {"width": 0.9, "shear_dims": "xz", "pressure_dims": "z", "deviatoric": "both", "size": "d32"}
+    options = {
+        "width": 0.9,
+        "shear_dims": "xz",
+        "pressure_dims": "z",
+        "deviatoric": "both",
+        "size": "d32",
+    }
     ours = ds.cg.coarse_grain(["inertial_number", "pressure"], **options)
     xr.testing.assert_allclose(f.pressure_z, ours.pressure, rtol=1e-9)
     assert ours.inertial_number.notnull().sum() > 100
@@ -246,9 +266,13 @@ def test_contacts_are_found_by_their_segments_not_by_the_particle_s_centre(kerne
     whole, centred, ours = 0.0, 0.0, 0.0
     for r in points:
         at = dict(zip("xyz", r, strict=True))
-        f = ds.cg.coarse_grain("contact_tensor", preset="pysammos", kernel=kernel, width=0.75, axes="", at=at)
+        f = ds.cg.coarse_grain(
+            "contact_tensor", preset="pysammos", kernel=kernel, width=0.75, axes="", at=at
+        )
         ours += float(np.trace(f.contact_tensor.values[0])) / 3
-        for i, j, force in zip(ds.contact_i.values[0], ds.contact_j.values[0], ds.contact_force.values[0], strict=True):
+        for i, j, force in zip(
+            ds.contact_i.values[0], ds.contact_j.values[0], ds.contact_force.values[0], strict=True
+        ):
             branch = position[i] - position[j]
             branch -= edge * np.rint(branch / edge)
             for own, side in ((i, branch / 2), (j, -branch / 2)):
@@ -268,12 +292,21 @@ def test_stress_of_a_lattice_is_the_closed_form():
 
 def test_images_at_faces_and_corners_are_counted():
     lattice = xcg.datasets.simple_cubic(6)
-    ds = lattice.assign(position=lattice.position + 0.5).drop_vars([n for n in lattice if str(n).startswith("contact")])
-    for at, share in (({"x": 0.0, "y": 3.0, "z": 3.0}, 1 / 2), ({"x": 0.0, "y": 0.0, "z": 0.0}, 1 / 8)):
-        inside = preset(ds, "density_mixture", axes="", at=dict.fromkeys("xyz", 3.0), width=0.75).density_mixture
+    ds = lattice.assign(position=lattice.position + 0.5).drop_vars(
+        [n for n in lattice if str(n).startswith("contact")]
+    )
+    for at, share in (
+        ({"x": 0.0, "y": 3.0, "z": 3.0}, 1 / 2),
+        ({"x": 0.0, "y": 0.0, "z": 0.0}, 1 / 8),
+    ):
+        inside = preset(
+            ds, "density_mixture", axes="", at=dict.fromkeys("xyz", 3.0), width=0.75
+        ).density_mixture
         here = preset(ds, "density_mixture", axes="", at=at, width=0.75).density_mixture
         assert here.item() == pytest.approx(inside.item(), rel=1e-12)
-        cut = preset(ds.assign_attrs(periodic=""), "density_mixture", axes="", at=at, width=0.75).density_mixture
+        cut = preset(
+            ds.assign_attrs(periodic=""), "density_mixture", axes="", at=at, width=0.75
+        ).density_mixture
         assert (cut / here).item() == pytest.approx(share, rel=1e-12)
 
 
@@ -296,7 +329,9 @@ def test_the_period_is_the_box_not_the_extent_of_the_centres():
 
 
 def test_the_kernel_is_evaluated_not_looked_up():
-    ds = xcg.scene_from_arrays([[0.0, 0, 0]], velocity=np.zeros((1, 3)), diameter=[1.0], density=1.0)
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0]], velocity=np.zeros((1, 3)), diameter=[1.0], density=1.0
+    )
     for r in (0.1, 0.7, 1.3):
         f = preset(ds, "density_mixture", axes="", at={"x": r, "y": 0, "z": 0}, width=0.75)
         psi = 105 / (16 * np.pi * 1.5**3) * (1 - r / 1.5) ** 3 * (1 + 3 * r / 1.5)
@@ -318,7 +353,9 @@ def test_temperature_is_zero_in_linear_shear():
     t = preset(sheared, "granular_temperature", **options).granular_temperature_xyz
     assert np.isfinite(t).all()
     assert float(t.max()) < 1e-14
-    steps = preset(sheared, "granular_temperature", gradient="finite_difference", **options).granular_temperature_xyz
+    steps = preset(
+        sheared, "granular_temperature", gradient="finite_difference", **options
+    ).granular_temperature_xyz
     assert float(steps.max()) > 1e-3
     # uncorrelated velocities of variance 1 on a lattice: every fit takes its freedoms out, the fewer grains the more
     gas = xcg.datasets.face_centred_cubic(6)
@@ -340,7 +377,9 @@ def test_velocity_gradient_of_small_grains_and_its_order(scale):
         ds.position.values[0] * scale, diameter=ds.diameter.values[0] * scale, density=2500.0,
         velocity=np.stack([3.0 * ds.position.values[0][:, 2] * scale, *np.zeros((2, 300))], axis=1),
     )  # fmt: skip
-    f = preset(small, "velocity_gradient", width=0.8 * scale, axes="", at=dict.fromkeys("xyz", 2.5 * scale))
+    f = preset(
+        small, "velocity_gradient", width=0.8 * scale, axes="", at=dict.fromkeys("xyz", 2.5 * scale)
+    )
     expected = np.zeros((3, 3))
     expected[0, 2] = 3.0  # dVx / dz, and nothing in dVz / dx
     np.testing.assert_allclose(f.velocity_gradient.values[0], expected, atol=1e-10)
@@ -352,7 +391,9 @@ def test_magnitudes_take_both_triangles():
         [[0.5, 0, 0], [-0.5, 0, 0]], velocity=np.zeros((2, 3)), diameter=[1.0, 1.0], density=1.0,
         contact_i=i, contact_j=j, contact_force=force,
     )  # fmt: skip
-    f = ds.cg.coarse_grain(["deviatoric_stress", "shear_stress"], axes="", at=dict.fromkeys("xyz", 0.0), width=1.0)
+    f = ds.cg.coarse_grain(
+        ["deviatoric_stress", "shear_stress"], axes="", at=dict.fromkeys("xyz", 0.0), width=1.0
+    )
     s = f.deviatoric_stress.values[0]
     assert s[0, 1] == 0  # force along y, branch along x: only sigma_yx
     assert s[1, 0] > 0
@@ -364,7 +405,9 @@ def test_magnitudes_take_both_triangles():
 @pytest.mark.parametrize("width", [0.75, 1.5, 3.0])
 def test_a_layer_does_not_scale_with_the_width(width):
     n, thickness = 12, 1.0
-    position = np.stack([*np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), np.zeros((n, n))], axis=-1)
+    position = np.stack(
+        [*np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), np.zeros((n, n))], axis=-1
+    )
     ds = xcg.scene_from_arrays(
         position.reshape(-1, 3), velocity=np.zeros((n * n, 3)), diameter=np.ones(n * n), density=2000.0, dimension=2,
         periodic="xy", box={"x": (0, n), "y": (0, n)}, thickness=thickness,
@@ -410,7 +453,9 @@ def test_steps_without_contacts_and_grains_that_enter():
     a, b = xcg.datasets.random_scene(40, seed=1), xcg.datasets.random_scene(60, seed=2)
     names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
     second = {n: b[n].values[0] for n in names}
-    first = {n: a[n].values[0] if not n.startswith("contact") else b[n].values[0][:0] for n in names}
+    first = {
+        n: a[n].values[0] if not n.startswith("contact") else b[n].values[0][:0] for n in names
+    }
     ds = xcg.scene_from_arrays(
         [a.position.values[0], b.position.values[0]], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
         **{n: [first[n], second[n]] for n in names},
@@ -419,7 +464,9 @@ def test_steps_without_contacts_and_grains_that_enter():
     assert (f.contact_tensor.isel(time=0) == 0).all()
     assert float(np.abs(f.contact_tensor.isel(time=1)).max()) > 0
     alone = preset(b, width=0.8, spacing=1.0)
-    np.testing.assert_allclose(f.density_mixture.isel(time=1), alone.density_mixture.isel(time=0), rtol=1e-12)
+    np.testing.assert_allclose(
+        f.density_mixture.isel(time=1), alone.density_mixture.isel(time=0), rtol=1e-12
+    )
 
 
 def test_unknown_ids_are_named_or_become_walls():
@@ -433,12 +480,20 @@ def test_unknown_ids_are_named_or_become_walls():
 
 
 def test_empty_nodes_are_unknown_with_a_count_of_zero():
-    ds = xcg.scene_from_arrays([[0.0, 0, 0], [9.0, 0, 0]], velocity=np.ones((2, 3)), diameter=[1.0, 1.0], density=1.0)
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [9.0, 0, 0]], velocity=np.ones((2, 3)), diameter=[1.0, 1.0], density=1.0
+    )
     f = preset(ds, axes="x", at={"y": 0, "z": 0}, bounds={"x": (0, 9)}, spacing=4.5, width=1.2)
     assert f.sample_count.values.tolist() == [[1, 0, 1]]
     assert float(f.density_mixture[0, 1]) == 0
     # one grain is too few for a fit: no temperature, but no unknown stress
     assert np.isnan(f.granular_temperature_xyz.values[0, 0])
     assert (f.kinetic_tensor.values[0, 0] == 0).all()
-    for name in ("velocity", "density_particle", "d43", "granular_temperature_xyz", "velocity_gradient"):
+    for name in (
+        "velocity",
+        "density_particle",
+        "d43",
+        "granular_temperature_xyz",
+        "velocity_gradient",
+    ):
         assert np.isnan(f[name].values[0, 1]).all()

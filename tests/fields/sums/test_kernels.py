@@ -63,9 +63,12 @@ xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
 def test_kernels_and_marginals_integrate_to_one(name, dimension, seen):
     kernel = kernel_of(name, 0.7, {}, dimension)
-    total = quad(lambda r: SPHERE[seen] * r ** (seen - 1) * kernel.value(r, seen).item(), 0, kernel.cutoff, limit=200)[
-        0
-    ]
+    total = quad(
+        lambda r: SPHERE[seen] * r ** (seen - 1) * kernel.value(r, seen).item(),
+        0,
+        kernel.cutoff,
+        limit=200,
+    )[0]
     assert total == pytest.approx(1.0, rel=1e-9)
 
 
@@ -78,7 +81,9 @@ def test_constants_equal_those_of_the_theory_sheet():
     # a Gaussian cut at 3 w holds 0.970709 of its mass, and its edge is 1.1 % of its peak
     whole = (2 * np.pi * w**2) ** -1.5
     assert xcg.Gaussian(w, dimension=3).value(0.0) == pytest.approx(whole / 0.970709, rel=1e-6)
-    assert xcg.Gaussian(w).value(3 * w * (1 - 1e-12)) / xcg.Gaussian(w).value(0.0) == pytest.approx(0.0111, rel=1e-2)
+    assert xcg.Gaussian(w).value(3 * w * (1 - 1e-12)) / xcg.Gaussian(w).value(0.0) == pytest.approx(
+        0.0111, rel=1e-2
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -99,9 +104,9 @@ def test_the_1d_lucy_is_not_the_marginal_of_the_3d_one():
 def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
     """Relative to each value, however small: near the rim a node may see nothing else."""
     nodes, weights = np.polynomial.legendre.leggauss(300)
-    q = np.concatenate([np.geomspace(1e-3, 0.1, 5), np.linspace(0.15, 0.95, 33), 1 - np.geomspace(1e-3, 0.04, 9)])[
-        :, None
-    ]
+    q = np.concatenate(
+        [np.geomspace(1e-3, 0.1, 5), np.linspace(0.15, 0.95, 33), 1 - np.geomspace(1e-3, 0.04, 9)]
+    )[:, None]
     half = np.sqrt((1 - q) * (1 + q))
     top = np.arcsinh(half / q)
     u = top * (1 + nodes) / 2
@@ -110,7 +115,10 @@ def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
     r = np.sqrt(1 - rest)
     p = rest / (1 + r)
     lucy, peak = xcg.Lucy(cutoff=1.0, dimension=3), 105 / (16 * np.pi)
-    for got, along in ((lucy.value(q[:, 0], 2), p**3 * (1 + 3 * r)), (lucy.derivative(q[:, 0], 2), -12 * q * p**2)):
+    for got, along in (
+        (lucy.value(q[:, 0], 2), p**3 * (1 + 3 * r)),
+        (lucy.derivative(q[:, 0], 2), -12 * q * p**2),
+    ):
         expected = peak * (top * along * q * np.cosh(u) * weights).sum(axis=1)
         np.testing.assert_allclose(got, expected, rtol=2e-13)
 
@@ -125,7 +133,9 @@ def test_derivatives_equal_finite_differences(name, dimension, seen):
     slope = (8 * (v[2] - v[1]) - (v[3] - v[0])) / (12 * h)
     # the marginals of a registered kernel have logarithms at r = 0, where their series converge slowly
     tolerance = 2e-7 if name == "wendland" else 2e-9
-    np.testing.assert_allclose(kernel.derivative(r, seen), slope, atol=tolerance * np.abs(slope).max())
+    np.testing.assert_allclose(
+        kernel.derivative(r, seen), slope, atol=tolerance * np.abs(slope).max()
+    )
 
 
 @pytest.mark.parametrize("ratio", [0.01, 0.5, 1.41, 1.42, 3.0, 6.0, 60.0])
@@ -133,7 +143,11 @@ def test_derivatives_equal_finite_differences(name, dimension, seen):
 def test_shifted_gaussians_of_any_cutoff(dimension, seen, ratio):
     """Continuous at the cutoff, with an integral of 1 and every digit at the rim, however wide or narrow it is."""
     kernel = xcg.Gaussian(0.7, cutoff=0.7 * ratio, dimension=dimension, shifted=True)
-    total = quad(lambda r: SPHERE[seen] * r ** (seen - 1) * kernel.value(r, seen).item(), 0, min(kernel.cutoff, 7.0))[0]
+    total = quad(
+        lambda r: SPHERE[seen] * r ** (seen - 1) * kernel.value(r, seen).item(),
+        0,
+        min(kernel.cutoff, 7.0),
+    )[0]
     assert total == pytest.approx(1.0, rel=1e-9)
     # within eps of the rim the profile is a straight line, and a marginal that line integrated over a cap
     power, eps = 1 + (dimension - seen) / 2, 1e-6
@@ -160,7 +174,11 @@ def test_the_shifted_gaussian_is_the_gaussian_less_its_value_at_the_cutoff():
     found = shifted.value(r) / shifted.value(0.0) * (1 - np.exp(-4.5))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
     assert repr(shifted) == "Gaussian(width=0.7, cutoff=2.1, shifted=True)"
-    assert (shifted.name, shifted.smoothness, shifted.differentiable) == ("shifted gaussian", 0, False)
+    assert (shifted.name, shifted.smoothness, shifted.differentiable) == (
+        "shifted gaussian",
+        0,
+        False,
+    )
     assert (whole.name, whole.smoothness) == ("gaussian", -1)
     assert kernel_of("Shifted Gaussian", 0.7, {}, 3).in_dimension(2).shifted
 
@@ -196,7 +214,9 @@ def test_segment_integrals_equal_quadrature(name, dimension, seen):
         else:
             truth = _gauss(lambda r: kernel.value(r, seen), points, end)
         if name == "heaviside":  # jumps, or rises like a root, at its rim
-            rim = np.abs(np.linalg.norm(points, axis=1) - kernel.cutoff) > (0.0 if length > 1e-3 else 0.02)
+            rim = np.abs(np.linalg.norm(points, axis=1) - kernel.cutoff) > (
+                0.0 if length > 1e-3 else 0.02
+            )
             points, closed, truth = points[rim], closed[rim], truth[rim]
         # what is left: a difference of two antiderivatives over the length; the series of a registered kernel
         tolerance = 1e-10 if name == "wendland" else max(1e-12, 1e-14 / max(length, 1e-4))
@@ -219,11 +239,16 @@ def test_segments_of_a_gaussian_keep_their_digits_far_out(dimension, side):
 @pytest.mark.parametrize("length", [0.2, 0.69, 0.9, 2.5])
 def test_segments_of_the_marginal_of_a_gaussian_of_any_cutoff(ratio, length):
     """They take quadrature, with points enough for any width and length (in cutoffs)."""
-    kernel, rng = xcg.Gaussian(1.0, cutoff=ratio, dimension=3, shifted=True), np.random.default_rng(3)
+    kernel, rng = (
+        xcg.Gaussian(1.0, cutoff=ratio, dimension=3, shifted=True),
+        np.random.default_rng(3),
+    )
     end = length * ratio * np.array([0.6, 0.8])
     points = rng.uniform(-1.0, 1.0, (200, 2)) * ratio + rng.uniform(0.0, 1.0, (200, 1)) * end
     truth = np.array([_over_angle(kernel, p, end) for p in points])
-    np.testing.assert_allclose(kernel.segment(points, 0 * end, end), truth, rtol=0, atol=2e-13 * truth.max())
+    np.testing.assert_allclose(
+        kernel.segment(points, 0 * end, end), truth, rtol=0, atol=2e-13 * truth.max()
+    )
 
 
 _MANY_POINTS = np.polynomial.legendre.leggauss(300)
@@ -236,10 +261,18 @@ def _over_angle(kernel, point, end):
     foot = point @ end / whole
     across2 = point @ point - foot**2
     half = np.sqrt(max(0.0, kernel.cutoff**2 - across2))
-    begin, finish = np.arcsin(np.clip(np.array([-foot, whole - foot]) / max(half, 1e-30), -1.0, 1.0))
+    begin, finish = np.arcsin(
+        np.clip(np.array([-foot, whole - foot]) / max(half, 1e-30), -1.0, 1.0)
+    )
     angle = 0.5 * (begin + finish) + 0.5 * (finish - begin) * x
     r = np.sqrt(across2 + (half * np.sin(angle)) ** 2)
-    return 0.5 * (finish - begin) * half * (w * np.cos(angle) * kernel.value(r, len(end))).sum() / whole
+    return (
+        0.5
+        * (finish - begin)
+        * half
+        * (w * np.cos(angle) * kernel.value(r, len(end))).sum()
+        / whole
+    )
 
 
 OWN = {
@@ -257,7 +290,9 @@ def random_segments(seed, seen, count):
     for length in (0.01, 0.1, 0.35, 0.7, 3.0):
         direction = rng.normal(size=seen)
         end = length * direction / np.linalg.norm(direction)
-        beside = rng.uniform(-1.0, 1.0, (count, seen)) * rng.choice([0.0, 1e-3, 0.5, 1.0], (count, 1))
+        beside = rng.uniform(-1.0, 1.0, (count, seen)) * rng.choice(
+            [0.0, 1e-3, 0.5, 1.0], (count, 1)
+        )
         yield beside + rng.uniform(-0.5, 1.5, (count, 1)) * end, end
 
 
@@ -269,12 +304,18 @@ def line_through(profile, radii, point, end):
     for radius in (*radii, 1.0):
         half = np.sqrt(max(0.0, radius**2 - across2))
         inside += [foot - half, foot + half]
-    cuts = np.clip([0.0, foot, *inside, length], max(0.0, inside[-2]), max(0.0, min(length, inside[-1])))
+    cuts = np.clip(
+        [0.0, foot, *inside, length], max(0.0, inside[-2]), max(0.0, min(length, inside[-1]))
+    )
 
     def value(t):
         return float(profile(np.asarray(min(np.sqrt(across2 + (t - foot) ** 2), 1 - 1e-16))))
 
-    panels = [quad(value, a, b, epsabs=1e-15, epsrel=1e-13, limit=200)[0] for a, b in pairwise(sorted(cuts)) if b > a]
+    panels = [
+        quad(value, a, b, epsabs=1e-15, epsrel=1e-13, limit=200)[0]
+        for a, b in pairwise(sorted(cuts))
+        if b > a
+    ]
     return sum(panels) / length
 
 
@@ -306,8 +347,12 @@ def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
             near2 = ((point - foot * end) ** 2).sum()
             far2 = [((point - u * end) ** 2).sum() for u in (0.0, 1.0)]
             line2 = max(0.0, point @ point - (point @ end) ** 2 / (end @ end))
-            levels = [np.sqrt(max(0.0, r**2 - d)) for r in (*radii, 1.0) for d in (near2, *far2, line2)]
-            cuts = np.unique([0.0, *levels, *(max(levels) * np.array([1e-4, 1e-3, 1e-2, 0.1, 0.3]))])
+            levels = [
+                np.sqrt(max(0.0, r**2 - d)) for r in (*radii, 1.0) for d in (near2, *far2, line2)
+            ]
+            cuts = np.unique(
+                [0.0, *levels, *(max(levels) * np.array([1e-4, 1e-3, 1e-2, 0.1, 0.3]))]
+            )
             for a, b in pairwise(cuts):
                 # roots at the ends of a panel
                 angle = 0.5 * np.pi * x
@@ -346,7 +391,10 @@ def test_stress_of_registered_kernels_balances_forces(name, seen):
 BUILT_IN = {
     "lucy": (xcg.Lucy, lambda q: 1 - 6 * q**2 + 8 * q**3 - 3 * q**4),
     "gaussian": (xcg.Gaussian, lambda q: np.exp(-4.5 * q**2)),
-    "shifted": (lambda **given: xcg.Gaussian(**given, shifted=True), lambda q: np.expm1(4.5 * (1 - q**2))),
+    "shifted": (
+        lambda **given: xcg.Gaussian(**given, shifted=True),
+        lambda q: np.expm1(4.5 * (1 - q**2)),
+    ),
     "heaviside": (xcg.Heaviside, lambda q: 1.0 + 0.0 * q),
 }
 
@@ -357,15 +405,24 @@ def test_kernels_registered_by_their_profiles_equal_those_of_their_own_loops(nam
     """Up to the cutoff, where some jump, so that their marginals end like the root of the distance to it."""
     make, profile = BUILT_IN[name]
     own = make(cutoff=1.0, dimension=dimension)
-    same = xcg.register_kernel("same", profile, smoothness=own.smoothness)(cutoff=1.0, dimension=dimension)
-    r, peak = np.concatenate([np.linspace(0.0, 0.99, 40), 1 - np.geomspace(1e-9, 1e-2, 15)]), own.value(0.0, seen)
+    same = xcg.register_kernel("same", profile, smoothness=own.smoothness)(
+        cutoff=1.0, dimension=dimension
+    )
+    r, peak = (
+        np.concatenate([np.linspace(0.0, 0.99, 40), 1 - np.geomspace(1e-9, 1e-2, 15)]),
+        own.value(0.0, seen),
+    )
     # odd powers of q have logarithms at r = 0 in their marginals
     tolerance = 1e-10 if name == "lucy" else 1e-12
-    np.testing.assert_allclose(same.value(r, seen), own.value(r, seen), rtol=0, atol=tolerance * peak)
+    np.testing.assert_allclose(
+        same.value(r, seen), own.value(r, seen), rtol=0, atol=tolerance * peak
+    )
     if name != "heaviside":  # whose marginal's slope is that of the jump, which is left out
         slope = own.derivative(r, seen)
         tolerance = 1e-6 if name == "lucy" else 1e-9
-        np.testing.assert_allclose(same.derivative(r, seen), slope, rtol=0, atol=tolerance * np.abs(slope).max())
+        np.testing.assert_allclose(
+            same.derivative(r, seen), slope, rtol=0, atol=tolerance * np.abs(slope).max()
+        )
     for points, end in random_segments(seen, seen, 20):
         tolerance = 1e-11 * max(1.0, 0.1 / np.linalg.norm(end))
         found, expected = (kernel.segment(points, 0 * end, end) for kernel in (same, own))
@@ -415,7 +472,9 @@ def test_shells_without_the_compiler_have_the_same_bits():
         args = (columns, h2, min(t0, t1) - 0.4, max(t0, t1))
         for line in (polynomials.along_shells, polynomials.along_marginal):
             by_python = uncompiled(line)(*args)
-            assert compiled(line)(*args) == pytest.approx(by_python, abs=1e-14)  # logarithms of two libraries
+            assert compiled(line)(*args) == pytest.approx(
+                by_python, abs=1e-14
+            )  # logarithms of two libraries
 
 
 @pytest.mark.parametrize("sampling", ["node", "cell"])
@@ -424,19 +483,29 @@ def test_total_stress_of_a_registered_kernel_is_the_virial(sampling):
     ds = xcg.datasets.random_scene(20, seed=3)
     for kernel in ("cubic spline", "wendland"):
         options = {"kernel": kernel, "width": 1.2, "sampling": sampling}
-        found = ds.cg.coarse_grain("contact_stress", spacing=5 / 24 if sampling == "node" else 5 / 3, **options)
+        found = ds.cg.coarse_grain(
+            "contact_stress", spacing=5 / 24 if sampling == "node" else 5 / 3, **options
+        )
         whole = ds.cg.coarse_grain("contact_stress", axes="", width=1.2)
         mean = found.contact_stress.mean(["x", "y", "z"])
-        np.testing.assert_allclose(mean, whole.contact_stress, rtol=0, atol=5e-6 * float(abs(mean).max()))
+        np.testing.assert_allclose(
+            mean, whole.contact_stress, rtol=0, atol=5e-6 * float(abs(mean).max())
+        )
 
 
 def test_profiles_that_are_not_smooth_warn():
     """With the error that their values have, and where."""
-    with pytest.warns(xcg.SceneWarning, match=r"kernel 'step'.*of its largest value, worst at q=0\.[45]"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"kernel 'step'.*of its largest value, worst at q=0\.[45]"
+    ):
         xcg.register_kernel("step", lambda q: np.where(q < 0.496, 1.0, 0.2), smoothness=-1)
-    with pytest.warns(xcg.SceneWarning, match=r"kernel 'step': its profile jumps at q=0\.5, and where one axis"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"kernel 'step': its profile jumps at q=0\.5, and where one axis"
+    ):
         xcg.register_kernel("step", lambda q: np.where(q < 0.5, 1.0, 0.2), smoothness=-1)
-    with pytest.warns(xcg.SceneWarning, match=r"profile to \d\.\de-08 of its largest value"):  # and nothing else
+    with pytest.warns(
+        xcg.SceneWarning, match=r"profile to \d\.\de-08 of its largest value"
+    ):  # and nothing else
         xcg.register_kernel("single", lambda q: ((1 - q**2) ** 2).astype("float32"))
 
 
@@ -449,15 +518,21 @@ def test_quadratures_along_contacts_state_their_error():
 
     with pytest.warns(xcg.SceneWarning) as told:
         kernel = xcg.register_kernel("table", table)(cutoff=1.0)
-    off = float(re.search(r"quadratures, which are off by (\S+) of the largest", str(told[0].message))[1])
+    off = float(
+        re.search(r"quadratures, which are off by (\S+) of the largest", str(told[0].message))[1]
+    )
     end = np.array([1.6, 0.0, 0.0])
     points = np.column_stack([np.full(12, 0.8), np.linspace(0.0, 0.59, 12), np.zeros(12)])
-    error = np.abs(kernel.segment(points, 0 * end, end) / kernel.weights(3).norm - _gauss(table, points, end, 2000))
+    error = np.abs(
+        kernel.segment(points, 0 * end, end) / kernel.weights(3).norm
+        - _gauss(table, points, end, 2000)
+    )
     assert 0.1 * off < 1.6 * error.max() < 3.0 * off
 
 
 @pytest.mark.parametrize(
-    ("profile", "place"), [(lambda q: np.exp(-4.5 * q**2), "1"), (lambda q: np.where(q < 0.75, 1 - q, 0.0), r"0\.75")]
+    ("profile", "place"),
+    [(lambda q: np.exp(-4.5 * q**2), "1"), (lambda q: np.where(q < 0.75, 1 - q, 0.0), r"0\.75")],
 )
 def test_kernels_that_jump_are_recognised(profile, place):
     """Rules of few points would break the promise of rtol, and kernel gradients leave jumps out."""
@@ -492,12 +567,16 @@ def test_errors_are_below_rtol(length, rtol, seen, name, seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (2000, seen))
     points[:, 0] = rng.uniform(-1, 1 + length, 2000)
-    points[:1000, 1:] *= rng.uniform(0, 1, 1000)[:, None] ** 4  # crowd the line, where the error is largest
+    points[:1000, 1:] *= (
+        rng.uniform(0, 1, 1000)[:, None] ** 4
+    )  # crowd the line, where the error is largest
     end = length * np.eye(seen)[0]
     exact, quick = kernel.segment(points, 0 * end, end), kernel.segment(points, 0 * end, end, order)
     largest = kernel.segment([0.5 * end], 0 * end, end)[0]
     assert np.abs(quick - exact).max() <= rtol * largest
-    assert order or length > 0.02 or (name == "wendland" and seen != 2)  # in closed form, quicker than any rule
+    assert (
+        order or length > 0.02 or (name == "wendland" and seen != 2)
+    )  # in closed form, quicker than any rule
 
 
 def test_fewer_points_for_shorter_branches_and_looser_promises():
@@ -522,17 +601,26 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     assert gauss_limits(kernel, 3, 3.0 * 1.6e-3)[0] > 1 / 3
     assert gauss_limits(kernel, 3, 1.6e-3)[0] < 1 / 3
     # the error of 2, 4, ... points at a branch of c / 3, measured at random places, is where the limits part
-    points, end = np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)), np.array([1 / 3, 0.0, 0.0])
+    points, end = (
+        np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)),
+        np.array([1 / 3, 0.0, 0.0]),
+    )
     exact = kernel.segment(points, 0 * end, end)
     for k, order in enumerate((2, 4)):
-        error = np.abs(_rule(kernel, points, end, order) - exact).max() / kernel.segment([end / 2], 0 * end, end)[0]
+        error = (
+            np.abs(_rule(kernel, points, end, order) - exact).max()
+            / kernel.segment([end / 2], 0 * end, end)[0]
+        )
         assert gauss_limits(kernel, 3, 3.0 * error)[k] > 1 / 3
         assert gauss_limits(kernel, 3, error)[k] < 1 / 3
 
 
 def _rule(kernel, points, end, order):
     rule = zip(*np.polynomial.legendre.leggauss(order), strict=True)
-    return sum(0.5 * w * kernel.value(np.linalg.norm(points - (0.5 + 0.5 * x) * end, axis=1)) for x, w in rule)
+    return sum(
+        0.5 * w * kernel.value(np.linalg.norm(points - (0.5 + 0.5 * x) * end, axis=1))
+        for x, w in rule
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 7, 12, 13, 40])
@@ -540,13 +628,19 @@ def test_any_number_of_gauss_points(order):
     kernel, end = kernel_of("lucy", 0.5, {}, 3), np.array([0.7, -0.2, 0.4])
     points = np.random.default_rng(order).uniform(-0.8, 1.0, (200, 3))
     found = kernel.segment(points, 0 * end, end, order)
-    np.testing.assert_allclose(found, _rule(kernel, points, end, order), rtol=0, atol=1e-14 * kernel.value(0.0))
+    np.testing.assert_allclose(
+        found, _rule(kernel, points, end, order), rtol=0, atol=1e-14 * kernel.value(0.0)
+    )
 
 
 @pytest.mark.parametrize("order", [-1, 2.5])
 def test_wrong_numbers_of_gauss_points_raise(order):
-    with pytest.raises(ValueError, match=f"order={order}: expected a number of Gauss-Legendre points"):
-        kernel_of("lucy", 0.5, {}, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
+    with pytest.raises(
+        ValueError, match=f"order={order}: expected a number of Gauss-Legendre points"
+    ):
+        kernel_of("lucy", 0.5, {}, 3).segment(
+            [[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order
+        )
 
 
 def touching(rng, axes):
@@ -574,7 +668,9 @@ def test_the_error_of_every_contact_is_below_rtol(axes, kernel, width):
     options = {"axes": axes, "kernel": kernel, "width": width, "spacing": width / 3}
     for _ in range(3):
         ds, branch, force = touching(rng, axes)
-        largest = shape.segment([branch / 2], 0 * branch, branch)[0] * force / 100.0 ** (3 - len(axes))
+        largest = (
+            shape.segment([branch / 2], 0 * branch, branch)[0] * force / 100.0 ** (3 - len(axes))
+        )
         exact = ds.cg.coarse_grain("contact_stress", **options).contact_stress
         assert 0.3 * largest < float(abs(exact).max()) <= largest * (1 + 1e-12)
         for rtol in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5):
@@ -585,7 +681,10 @@ def test_the_error_of_every_contact_is_below_rtol(axes, kernel, width):
 def test_coarse_graining_with_a_registered_kernel():
     ds = xcg.datasets.random_scene(60, seed=1)
     f = ds.cg.coarse_grain(
-        ["density", "contact_stress", "velocity_gradient"], kernel="wendland", width=0.8, gradient="kernel"
+        ["density", "contact_stress", "velocity_gradient"],
+        kernel="wendland",
+        width=0.8,
+        gradient="kernel",
     )
     whole = ds.cg.coarse_grain(["density", "contact_stress"], axes="", width=0.8)
     assert float(f.density.mean()) == pytest.approx(float(whole.density.item()), rel=1e-2)
@@ -597,7 +696,9 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
     """A grain as far away as the support reaches, where its squared distance is rounded to above that."""
     x, z = 10.7, 23.6
     assert ((x - 9.5) / 2.0) ** 2 + ((z - 22.0) / 2.0) ** 2 > 1.0
-    ds = xcg.scene_from_arrays([[x, 2.0, z]], diameter=[1.0], density=1.0, box=[[0, 20], [0, 4], [0, 34]], periodic="y")
+    ds = xcg.scene_from_arrays(
+        [[x, 2.0, z]], diameter=[1.0], density=1.0, box=[[0, 20], [0, 4], [0, 34]], periodic="y"
+    )
     width = xcg.Lucy(1.0).cutoff / kernel_of(kernel, 1.0, {}, 3).cutoff
     mesh = {"axes": "xz", "bounds": {"x": (0, 18), "z": (6, 24)}, "spacing": 0.5}
     f = ds.cg.coarse_grain("volume_fraction", kernel=kernel, width=width, **mesh)
@@ -622,7 +723,12 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
         (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, ratio=-1.0), "ratio=-1.0"),
         (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, ratio=0), "ratio=0"),
         (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, smoothness=1.5), "smoothness=1.5"),
-        (lambda: xcg.register_kernel("pole", lambda q: np.where(q > 0, 1 / np.maximum(q, 1e-300), np.inf)), "at q=0"),
+        (
+            lambda: xcg.register_kernel(
+                "pole", lambda q: np.where(q > 0, 1 / np.maximum(q, 1e-300), np.inf)
+            ),
+            "at q=0",
+        ),
     ],
 )
 def test_wrong_kernels_raise(make, message):
@@ -641,14 +747,27 @@ def test_fields_of_a_kernel_with_negative_parts_equal_brute_force():
 
     xcg.register_kernel("with negative parts", profile)
     rng = np.random.default_rng(1)
-    position, velocity, heat = rng.uniform(0, 4, (30, 3)), rng.normal(size=(30, 3)), rng.normal(300.0, 1.0, 30)
+    position, velocity, heat = (
+        rng.uniform(0, 4, (30, 3)),
+        rng.normal(size=(30, 3)),
+        rng.normal(300.0, 1.0, 30),
+    )
     ds = xcg.scene_from_arrays(
         position, velocity=velocity, diameter=rng.uniform(0.5, 1, 30), density=1000.0, heat=heat,
         species=rng.integers(1, 3, 30),
     )  # fmt: skip
-    fields = ["density", "velocity", "kinetic_stress", "heat", xcg.Flux("heat"), xcg.Variance("heat")]
+    fields = [
+        "density",
+        "velocity",
+        "kinetic_stress",
+        "heat",
+        xcg.Flux("heat"),
+        xcg.Variance("heat"),
+    ]
     at = {"bounds": dict.fromkeys("xyz", (0.0, 4.0)), "spacing": 1.0}
-    f = ds.cg.coarse_grain(fields, width=0.7, kernel="with negative parts", by="species", **at).isel(time=0)
+    f = ds.cg.coarse_grain(
+        fields, width=0.7, kernel="with negative parts", by="species", **at
+    ).isel(time=0)
 
     nodes = np.stack(np.meshgrid(f.x, f.y, f.z, indexing="ij"), axis=-1)[..., None, :]
     q = np.minimum(np.linalg.norm(nodes - position, axis=-1) / 1.4, 1)
@@ -671,7 +790,9 @@ def test_fields_of_a_kernel_with_negative_parts_equal_brute_force():
         seen = np.abs(psi).max(axis=-1) > 0
         for name, values in expected.items():
             found = f[name].sel(phase=phase).values
-            np.testing.assert_allclose(found[seen], values[seen], rtol=0, atol=1e-7 * np.abs(values[seen]).max())
+            np.testing.assert_allclose(
+                found[seen], values[seen], rtol=0, atol=1e-7 * np.abs(values[seen]).max()
+            )
         with np.errstate(invalid="ignore"):
             ratios = {
                 "velocity": weight @ velocity / own[..., None],
@@ -680,8 +801,12 @@ def test_fields_of_a_kernel_with_negative_parts_equal_brute_force():
             }
         for name, values in ratios.items():
             found = f[name].sel(phase=phase).values
-            np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values)))
-    steps = ds.cg.coarse_grain(["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at)
+            np.testing.assert_allclose(
+                found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values))
+            )
+    steps = ds.cg.coarse_grain(
+        ["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at
+    )
     mean = xcg.time_average(steps)
     for name in ("density", "velocity", "heat"):
         np.testing.assert_allclose(mean[name], steps[name].isel(time=0), rtol=1e-12)

@@ -35,10 +35,18 @@ def stress_along_z(z, contacts, cutoff):
 
     def reached(node, low, high):
         low, high = max(low, node - cutoff), min(high, node + cutoff)
-        return quad(lambda s: kernel.value(node - s, seen=1).item(), low, high, epsabs=1e-13)[0] if low < high else 0.0
+        return (
+            quad(lambda s: kernel.value(node - s, seen=1).item(), low, high, epsabs=1e-13)[0]
+            if low < high
+            else 0.0
+        )
 
     return lambda node: (
-        sum(np.sign(z[i] - z[j]) * reached(node, min(z[i], z[j]), max(z[i], z[j])) for i, j in contacts) * FORCE
+        sum(
+            np.sign(z[i] - z[j]) * reached(node, min(z[i], z[j]), max(z[i], z[j]))
+            for i, j in contacts
+        )
+        * FORCE
     )
 
 
@@ -48,19 +56,29 @@ def stress_along_z(z, contacts, cutoff):
 def test_the_stress_of_a_contact_with_a_far_partner_is_exact_near_the_mesh(far, contacts, rtol):
     z = np.array([far, 0.5, 0.52])
     ds = scene(np.column_stack([0 * z, 0 * z, z]), contacts)
-    options = {"axes": "z", "bounds": {"z": (0.47, 0.53)}, "spacing": 3e-5, "width": 0.3, "rtol": rtol}
+    options = {
+        "axes": "z",
+        "bounds": {"z": (0.47, 0.53)},
+        "spacing": 3e-5,
+        "width": 0.3,
+        "rtol": rtol,
+    }
     with warned_of_far():
         f = ds.cg.coarse_grain("contact_stress", **options)
     expected = stress_along_z(z, contacts, 0.6)
     for k in (0, 700, len(f.z) - 1):
-        np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(float(f.z[k])), rtol=1e-10 + rtol, atol=0)
+        np.testing.assert_allclose(
+            f.contact_stress[0, k, :, 2], expected(float(f.z[k])), rtol=1e-10 + rtol, atol=0
+        )
 
 
 def test_both_halves_of_a_far_branch_are_cut():
     """The contact point is off the line of centres, so that each half is a segment; along z they follow each other."""
     ds = scene([[0, 0, 1e9], [0, 0, 0.5]], [(0, 1)], point=[[3e8, 0, 0.8]])
     with warned_of_far():
-        f = ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.45)}, spacing=0.05, width=0.3)
+        f = ds.cg.coarse_grain(
+            "contact_stress", axes="z", bounds={"z": (0.4, 0.45)}, spacing=0.05, width=0.3
+        )
     expected = stress_along_z([1e9, 0.5], [(0, 1)], 0.6)
     for k, node in enumerate(f.z.values):
         np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(node), rtol=1e-9)
@@ -72,7 +90,9 @@ def test_the_far_part_of_a_slanted_branch_does_not_matter():
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.25, "width": 0.2}
     with warned_of_far():
         long, short = (
-            scene([near + length * direction, near], [(0, 1)]).cg.coarse_grain("contact_stress", **options)
+            scene([near + length * direction, near], [(0, 1)]).cg.coarse_grain(
+                "contact_stress", **options
+            )
             for length in (1e6, 4.0)
         )
     np.testing.assert_allclose(long.contact_stress, short.contact_stress, rtol=1e-8, atol=1e-9)
@@ -99,7 +119,9 @@ def test_a_support_of_1e20_m_sees_all_grains():
 
 def test_too_many_periodic_images_raise():
     ds = scene([[0, 0, 0], [0.001, 0, 0], [0, 0.001, 0]], box=[[0, 0.006]] * 3, periodic="xyz")
-    with pytest.raises(xcg.SceneError, match=r"the box is so small .* in 2.98e\+08 periodic images"):
+    with pytest.raises(
+        xcg.SceneError, match=r"the box is so small .* in 2.98e\+08 periodic images"
+    ):
         ds.cg.coarse_grain("density", width=1.0, spacing=0.006)
     few = ds.cg.coarse_grain("number_density", width=0.005, spacing=0.006)  # five in each axis
     np.testing.assert_allclose(few.number_density, 3 / 0.006**3, rtol=0.01)
@@ -117,12 +139,17 @@ def test_too_many_periodic_images_raise():
 def test_places_too_far_away_raise(position, options, message):
     ds = scene(position, [(0, 1)], **options)
     with pytest.raises(xcg.SceneError, match=message), warned_of_far():
-        ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3)
+        ds.cg.coarse_grain(
+            "contact_stress", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3
+        )
 
 
 def test_a_spacing_far_beyond_the_support_raises():
     ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
-    with pytest.raises(xcg.SceneError, match="closer to each other"), pytest.warns(xcg.SceneWarning, match="not seen"):
+    with (
+        pytest.raises(xcg.SceneError, match="closer to each other"),
+        pytest.warns(xcg.SceneWarning, match="not seen"),
+    ):
         ds.cg.coarse_grain("density", axes="z", bounds={"z": (0.0, 1e20)}, spacing=1e18, width=0.3)
 
 
@@ -130,7 +157,9 @@ def test_a_spacing_far_beyond_the_support_raises():
 
 
 def test_sizes_whose_powers_overflow_raise():
-    with pytest.raises(xcg.SceneError, match=r"'diameter' of particle 1 is 1e-110 m, expected 1e-75 to 1e\+75 m"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'diameter' of particle 1 is 1e-110 m, expected 1e-75 to 1e\+75 m"
+    ):
         xcg.scene_from_arrays(np.eye(3), diameter=[1.0, 1e-110, 1.0])
     ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
     for width in (1e-310, 1e100):
@@ -143,13 +172,18 @@ def test_big_endian_numbers_give_equal_results():
     ds = xcg.datasets.random_scene(20, seed=1)
     turned = ds.map(lambda v: v.astype(v.dtype.newbyteorder(">")) if v.dtype.kind in "if" else v)
     names, options = ["stress", "fabric"], {"axes": "z", "by": "species"}
-    xr.testing.assert_equal(turned.cg.coarse_grain(names, **options), ds.cg.coarse_grain(names, **options))
+    xr.testing.assert_equal(
+        turned.cg.coarse_grain(names, **options), ds.cg.coarse_grain(names, **options)
+    )
     xr.testing.assert_equal(turned.cg.force_chains(), ds.cg.force_chains())
 
 
 def test_wrong_numbers_of_times_and_steps_raise():
     for name in ("time", "step"):
-        with pytest.raises(xcg.SceneError, match=f"{name}= has shape .2,.: expected one value for each of the 1 steps"):
+        with pytest.raises(
+            xcg.SceneError,
+            match=f"{name}= has shape .2,.: expected one value for each of the 1 steps",
+        ):
             xcg.scene_from_arrays(np.eye(3), **{name: [0, 1]})
 
 
@@ -170,5 +204,9 @@ def test_thousands_of_images_raise_where_they_are_paired(gradient):
         np.full((2, 3), 0.5), velocity=np.zeros((2, 3)), diameter=[0.1, 0.1], density=1.0, box=[[0, 1]] * 3,
         periodic="x",
     )  # fmt: skip
-    with pytest.raises(xcg.SceneError, match="the box is so small that a particle or contact reaches the mesh in"):
-        ds.cg.coarse_grain("granular_temperature", axes="x", spacing=0.2, width=500.0, gradient=gradient)
+    with pytest.raises(
+        xcg.SceneError, match="the box is so small that a particle or contact reaches the mesh in"
+    ):
+        ds.cg.coarse_grain(
+            "granular_temperature", axes="x", spacing=0.2, width=500.0, gradient=gradient
+        )

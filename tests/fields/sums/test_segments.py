@@ -17,14 +17,22 @@ SCENES = {
 }
 CALLS = {
     "all fields": {"width": 0.3, "rtol": 1e-3},
-    "points and closed form": {"fields": "contact_stress", "width": 0.12, "spacing": 0.4, "rtol": 1e-2},
+    "points and closed form": {
+        "fields": "contact_stress",
+        "width": 0.12,
+        "spacing": 0.4,
+        "rtol": 1e-2,
+    },
     "widths by phase, by pair": {
         "fields": ["contact_stress", "density"],
         "by": "species",
         "by_pair": True,
         "width": {1: 0.2, 2: 0.35},
     },
-    "two segments a contact": {"fields": ["couple_stress", "heat_flux", "weak_contact_stress"], "width": 0.4},
+    "two segments a contact": {
+        "fields": ["couple_stress", "heat_flux", "weak_contact_stress"],
+        "width": 0.4,
+    },
     "a kernel that wraps": {"fields": "stress", "width": 2.2, "spacing": 0.9},
     "averages along axes": {"fields": "contact_stress", "axes": "x", "width": 0.3},
     "cells": {"fields": "contact_stress", "sampling": "cell", "width": 0.5, "spacing": 1.3},
@@ -60,7 +68,9 @@ def test_segments_listed_anew_have_the_same_bits(scene, call):
     given = dict(CALLS[call])
     if call == "points":
         places = np.random.default_rng(0).uniform(0.0, 5.0, (scene.attrs["dimension"], 90))
-        given["at"] = {a: xr.DataArray(x, dims="point") for a, x in zip("xyz", places, strict=False)}
+        given["at"] = {
+            a: xr.DataArray(x, dims="point") for a, x in zip("xyz", places, strict=False)
+        }
     kept = scene.cg.coarse_grain(**given)
     found, few = [], mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=0)
     some, told = anew(found)

@@ -35,7 +35,9 @@ def test_one_group_per_step(tmp_path, scene, place):
             group = file.create_group(f"data/Step{time if place == '{time}' else 100 * t}")
             group.attrs["now"] = time
             for name in VARIABLES:
-                group.create_dataset(f"own/{name}", data=rows_of(scene, name, t), compression="gzip")
+                group.create_dataset(
+                    f"own/{name}", data=rows_of(scene, name, t), compression="gzip"
+                )
         file["data/notes"] = 1.0
     mapping = {name: f"/data/Step{place}/own/{name}" for name in VARIABLES}
     if place == "{step}":
@@ -54,23 +56,41 @@ def test_steps_along_the_first_dimension(tmp_path, scene):
     n = min(len(rows_of(scene, "position", t)) for t in range(3))
     with h5py.File(tmp_path / "run.h5", "w") as file:
         for name in ("position", "velocity", "diameter"):
-            file[f"particles/all/{name}/value"] = np.stack([rows_of(scene, name, t)[:n] for t in range(3)])
+            file[f"particles/all/{name}/value"] = np.stack(
+                [rows_of(scene, name, t)[:n] for t in range(3)]
+            )
         file["particles/all/position/time"] = [0.5, 1.0, 1.5]
     mapping = {name: f"particles/all/{name}/value" for name in ("position", "velocity", "diameter")}
     ds = xcg.open_scene(
-        tmp_path / "run.h5", mapping=mapping | {"time": "particles/all/position/time"}, density=1.0, **OPTIONS
+        tmp_path / "run.h5",
+        mapping=mapping | {"time": "particles/all/position/time"},
+        density=1.0,
+        **OPTIONS,
     )
     np.testing.assert_array_equal(ds.time, [0.5, 1.0, 1.5])
-    np.testing.assert_array_equal(ds.velocity, np.stack([rows_of(scene, "velocity", t)[:n] for t in range(3)]))
+    np.testing.assert_array_equal(
+        ds.velocity, np.stack([rows_of(scene, "velocity", t)[:n] for t in range(3)])
+    )
 
 
 def test_one_file_per_step_with_own_names(tmp_path, scene):
     for t in range(3):
         with h5py.File(tmp_path / f"run_{t}.h5", "w") as file:
             x = rows_of(scene, "position", t)
-            file["x"], file["y"], file["z"], file["r"], file["q"] = *x.T, rows_of(scene, "diameter", t) / 2, x[:, 0]
+            file["x"], file["y"], file["z"], file["r"], file["q"] = (
+                *x.T,
+                rows_of(scene, "diameter", t) / 2,
+                x[:, 0],
+            )
             file["now"] = scene.time.values[t]
-    mapping = {"position_x": "x", "position_y": "y", "position_z": "z", "radius": "r", "charge": "q", "time": "now"}
+    mapping = {
+        "position_x": "x",
+        "position_y": "y",
+        "position_z": "z",
+        "radius": "r",
+        "charge": "q",
+        "time": "now",
+    }
     ds = xcg.open_scene(str(tmp_path / "run_*.h5"), mapping=mapping, density=1.0, **OPTIONS)
     np.testing.assert_array_equal(ds.time, scene.time)
     check(ds, scene, ["position", "diameter"])
@@ -87,9 +107,18 @@ def test_one_file_per_step_with_own_names(tmp_path, scene):
         ({"position": "/T{step}/x"}, "no name like 'T{step}' in '/', which holds S0"),
         ({"position": "/S{step}/y"}, "no dataset '/S0/y'; '/S0' holds n, wide, words, x"),
         ({"position": "/S{step}/words"}, "expected numbers"),
-        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\), expected \(n\), \(n, 2\) or \(n, 3\) for 'position'"),
-        ({"position": "/S{step}/x", "radius": "/S{step}/x"}, r"shape \(2, 3\), expected \(n\) for 'radius'"),
-        ({"position": "/many", "radius": "/S0/n"}, r"'/S0/n' has the shape \(3,\), expected \(steps, n\) for 'radius'"),
+        (
+            {"position": "/S{step}/wide"},
+            r"has the shape \(2, 5\), expected \(n\), \(n, 2\) or \(n, 3\) for 'position'",
+        ),
+        (
+            {"position": "/S{step}/x", "radius": "/S{step}/x"},
+            r"shape \(2, 3\), expected \(n\) for 'radius'",
+        ),
+        (
+            {"position": "/many", "radius": "/S0/n"},
+            r"'/S0/n' has the shape \(3,\), expected \(steps, n\) for 'radius'",
+        ),
         ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
     ],
 )

@@ -74,7 +74,10 @@ def test_line_ends_of_windows_are_read(tmp_path, name):
 def test_many_steps_in_one_file_are_read(tmp_path, name):
     header = "ITEM: UNITS\nsi\n"  # LAMMPS writes it once a file
     texts = [
-        dump_text([f"1 1 {k} 0 0 0 0 0 0.5 1"] * (k > 0) + ["2 1 5 5 5 0 0 0 0.5 1"] * (k > 1), step=10 * k)
+        dump_text(
+            [f"1 1 {k} 0 0 0 0 0 0.5 1"] * (k > 0) + ["2 1 5 5 5 0 0 0 0.5 1"] * (k > 1),
+            step=10 * k,
+        )
         for k in range(4)
     ]
     path = write(tmp_path / name, [header, *texts])
@@ -102,7 +105,9 @@ def test_single_steps_are_not_read_through(tmp_path, monkeypatch):
     alone = str(write(tmp_path / "p.00700.dump.gz", dump_text([row] * 9, step=700)))
     many = str(write(tmp_path / "p.0.dump", [dump_text([row] * 9, step=k) for k in (0, 1)]))
     read = []
-    monkeypatch.setattr(lammps_engine.Scanner, "until", lambda self, marker: iter(read.append(marker) or ()))
+    monkeypatch.setattr(
+        lammps_engine.Scanner, "until", lambda self, marker: iter(read.append(marker) or ())
+    )
     (ref,) = lammps.index_particles([alone], DEFAULTS)
     assert not read
     assert ref.length == 9 * len(row + " \n")
@@ -126,8 +131,14 @@ def test_times_follow_from_step_numbers(tmp_path):
             dump_text(box="ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 1 0\n0 1\n0 1 0\n"),
             "three numbers, the bounds and a tilt",
         ),
-        (dump_text(box="ITEM: BOX BOUNDS abc origin pp pp pp\n1 0 0 0\n0 1 0 0\n0 0 1 0\n"), "triclinic"),
-        (dump_text(box="ITEM: BOX BOUNDS pp pp pp\n0 1\n0 one\n0 1\n"), "three lines of two numbers"),
+        (
+            dump_text(box="ITEM: BOX BOUNDS abc origin pp pp pp\n1 0 0 0\n0 1 0 0\n0 0 1 0\n"),
+            "triclinic",
+        ),
+        (
+            dump_text(box="ITEM: BOX BOUNDS pp pp pp\n0 1\n0 one\n0 1\n"),
+            "three lines of two numbers",
+        ),
         (dump_text().replace("ITEM: NUMBER OF ATOMS\n3\n", ""), "does not say how many rows"),
         (dump_text(count="many"), "'many' follows 'ITEM: NUMBER OF ATOMS', expected a number"),
         (dump_text(columns="id x y z id"), r"columns \['id'\] occur twice"),
@@ -162,7 +173,10 @@ def test_bad_headers_raise(tmp_path, text, match):
         ([ROWS[0], ROWS[1] + " 9", ROWS[2]], "row 1 has 11 values, expected 10"),
         ([ROWS[0] + " 9", *ROWS[1:]], "row 0 has 11 values, expected 10"),
         ([ROWS[0], ROWS[1] + " 9", ROWS[2][:-2]], "row 1 has 11 values"),
-        ([*ROWS[:2], "2 1 1.9 oops 1.5 0 0 0 0.5 1"], "row 2 has 'oops' in column 'y', expected a number"),
+        (
+            [*ROWS[:2], "2 1 1.9 oops 1.5 0 0 0 0.5 1"],
+            "row 2 has 'oops' in column 'y', expected a number",
+        ),
         ([*ROWS[:2], "2 1 1.9 nan 1.5 0 0 0 0.5 1"], "row 2 has 'nan' in column 'y'"),
     ],
 )
@@ -217,7 +231,9 @@ def test_scaled_coordinates_need_a_box(tmp_path):
 
 def test_scaled_coordinates_in_a_tilted_box_need_those_that_the_tilt_couples(tmp_path):
     tilted = "ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 1.5 0.5\n0 1 0\n0 1 0\n"
-    with pytest.raises(SceneError, match="x follows from xs and ys, and ys is missing; dump xs ys zs, or x y z"):
+    with pytest.raises(
+        SceneError, match="x follows from xs and ys, and ys is missing; dump xs ys zs, or x y z"
+    ):
         particles(tmp_path, dump_text(["1 0.5 0.8 0.5"], "id xs y zs", box=tilted))
     for columns, y in (("id xs ys zs", 0.8), ("id xs ys z", 0.8), ("id x ys zs", 0.8)):
         _, frame = particles(tmp_path, dump_text([f"1 0.5 {y} 0.5"], columns, box=tilted))
@@ -226,9 +242,13 @@ def test_scaled_coordinates_in_a_tilted_box_need_those_that_the_tilt_couples(tmp
 
 
 def test_diameters_come_from_diameter_or_radius(tmp_path):
-    _, frame = particles(tmp_path, dump_text(["1 0 0 0 0.333333 0.166667"], "id x y z diameter radius"))
+    _, frame = particles(
+        tmp_path, dump_text(["1 0 0 0 0.333333 0.166667"], "id x y z diameter radius")
+    )
     np.testing.assert_array_equal(frame["diameter"], 0.333333)
-    with pytest.raises(SceneError, match="diameter 3 of row 0 is not 2 times radius 1; drop one of the two"):
+    with pytest.raises(
+        SceneError, match="diameter 3 of row 0 is not 2 times radius 1; drop one of the two"
+    ):
         particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
     mapped = ReadOptions({"c_r": "radius"})
     text = dump_text(["1 0 0 0 3 1"], "id x y z diameter c_r")
@@ -253,7 +273,13 @@ def test_names_map_columns(tmp_path):
     names = {"c_nc": "coordination_number", "f_1[1]": "temperature", "type": None, "mol": "body_id"}
     text = dump_text(["1 2 0 0 0 4 3.5 8"], "id type x y z c_nc f_1[1] mol")
     _, frame = particles(tmp_path, text, options=ReadOptions(names))
-    assert set(frame) == {"particle_id", "position", "coordination_number", "temperature", "body_id"}
+    assert set(frame) == {
+        "particle_id",
+        "position",
+        "coordination_number",
+        "temperature",
+        "body_id",
+    }
     np.testing.assert_array_equal(frame["temperature"], 3.5)
     with pytest.raises(SceneError, match="did you mean 'velocity_"):
         particles(tmp_path, text, options=ReadOptions({"c_nc": "velocityx"}))
@@ -337,7 +363,9 @@ def test_steps_without_contacts_are_read(tmp_path):
 
 
 def test_dumps_are_recognised(tmp_path):
-    assert lammps.recognises(str(write(tmp_path / "a.dump.gz", dump_text(before="ITEM: TIME\n1\n"))))
+    assert lammps.recognises(
+        str(write(tmp_path / "a.dump.gz", dump_text(before="ITEM: TIME\n1\n")))
+    )
     assert lammps.recognises(str(write(tmp_path / "b.dump", pairs_text())))
     assert not lammps.recognises(str(write(tmp_path / "c.txt", "x y z\n")))
     (tmp_path / "d.bin").write_bytes(b"ITEM:\0\1\2")
@@ -365,17 +393,26 @@ def resultant(scene, t):
 @pytest.mark.parametrize(
     ("name", "steps", "options", "tolerance"),
     [
-        ("lammps_chute", (1, 5), {"gravity": (np.sin(np.radians(24)), 0, -np.cos(np.radians(24)))}, 5e-3),
+        (
+            "lammps_chute",
+            (1, 5),
+            {"gravity": (np.sin(np.radians(24)), 0, -np.cos(np.radians(24)))},
+            5e-3,
+        ),
         ("lammps_polydisperse", (0,), {}, 1e-8),
         ("lammps_polydisperse", (1,), {}, 5e-3),
         ("lammps_biaxial2d", (1, 2), {"periodic": "x"}, 1e-4),
     ],
 )
-@pytest.mark.filterwarnings("ignore:.*cross an edge that is not periodic")  # step 0 of one is periodic along y, too
+@pytest.mark.filterwarnings(
+    "ignore:.*cross an edge that is not periodic"
+)  # step 0 of one is periodic along y, too
 def test_contact_forces_make_the_force_on_each_particle(name, steps, options, tolerance):
     folder = shared_data(name)
     forces = {f"f{axis}": f"total_force_{axis}" for axis in "xyz"}
-    scene = open_scene(folder / "particles.*", contacts=folder / "contacts.*", names=forces, **options).compute()
+    scene = open_scene(
+        folder / "particles.*", contacts=folder / "contacts.*", names=forces, **options
+    ).compute()
     for t in steps:
         total, scale = resultant(scene, t)
         step = scene.isel(time=t)
@@ -401,8 +438,14 @@ def test_contact_points_lie_between_the_centres():
 
 def test_two_dimensional_scene_is_detected():
     folder = shared_data("lammps_biaxial2d")
-    scene = open_scene(folder / "particles.00050000.dump", contacts=folder / "contacts.00050000.dump")
-    assert (scene.attrs["dimension"], scene.attrs["plane"], scene.attrs["periodic"]) == (2, "xy", "x")
+    scene = open_scene(
+        folder / "particles.00050000.dump", contacts=folder / "contacts.00050000.dump"
+    )
+    assert (scene.attrs["dimension"], scene.attrs["plane"], scene.attrs["periodic"]) == (
+        2,
+        "xy",
+        "x",
+    )
 
 
 def test_velocities_that_lack_x_are_no_velocities(tmp_path):
@@ -418,4 +461,6 @@ def test_two_columns_for_one_variable_raise(tmp_path):
     for slot in ("velocity_x", "mass", "temperature"):
         with pytest.raises(SceneError, match=f"names maps 'a' and 'b' to '{slot}'"):
             particles(tmp_path, text, options=ReadOptions({"a": slot, "b": slot}))
-    assert particles(tmp_path, text, options=ReadOptions({"a": "mass", "b": None}))[1]["mass"] == [5]
+    assert particles(tmp_path, text, options=ReadOptions({"a": "mass", "b": None}))[1]["mass"] == [
+        5
+    ]

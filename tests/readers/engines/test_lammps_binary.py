@@ -13,8 +13,12 @@ from tests.lammps_forms import BOX, DEFAULTS, binary_step, check, frames_of, lam
 def test_a_binary_dump_equals_the_text_dump_beside_it():
     """Both by LAMMPS 22Jul2025, the text with all digits."""
     folder, walls = real_data("lammps_binary"), {"floor": "f_floor[*]"}
-    text, binary = (xcg.open_scene(folder / f"particles.{end}", walls=walls) for end in ("dump.gz", "bin"))
-    xr.testing.assert_identical(binary.drop_attrs(deep=False).compute(), text.drop_attrs(deep=False).compute())
+    text, binary = (
+        xcg.open_scene(folder / f"particles.{end}", walls=walls) for end in ("dump.gz", "bin")
+    )
+    xr.testing.assert_identical(
+        binary.drop_attrs(deep=False).compute(), text.drop_attrs(deep=False).compute()
+    )
     assert binary.sizes["time"] == 2
     assert binary.attrs["periodic"] == "xy"
     assert (binary.contact_j.values[0] == -2).any()
@@ -43,15 +47,23 @@ def test_a_tilted_box_equals_that_of_the_text(tmp_path):
     bounds = [f"{low} {high} {tilt}" for (low, high), tilt in zip(BOX, tilts, strict=True)]
     lines = "\n".join(["ITEM: BOX BOUNDS xy xz yz pp pp ff", *bounds, ""])
     text = write(tmp_path / "p.dump", dump_text(box=lines))
-    (binary,), (of_text,) = (lammps.index_particles([str(p)], DEFAULTS) for p in (tmp_path / "p.bin", text))
-    assert (binary.box, binary.lattice, binary.periodic) == (of_text.box, of_text.lattice, of_text.periodic)
+    (binary,), (of_text,) = (
+        lammps.index_particles([str(p)], DEFAULTS) for p in (tmp_path / "p.bin", text)
+    )
+    assert (binary.box, binary.lattice, binary.periodic) == (
+        of_text.box,
+        of_text.lattice,
+        of_text.periodic,
+    )
 
 
 def test_binary_particles_with_contacts_in_text_are_lazy(tmp_path):
     rows = np.array([[1, 1, 1, 1, 1, 0, 0, 0, 0.5, 1], [2, 1, 1.9, 1, 1, 0, 0, 0, 0.5, 1]])
     for step in (0, 10):
         (tmp_path / f"p.{step}.bin").write_bytes(binary_step(rows, step=step, time=step / 10))
-        write(tmp_path / f"c.{step}.dump", pairs_text(step=step, before=f"ITEM: TIME\n{step / 10}\n"))
+        write(
+            tmp_path / f"c.{step}.dump", pairs_text(step=step, before=f"ITEM: TIME\n{step / 10}\n")
+        )
     ds = xcg.open_scene(str(tmp_path / "p.*.bin"), contacts=str(tmp_path / "c.*.dump"), chunks=1)
     assert ds.position.chunks[0] == (1, 1)
     np.testing.assert_array_equal(ds.contact_force.values[:, 0], [[-9, 1, 0]] * 2)
@@ -68,8 +80,14 @@ def test_binary_particles_with_contacts_in_text_are_lazy(tmp_path):
         (lambda data: data[:60], "is cut off"),
         (lambda data: data.replace(b"radius", b"mass  "), "names id type x"),
         (lambda data: data + b"\0" * 8, "does not begin with"),
-        (lambda data: data[:34] + (2**40).to_bytes(8, "little") + data[42:], "promises 1099511627776 rows"),
-        (lambda data: data.replace(b"\x01\0\0\0\x02\0\0\0", b"\x01\0\0\0\x09\0\0\0", 1), "is of revision 9"),
+        (
+            lambda data: data[:34] + (2**40).to_bytes(8, "little") + data[42:],
+            "promises 1099511627776 rows",
+        ),
+        (
+            lambda data: data.replace(b"\x01\0\0\0\x02\0\0\0", b"\x01\0\0\0\x09\0\0\0", 1),
+            "is of revision 9",
+        ),
     ],
 )
 def test_damaged_binary_dumps_raise(tmp_path, change, message):

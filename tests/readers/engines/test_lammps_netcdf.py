@@ -26,7 +26,9 @@ def test_netcdf_holds_the_rows_of_each_step(tmp_path, version):
 def test_the_header_of_netcdf_equals_that_of_the_library(tmp_path):
     import netCDF4
 
-    path = write_netcdf(tmp_path / "n.nc", {0: rows_of(5), 10: rows_of(5, seed=1)}, extra=np.ones((5, 2)))
+    path = write_netcdf(
+        tmp_path / "n.nc", {0: rows_of(5), 10: rows_of(5, seed=1)}, extra=np.ones((5, 2))
+    )
     ours = ClassicFile(str(path))
     with netCDF4.Dataset(path) as file:
         file.set_auto_maskandscale(False)
@@ -41,7 +43,9 @@ def test_the_header_of_netcdf_equals_that_of_the_library(tmp_path):
 def test_records_of_odd_length_are_padded_unless_they_are_alone(tmp_path, several):
     import netCDF4
 
-    values = {"odd": np.arange(9, dtype="i1").reshape(3, 3)} | ({"real": np.arange(3.0)} if several else {})
+    values = {"odd": np.arange(9, dtype="i1").reshape(3, 3)} | (
+        {"real": np.arange(3.0)} if several else {}
+    )
     with netCDF4.Dataset(tmp_path / "n.nc", "w", format="NETCDF3_64BIT_OFFSET") as file:
         file.createDimension("frame", None)
         file.createDimension("three", 3)
@@ -61,7 +65,9 @@ def test_variables_beyond_what_a_file_can_hold_raise(tmp_path):
     data = path.read_bytes()
     assert data.count(begin) == 1  # offsets of 64 bits
     path.write_bytes(data.replace(begin, b"\xff" * 8))
-    with pytest.raises(xcg.SceneError, match="'cell_origin' at byte 18446744073709551615, and is damaged"):
+    with pytest.raises(
+        xcg.SceneError, match="'cell_origin' at byte 18446744073709551615, and is damaged"
+    ):
         ClassicFile(str(path))
 
 
@@ -96,8 +102,12 @@ def test_a_tilted_netcdf_box(tmp_path):
     """Lengths and angles of a lattice give the lattice back."""
     lattice = np.array([[10.0, 0, 0], [2, 9, 0], [-1, 1.5, 8]])
     lengths = np.linalg.norm(lattice, axis=1)
-    cosine = [lattice[i] @ lattice[j] / lengths[i] / lengths[j] for i, j in ((1, 2), (0, 2), (0, 1))]
-    path = write_netcdf(tmp_path / "n.nc", {0: rows_of()}, lengths=lengths, angles=np.degrees(np.arccos(cosine)))
+    cosine = [
+        lattice[i] @ lattice[j] / lengths[i] / lengths[j] for i, j in ((1, 2), (0, 2), (0, 1))
+    ]
+    path = write_netcdf(
+        tmp_path / "n.nc", {0: rows_of()}, lengths=lengths, angles=np.degrees(np.arccos(cosine))
+    )
     (ref,), _ = frames_of(path)
     np.testing.assert_allclose(ref.lattice, lattice, atol=1e-13)
     np.testing.assert_allclose(ref.box, [[0, 10], [0, 9], [-1, 7]], atol=1e-13)

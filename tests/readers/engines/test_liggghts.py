@@ -40,7 +40,9 @@ def test_pairs_are_read(tmp_path):
     (ref,) = liggghts.index_contacts([path], DEFAULTS)
     frame = liggghts.read_contacts(ref, DEFAULTS)
     # the normal follows from the branch where the periods are known
-    assert set(frame) - {"wrapped_branch"} | {"contact_normal"} == set(liggghts.contact_variables(ref, DEFAULTS))
+    assert set(frame) - {"wrapped_branch"} | {"contact_normal"} == set(
+        liggghts.contact_variables(ref, DEFAULTS)
+    )
     assert (frame["contact_i"], frame["contact_j"], frame["overlap"]) == (7, 4, 0.1)
     np.testing.assert_allclose(frame["wrapped_branch"], [[-0.9, 0, 0]])
     np.testing.assert_array_equal(frame["contact_force"], [[-3, 2, 1]])
@@ -59,7 +61,12 @@ def test_contacts_with_walls_are_read(tmp_path):
 def test_contacts_without_overlap_are_read(tmp_path):
     text = pairs_text([PAIR.rsplit(" ", 1)[0]], COLUMNS.rsplit(" ", 1)[0])
     (ref,) = liggghts.index_contacts([str(write(tmp_path / "pair.txt", text))], DEFAULTS)
-    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force", "wrapped_branch"}
+    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {
+        "contact_i",
+        "contact_j",
+        "contact_force",
+        "wrapped_branch",
+    }
 
 
 def test_other_layouts_of_columns_are_mapped(tmp_path):
@@ -94,7 +101,9 @@ def test_engine_is_guessed_from_contacts(tmp_path):
 
 def test_walls_are_for_engines_that_keep_them_apart(tmp_path):
     path = write(tmp_path / "p.dump", dump_text())
-    with pytest.raises(SceneError, match="walls=: the engine 'lammps' reads contacts with walls among"):
+    with pytest.raises(
+        SceneError, match="walls=: the engine 'lammps' reads contacts with walls among"
+    ):
         open_scene(path, walls=path, engine="lammps")
 
 
@@ -103,7 +112,9 @@ def test_contact_forces_sum_to_the_forces_on_particles(box):
     for t in range(box.sizes["time"]):
         step = box.isel(time=t)
         valid = step.contact_i.values >= 0
-        i, j, force = (step[name].values[valid] for name in ("contact_i", "contact_j", "contact_force"))
+        i, j, force = (
+            step[name].values[valid] for name in ("contact_i", "contact_j", "contact_force")
+        )
         ids = step.particle_id.values
         total = step.mass.values[:, None] * step.gravity
         np.add.at(total, np.searchsorted(ids, i), force)
@@ -112,14 +123,18 @@ def test_contact_forces_sum_to_the_forces_on_particles(box):
         dumped = np.stack([step[f"total_force_{axis}"].values for axis in "xyz"], axis=1)
         error = np.linalg.norm(total - dumped, axis=1) / np.linalg.norm(force, axis=1).mean()
         assert np.median(error) < 1e-5
-        assert np.sqrt(np.mean(error**2)) < 3e-3  # a few contacts of the first frame are not settled
+        assert (
+            np.sqrt(np.mean(error**2)) < 3e-3
+        )  # a few contacts of the first frame are not settled
 
 
 def test_contact_points_lie_half_an_overlap_inside(box):
     """Pairs meet at R - overlap/2 from both centres, walls at R - overlap."""
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
-    i, j, point, overlap = (step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "overlap"))
+    i, j, point, overlap = (
+        step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "overlap")
+    )
     period = np.array([0.05, 0.05, np.inf])
     row = np.searchsorted(step.particle_id.values, i)
     radius = step.diameter.values[row] / 2
@@ -133,10 +148,12 @@ def test_normals_of_pairs_and_walls(box):
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
     i, j, point, normal = (
-        step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "contact_normal")
+        step[name].values[valid]
+        for name in ("contact_i", "contact_j", "contact_point", "contact_normal")
     )
     arm = minimum_image(
-        step.position.values[np.searchsorted(step.particle_id.values, i)] - point, np.array([0.05, 0.05, np.inf])
+        step.position.values[np.searchsorted(step.particle_id.values, i)] - point,
+        np.array([0.05, 0.05, np.inf]),
     )
     arm /= np.linalg.norm(arm, axis=1, keepdims=True)
     np.testing.assert_allclose(normal[j >= 0], arm[j >= 0], atol=1e-4)
@@ -159,4 +176,6 @@ def test_data_of_force_chain_finder_open():
     step = scene.isel(time=1)
     for start, ids in ((0, step.contact_i), (3, step.contact_j)):
         row = np.searchsorted(step.particle_id.values, ids.values)
-        np.testing.assert_allclose(step.position.values[row], table[:, start : start + 3], atol=1e-5)
+        np.testing.assert_allclose(
+            step.position.values[row], table[:, start : start + 3], atol=1e-5
+        )

@@ -38,11 +38,15 @@ gravity is not read from here
 
 
 def data_text(times=(0.0,), rows=ROWS):
-    return "".join(DATA.format(n=len(rows), t=t) + "".join(f"{row}\n" for row in rows) for t in times)
+    return "".join(
+        DATA.format(n=len(rows), t=t) + "".join(f"{row}\n" for row in rows) for t in times
+    )
 
 
 def fstat_text(times=(0.0,), rows=(PAIR, MIRROR, WALL)):
-    return "".join(FSTAT.format(t=t) + "".join(row.format(t=t) + "\n" for row in rows) for t in times)
+    return "".join(
+        FSTAT.format(t=t) + "".join(row.format(t=t) + "\n" for row in rows) for t in times
+    )
 
 
 @pytest.fixture
@@ -131,16 +135,27 @@ def test_periods_are_those_of_periodic_boundaries(run, boundary):
     np.testing.assert_array_equal(scene.box, [[[0, 4], [0.25, 3.5], [0, 2]]] * 3)
     # moved boundaries: the restart file has the last ones only
     write(run / "run.data", data_text((0, 0.5)) + data_text((1,)).replace("4 4 2", "4 3.5 2"))
-    np.testing.assert_array_equal(open_scene(run / "run.data").box[:, 1], [[0, 4], [0, 4], [0, 3.5]])
+    np.testing.assert_array_equal(
+        open_scene(run / "run.data").box[:, 1], [[0, 4], [0, 4], [0, 3.5]]
+    )
 
 
 def test_contacts_across_a_periodic_boundary_have_branches_over_its_edges(run):
     """Spheres with R = 0.25 at y = 0.5 and 3.3 overlap by 0.05 across a period of 3.25."""
-    write(run / "run.restart", RESTART.replace("Left 0 distanceRight 4 shift 0 4 0", "Left 0.25 distanceRight 3.5"))
-    write(run / "run.data", data_text(rows=[f"2 {y} 1 0 0 0 0.25 0 0 0 0 0 0 0" for y in (0.5, 3.3)]))
+    write(
+        run / "run.restart",
+        RESTART.replace("Left 0 distanceRight 4 shift 0 4 0", "Left 0.25 distanceRight 3.5"),
+    )
+    write(
+        run / "run.data", data_text(rows=[f"2 {y} 1 0 0 0 0.25 0 0 0 0 0 0 0" for y in (0.5, 3.3)])
+    )
     write(run / "run.fstat", fstat_text(rows=["{t} 0 1 2 0.275 1 0.05 0 5 0 0 1 0 1 0 0"]))
     scene = open_scene(run / "run.data", contacts=run / "run.fstat").compute()
-    stress = scene.cg.coarse_grain("contact_stress", axes="y", width=0.2).contact_stress.mean("y").values.reshape(3, 3)
+    stress = (
+        scene.cg.coarse_grain("contact_stress", axes="y", width=0.2)
+        .contact_stress.mean("y")
+        .values.reshape(3, 3)
+    )
     np.testing.assert_allclose(abs(stress[1, 1]), 5 * 0.45 / (4 * 3.25 * 2), rtol=1e-3)
 
 
@@ -165,15 +180,30 @@ def test_names_map_columns(run):
     ("change", "match"),
     [
         ({"run.data": data_text() + "1 2 3\n"}, "expected a header 'N t xmin"),
-        ({"run.data": data_text((0, 0.5, 1))[:-20]}, r"run.data \(step 2\): row 2 has \d+ values, expected 14"),
+        (
+            {"run.data": data_text((0, 0.5, 1))[:-20]},
+            r"run.data \(step 2\): row 2 has \d+ values, expected 14",
+        ),
         ({"run.data": data_text((0, 0.5, 1)).replace("1.9", "what")}, "'what' in column 'x'"),
-        ({"run.fstat": fstat_text().replace("# 0.0", "# now", 1)}, "three lines with '#' and the time"),
+        (
+            {"run.fstat": fstat_text().replace("# 0.0", "# now", 1)},
+            "three lines with '#' and the time",
+        ),
         ({"run.fstat": fstat_text()[:-9]}, "run.fstat .*row 2 has 12 values, expected 16"),
         ({"run.restart": RESTART.replace("id 1 ", "id 7 ")}, "species 1 is not in .*run.restart"),
-        ({"run.restart": RESTART.replace("gravity 1 0 -9.81", "gravity 1 0")}, "three numbers after 'gravity'"),
-        ({"run.restart": RESTART.replace("normal 0 1 0", "normal 0.7071 0.7071 0")}, "not along x, y or z"),
+        (
+            {"run.restart": RESTART.replace("gravity 1 0 -9.81", "gravity 1 0")},
+            "three numbers after 'gravity'",
+        ),
+        (
+            {"run.restart": RESTART.replace("normal 0 1 0", "normal 0.7071 0.7071 0")},
+            "not along x, y or z",
+        ),
         ({"run.restart": RESTART.replace("shift 0 4 0", "shift 1 4 0")}, "not along x, y or z"),
-        ({"run.restart": RESTART.replace("distanceRight 4 ", "")}, "a number after 'distanceRight'"),
+        (
+            {"run.restart": RESTART.replace("distanceRight 4 ", "")},
+            "a number after 'distanceRight'",
+        ),
     ],
 )
 def test_damaged_files_raise(run, change, match):
@@ -206,7 +236,13 @@ def test_a_real_run_is_read():
         assert valid.sum() == len(pairs) + len(walls)
         i, j, normal, point, force = (
             step[name].values[valid]
-            for name in ("contact_i", "contact_j", "contact_normal", "contact_point", "contact_force")
+            for name in (
+                "contact_i",
+                "contact_j",
+                "contact_normal",
+                "contact_point",
+                "contact_force",
+            )
         )
         position, radius = step.position.values, step.diameter.values / 2
         pair = j >= 0
@@ -214,7 +250,9 @@ def test_a_real_run_is_read():
         length = np.linalg.norm(branch, axis=1)
         np.testing.assert_allclose(normal[pair], branch / length[:, None], atol=1e-12)
         overlap = step.overlap.values[valid]
-        np.testing.assert_allclose(overlap[pair], radius[i[pair]] + radius[j[pair]] - length, atol=1e-12)
+        np.testing.assert_allclose(
+            overlap[pair], radius[i[pair]] + radius[j[pair]] - length, atol=1e-12
+        )
         towards = np.sum((position[i] - point) * normal, axis=1)
         np.testing.assert_allclose(towards, radius[i] - overlap / 2, atol=1e-9)
         np.testing.assert_allclose(np.sum(force * normal, axis=1)[pair], pairs[:, 8], rtol=1e-9)

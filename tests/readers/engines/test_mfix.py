@@ -68,7 +68,9 @@ def write_contacts(path: Path, i, j, force, point=None, **more) -> Path:
 
 
 def write_pvd(path: Path, files: dict[str, str]) -> Path:
-    entries = "".join(f'<DataSet timestep="{t}" group="1" part="0" file="{f}"/>\n' for f, t in files.items())
+    entries = "".join(
+        f'<DataSet timestep="{t}" group="1" part="0" file="{f}"/>\n' for f, t in files.items()
+    )
     path.write_text(
         f'<?xml version="1.0"?>\n<VTKFile type="Collection">\n<Collection>\n{entries}</Collection></VTKFile>'
     )
@@ -83,7 +85,9 @@ def read_particles(path: Path, options=DEFAULTS):
 def read_contacts(path: Path, options=DEFAULTS):
     (ref,) = mfix.index_contacts([str(path)], options)
     frame = mfix.read_contacts(ref, options)
-    assert set(frame) - {"point_is_middle", "row_of_file"} == set(mfix.contact_variables(ref, options))
+    assert set(frame) - {"point_is_middle", "row_of_file"} == set(
+        mfix.contact_variables(ref, options)
+    )
     return frame
 
 
@@ -128,7 +132,9 @@ def test_header_longer_than_one_read(tmp_path):
     np.testing.assert_array_equal(read_particles(path, options)["temperature"], 299)
 
 
-@pytest.mark.parametrize(("name", "expected"), [("P.vtp", True), ("P.pvd", True), ("P.dump", False)])
+@pytest.mark.parametrize(
+    ("name", "expected"), [("P.vtp", True), ("P.pvd", True), ("P.dump", False)]
+)
 def test_files_of_mfix_are_recognised(tmp_path, name, expected):
     path = write_particles(tmp_path / name)
     assert mfix.recognises(str(path)) is expected
@@ -141,11 +147,15 @@ def test_missing_files_of_a_collection_are_no_steps_without_contacts(tmp_path):
         write_particles(tmp_path / f"P_{t}.vtp", time=t)
     write_contacts(tmp_path / "F_0.vtp", [1], [2], [1.0, 0, 0], time=0)
     times = dict.fromkeys("01")
-    pvd = [write_pvd(tmp_path / f"{kind}.pvd", {f"{kind}_{t}.vtp": t for t in times}) for kind in "PF"]
+    pvd = [
+        write_pvd(tmp_path / f"{kind}.pvd", {f"{kind}_{t}.vtp": t for t in times}) for kind in "PF"
+    ]
     options = {"contacts": pvd[1], "density": 1.0, "periodic": ""}
     with pytest.raises(SceneError, match=r"1 of 2 files do not exist: .*F_1\.vtp"):
         xcg.open_scene(pvd[0], missing="empty", **options)
-    with pytest.raises(SceneError, match=r"F_1\.vtp.*missing='empty' its step would count as one without contacts"):
+    with pytest.raises(
+        SceneError, match=r"F_1\.vtp.*missing='empty' its step would count as one without contacts"
+    ):
         xcg.open_scene(pvd[0], missing="empty", on_error="skip", **options)
     with pytest.warns(SceneWarning) as said:
         ds = xcg.open_scene(pvd[0], on_error="skip", **options)
@@ -156,8 +166,14 @@ def test_missing_files_of_a_collection_are_no_steps_without_contacts(tmp_path):
 
 def test_a_collection_names_or_skips_all_missing_files(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", time=0.1000025)
-    pvd = write_pvd(tmp_path / "P.pvd", {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"})
-    with pytest.raises(SceneError, match=r"2 of 3 files do not exist: .*P_0000\.vtp, .*P_0002\.vtp; .*missing='skip'"):
+    pvd = write_pvd(
+        tmp_path / "P.pvd",
+        {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"},
+    )
+    with pytest.raises(
+        SceneError,
+        match=r"2 of 3 files do not exist: .*P_0000\.vtp, .*P_0002\.vtp; .*missing='skip'",
+    ):
         mfix.index_particles([str(pvd)], DEFAULTS)
     skip = ReadOptions(extra={"missing": "skip"})
     with pytest.warns(SceneWarning, match=r"P_0000\.vtp, .*P_0002\.vtp; they are skipped"):
@@ -178,7 +194,10 @@ def test_times_of_a_list_have_fewer_digits_than_those_of_the_files(tmp_path):
 
 
 def test_last_frame_written_twice_counts_once(tmp_path):
-    paths = [str(write_particles(tmp_path / f"P_{n}.vtp", time=t)) for n, t in ((1, 0.1), (2, 0.2), (3, 0.2))]
+    paths = [
+        str(write_particles(tmp_path / f"P_{n}.vtp", time=t))
+        for n, t in ((1, 0.1), (2, 0.2), (3, 0.2))
+    ]
     assert [ref.step for ref in mfix.index_particles(paths, DEFAULTS)] == [1, 2]
     pvd = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.1", "P_2.vtp": "0.2", "P_4.vtp": "0.2"})
     assert [ref.step for ref in mfix.index_particles([str(pvd)], DEFAULTS)] == [1, 2]
@@ -186,10 +205,14 @@ def test_last_frame_written_twice_counts_once(tmp_path):
 
 def test_the_later_of_two_files_of_one_time_is_read_with_a_warning(tmp_path):
     """Also where both have equally many bytes."""
-    paths = [write_particles(tmp_path / f"P_{n}.vtp", ids) for n, ids in ((1, (1, 2, 3)), (2, (4, 5, 6)))]
+    paths = [
+        write_particles(tmp_path / f"P_{n}.vtp", ids) for n, ids in ((1, (1, 2, 3)), (2, (4, 5, 6)))
+    ]
     listed = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.5", "P_2.vtp": "0.5"})
     for given in (paths, listed):
-        with pytest.warns(SceneWarning, match=r"P_1\.vtp .*is left out, as .*P_2\.vtp .*has its time"):
+        with pytest.warns(
+            SceneWarning, match=r"P_1\.vtp .*is left out, as .*P_2\.vtp .*has its time"
+        ):
             ds = xcg.open_scene(given, density=1.0)
         np.testing.assert_array_equal(ds.particle_id, [[4, 5, 6]])
 
@@ -249,7 +272,9 @@ def test_names_add_replace_and_drop(tmp_path):
     np.testing.assert_array_equal(frame["temperature"], [10, 20, 30])
     np.testing.assert_array_equal(frame["diameter"], 2)
     assert "diameter" not in read_particles(path, ReadOptions(names={"Diameter": None}))
-    with pytest.raises(SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"):
+    with pytest.raises(
+        SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"
+    ):
         read_particles(path, ReadOptions(names={"Temp": "temperature"}))
     with pytest.raises(SceneError, match=r"several arrays to \['diameter'\]"):
         read_particles(path, ReadOptions(names={"Diameter": "diameter", "Diameter_2": "diameter"}))
@@ -265,11 +290,16 @@ def test_colliding_ids_beyond_float32_raise(tmp_path):
     path = write_particles(tmp_path / "P_1.vtp", [2**24, 2**24 + 1, 5])
     with pytest.raises(SceneError, match="Float32"):
         read_particles(path)
-    assert read_particles(write_particles(path, [2**24, 2**24 + 2, 5]))["particle_id"].max() == 2**24 + 2
+    assert (
+        read_particles(write_particles(path, [2**24, 2**24 + 2, 5]))["particle_id"].max()
+        == 2**24 + 2
+    )
 
 
 def test_an_empty_step_is_read(tmp_path):
-    frame = read_particles(write_vtp(tmp_path / "P_1.vtp", [], Particle_ID=[], Velocity=np.empty((0, 3))))
+    frame = read_particles(
+        write_vtp(tmp_path / "P_1.vtp", [], Particle_ID=[], Velocity=np.empty((0, 3)))
+    )
     assert {name: values.shape for name, values in frame.items()} == {
         "position": (0, 3), "particle_id": (0,), "velocity": (0, 3),
     }  # fmt: skip
@@ -281,7 +311,12 @@ def test_old_ascii_files_are_read(tmp_path):
     path = tmp_path / "CHUTE_DES_00003.vtp"
     path.write_text(OLD_ASCII)
     (ref,) = mfix.index_particles([str(path)], DEFAULTS)
-    assert (ref.rows, ref.time, ref.step, ref.columns) == (2, 0.25, 3, ("Position", "Diameter", "ID"))
+    assert (ref.rows, ref.time, ref.step, ref.columns) == (
+        2,
+        0.25,
+        3,
+        ("Position", "Diameter", "ID"),
+    )
     frame = mfix.read_particles(ref, DEFAULTS)
     np.testing.assert_array_equal(frame["position"], [[0, 1, 2], [3, 4, 5]])
     np.testing.assert_array_equal(frame["particle_id"], [7, 9])
@@ -300,13 +335,17 @@ DAMAGES = {
     "cut in the header": lambda text: text[:400],
     "cut before the data": lambda text: text[: text.index(b"<AppendedData")],
     "cut in the data": lambda text: text[: text.index(b" _") + 60],
-    "two pieces": lambda text: text.replace(b"</Piece>", b'</Piece><Piece NumberOfPoints="3"></Piece>'),
+    "two pieces": lambda text: text.replace(
+        b"</Piece>", b'</Piece><Piece NumberOfPoints="3"></Piece>'
+    ),
     "no number": lambda text: text.replace(b'"   3 "', b'"three"'),
     "more points than data": lambda text: text.replace(b'"   3 "', b'"9000 "'),
     "a few more points than data": lambda text: text.replace(b'"   3 "', b'"   4 "'),
     "fewer points than data": lambda text: text.replace(b'"   3 "', b'"   2 "'),
     "strange type": lambda text: text.replace(b"Float32", b"Float31"),
-    "two components": lambda text: text.replace(b'NumberOfComponents="3"', b'NumberOfComponents="2"'),
+    "two components": lambda text: text.replace(
+        b'NumberOfComponents="3"', b'NumberOfComponents="2"'
+    ),
 }
 
 
@@ -406,20 +445,33 @@ def test_mirrored_rows_become_one_with_the_mean_force(tmp_path):
     # 1-2 once; 3-4 twice, with sliding forces that differ; 5-2 twice, exact; 6-1 once, higher id first.
     i, j = [1, 4, 5, 3, 2, 6], [2, 3, 2, 4, 5, 1]
     normal = np.array([[1, 0, 0], [0, -2, 0], [0, 0, 5], [0, 2, 0], [0, 0, -5], [3, 0, 0]], float)
-    sliding = np.array([[0, 1, 0], [-0.5, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0, 0], [0, 0, 1]], float)
+    sliding = np.array(
+        [[0, 1, 0], [-0.5, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0, 0], [0, 0, 1]], float
+    )
     point = np.arange(18.0).reshape(6, 3)
-    path = write_contacts(tmp_path / "FC_1.vtp", i, j, normal + sliding, point, FORCE_CHAIN_FN=normal)
+    path = write_contacts(
+        tmp_path / "FC_1.vtp", i, j, normal + sliding, point, FORCE_CHAIN_FN=normal
+    )
     frame = read_contacts(path)
     np.testing.assert_array_equal(frame["contact_i"], [1, 3, 2, 6])
     np.testing.assert_array_equal(frame["contact_j"], [2, 4, 5, 1])
-    np.testing.assert_array_equal(frame["contact_force"], [[1, 1, 0], [0.375, 2, 0], [0, 0, -5], [3, 0, 1]])
+    np.testing.assert_array_equal(
+        frame["contact_force"], [[1, 1, 0], [0.375, 2, 0], [0, 0, -5], [3, 0, 1]]
+    )
     np.testing.assert_array_equal(frame["contact_point"], point[[0, 3, 4, 5]])
 
 
 def test_mirrors_are_found_without_normal_forces(tmp_path):
     force = np.array([[1, 2, 3], [-1, -2, -3]])
-    assert len(read_contacts(write_contacts(tmp_path / "FC_1.vtp", [1, 2], [2, 1], force))["contact_i"]) == 1
-    path = write_contacts(tmp_path / "FC_2.vtp", [1, 2], [2, 1], [[1, 0, 0], [-0.5, 0, 0]], FORCE_CHAIN_OVERLAP=[2, 2])
+    assert (
+        len(
+            read_contacts(write_contacts(tmp_path / "FC_1.vtp", [1, 2], [2, 1], force))["contact_i"]
+        )
+        == 1
+    )
+    path = write_contacts(
+        tmp_path / "FC_2.vtp", [1, 2], [2, 1], [[1, 0, 0], [-0.5, 0, 0]], FORCE_CHAIN_OVERLAP=[2, 2]
+    )
     np.testing.assert_array_equal(read_contacts(path)["contact_force"], [[0.75, 0, 0]])
 
 
@@ -446,7 +498,9 @@ def test_several_contacts_of_one_pair_stay(tmp_path):
 
 
 def test_same_pair_with_unlike_forces_is_not_a_mirror(tmp_path):
-    frame = read_contacts(write_contacts(tmp_path / "FC_1.vtp", [1, 2], [2, 1], [[1, 0, 0], [-2, 0, 0]]))
+    frame = read_contacts(
+        write_contacts(tmp_path / "FC_1.vtp", [1, 2], [2, 1], [[1, 0, 0], [-2, 0, 0]])
+    )
     np.testing.assert_array_equal(frame["contact_force"], [[1, 0, 0], [-2, 0, 0]])
 
 
@@ -473,7 +527,9 @@ def test_real_contacts_fit_the_particles(step, contacts):
     orientation = frame["contact_normal"]
     attractive = np.sum(orientation * normal, axis=1) < 0
     assert 0 < attractive.mean() < 0.02
-    np.testing.assert_allclose(np.where(attractive[:, None], -1, 1) * orientation, normal, atol=5e-3)
+    np.testing.assert_allclose(
+        np.where(attractive[:, None], -1, 1) * orientation, normal, atol=5e-3
+    )
     arm = minimum_image(frame["contact_point"] - particles["position"][i], PERIOD)
     np.testing.assert_allclose(arm, -(0.001 - frame["overlap"] / 2)[:, None] * normal, atol=2e-5)
 
@@ -498,7 +554,9 @@ def test_real_forces_add_up_to_what_mfix_applied(step):
 def test_a_real_collection_and_an_old_file_open():
     folder = shared_data("mfix_chute")
     with pytest.warns(SceneWarning, match=r"4 of 8 files.*P_FB1_0005\.vtp; they are skipped"):
-        refs = mfix.index_particles([str(folder / "P_FB1.pvd")], ReadOptions(extra={"missing": "skip"}))
+        refs = mfix.index_particles(
+            [str(folder / "P_FB1.pvd")], ReadOptions(extra={"missing": "skip"})
+        )
     assert [ref.step for ref in refs] == [2, 4, 6]
     assert refs[1].time == 0.40000344388050202
     frame = read_particles(folder / "CHUTE_DES_00000.vtp")
@@ -550,7 +608,9 @@ def write_by_vtk(path: Path, mode="Appended", compressor="ZLib", header=32, rows
 def pack(path: Path, *, members=1, keep=False) -> Path:
     """Compress a file in so many members one after the other, as `gzip` and `cat` do."""
     data = path.read_bytes()
-    parts = [data[len(data) * k // members : len(data) * (k + 1) // members] for k in range(members)]
+    parts = [
+        data[len(data) * k // members : len(data) * (k + 1) // members] for k in range(members)
+    ]
     packed = path.with_name(path.name + ".gz")
     packed.write_bytes(b"".join(map(gzip.compress, parts)))
     if not keep:
@@ -580,12 +640,17 @@ def test_a_compressed_series_opens(tmp_path):
         write_particles(tmp_path / f"P_{number}.vtp", time=number / 10)
         write_contacts(tmp_path / f"FC_{number}.vtp", [1], [2], [number, 0, 0], time=number / 10)
     kinds = {"particles": "P_*.vtp", "contacts": "FC_*.vtp"}
-    lists = {"particles": {f"P_{n}.vtp": n / 10 for n in (2, 10)}, "contacts": {f"FC_{n}.vtp": n / 10 for n in (2, 10)}}
+    lists = {
+        "particles": {f"P_{n}.vtp": n / 10 for n in (2, 10)},
+        "contacts": {f"FC_{n}.vtp": n / 10 for n in (2, 10)},
+    }
     for kind, files in lists.items():
         write_pvd(tmp_path / f"{kind}.pvd", files)
 
     def opened(**names):
-        return xcg.open_scene(**{kind: tmp_path / name for kind, name in names.items()}, density=1.0)
+        return xcg.open_scene(
+            **{kind: tmp_path / name for kind, name in names.items()}, density=1.0
+        )
 
     plain = opened(**kinds).load().drop_attrs()
     for path in tmp_path.glob("*.vtp"):

@@ -46,18 +46,29 @@ def unlike_spheres(tmp_path_factory):
     shallow = overlap < 0.3 * np.minimum(radius[i], radius[j])
     i, j, branch, distance, overlap = (a[shallow] for a in (i, j, branch, distance, overlap))
     n = branch / distance[:, None]
-    normal, sliding = 1e3 * overlap[:, None] * n, 100 * overlap[:, None] * rng.normal(size=branch.shape)
+    normal, sliding = (
+        1e3 * overlap[:, None] * n,
+        100 * overlap[:, None] * rng.normal(size=branch.shape),
+    )
     point = x[i] - (radius[i] - overlap / 2)[:, None] * n
     crossing = np.abs(x[i] - x[j])[:, 0] > length / 2
     assert (radius[i] > radius[j]).sum() > 10 < (radius[i] < radius[j]).sum()
     assert crossing.sum() > 3
 
     folder = tmp_path_factory.mktemp("mfix")
-    size = {"Diameter": 2 * radius, "Density": np.full(2000, 2500.0), "Velocity": np.zeros((2000, 3))}
+    size = {
+        "Diameter": 2 * radius,
+        "Density": np.full(2000, 2500.0),
+        "Velocity": np.zeros((2000, 3)),
+    }
     phase = np.where(radius > 0.001, 1, 2)
-    write_vtp(folder / "P_0001.vtp", x, Particle_ID=np.arange(1, 2001), Particle_Phase_ID=phase, **size)
+    write_vtp(
+        folder / "P_0001.vtp", x, Particle_ID=np.arange(1, 2001), Particle_Phase_ID=phase, **size
+    )
     rows = np.concatenate([np.arange(len(i)), np.flatnonzero(crossing)])
-    again = np.arange(len(rows)) >= len(i)  # pairs across the edge stand once more, seen from the other particle
+    again = np.arange(len(rows)) >= len(
+        i
+    )  # pairs across the edge stand once more, seen from the other particle
     first, second = np.where(again, j[rows], i[rows]), np.where(again, i[rows], j[rows])
     sign = np.where(again, -1.0, 1.0)[:, None]
     towards = -sign * n[rows]
@@ -89,7 +100,9 @@ def test_contact_points_of_unlike_spheres_follow_from_their_radii(unlike_spheres
     one, two = by_pair(ds), by_pair(exact)
     pairs = [np.sort([s.contact_i.values, s.contact_j.values], axis=0) for s in (one, two)]
     np.testing.assert_array_equal(*pairs)
-    off = minimum_image(one.contact_point.values - two.contact_point.values, np.array([0.02, np.inf, np.inf]))
+    off = minimum_image(
+        one.contact_point.values - two.contact_point.values, np.array([0.02, np.inf, np.inf])
+    )
     assert np.abs(off).max() < 2e-9  # single precision; the middle of the centres is 1.5e-3 away
 
 
@@ -109,7 +122,9 @@ def test_partial_pressure_particle_stress_and_chains_of_unlike_spheres(unlike_sp
     stress = ds.cg.particle_stress(symmetric=False).stress * ds.volume
     for species in (1, 2):
         total = stress.where(ds.species == species).sum("particle").values[0]
-        np.testing.assert_allclose(total, virial[species], rtol=0, atol=1e-5 * np.abs(virial[species]).max())
+        np.testing.assert_allclose(
+            total, virial[species], rtol=0, atol=1e-5 * np.abs(virial[species]).max()
+        )
     mesh = {
         "axes": "x",
         "bounds": {"x": (0.0, 0.02)},
@@ -117,10 +132,15 @@ def test_partial_pressure_particle_stress_and_chains_of_unlike_spheres(unlike_sp
         "spacing": 0.002,
         "width": 0.002,
     }
-    one, two = (s.cg.coarse_grain("contact_stress", by="species", **mesh).contact_stress for s in (ds, exact))
+    one, two = (
+        s.cg.coarse_grain("contact_stress", by="species", **mesh).contact_stress
+        for s in (ds, exact)
+    )
     for phase in two.phase.values:
         size = float(np.abs(two.sel(phase=phase)).max())
-        np.testing.assert_allclose(one.sel(phase=phase), two.sel(phase=phase), rtol=0, atol=1e-5 * size)
+        np.testing.assert_allclose(
+            one.sel(phase=phase), two.sel(phase=phase), rtol=0, atol=1e-5 * size
+        )
     chains = [s.cg.force_chains()[["chain_id", "links"]] for s in (ds, exact)]
     xr.testing.assert_equal(*(c.drop_vars(set(c.coords)) for c in chains))
     assert int(chains[0].chain_id.max()) > 5
@@ -131,7 +151,14 @@ def test_a_sphere_whose_partner_is_not_in_the_file(tmp_path):
     write_vtp(tmp_path / "P_1.vtp", [[0, 0, 0], [9, 9, 9]], Particle_ID=[4, 5], Diameter=[2.0, 2.0])
     # spheres of radius 1 and 4 that overlap by 0.5: centres 4.5 apart, the contact 0.75 from the small one
     middle, overlap = [[0, 0, 2.25]] * 2, [0.5, 0.5]
-    write_contacts(tmp_path / "FC_1.vtp", [4, 8], [7, 4], [[0, 0, -1], [0, 0, 1]], middle, FORCE_CHAIN_OVERLAP=overlap)
+    write_contacts(
+        tmp_path / "FC_1.vtp",
+        [4, 8],
+        [7, 4],
+        [[0, 0, -1], [0, 0, 1]],
+        middle,
+        FORCE_CHAIN_OVERLAP=overlap,
+    )
     ds = opened(tmp_path, allow_unknown=True)
     np.testing.assert_allclose(ds.contact_point.values[0], [[0, 0, 0.75]] * 2, rtol=1e-6)
     write_contacts(tmp_path / "FC_1.vtp", [4, 8], [7, 4], [[0, 0, -1], [0, 0, 1]], middle)
@@ -141,7 +168,12 @@ def test_a_sphere_whose_partner_is_not_in_the_file(tmp_path):
 
 def test_messages_count_rows_of_the_file(tmp_path):
     """Rows of superquadrics come first in the file, and the contact of spheres after them is the one at fault."""
-    write_vtp(tmp_path / "P_1.vtp", [[0, 0, 0], [2, 0, 0], [9, 9, 9]], Particle_ID=[4, 5, 6], Diameter=[2.0] * 3)
+    write_vtp(
+        tmp_path / "P_1.vtp",
+        [[0, 0, 0], [2, 0, 0], [9, 9, 9]],
+        Particle_ID=[4, 5, 6],
+        Diameter=[2.0] * 3,
+    )
     middle, point = [[0.5, 0, 0], [1.5, 0, 0], [0, 0, 2.25]], [[1, 0, 0], [1, 0, 0], [0, 0, 0.5]]
     write_contacts(
         tmp_path / "FC_1.vtp", [4, 4, 4], [5, 5, 7], np.eye(3)[[0, 0, 2]], middle, FORCE_CHAIN_CONTACT_POINT=point,
@@ -192,8 +224,19 @@ def write_superquadrics(folder, step=1, seed=0, shape="SQP_01"):
     rows = []
     for k in rng.permutation(len(i)):
         n, length = -branch[k] / distance[k], distance[k]
-        if sphere[k]:  # stands once: the middle of the centres, and a point that is off by one overlap
-            rows.append((i[k], j[k], force[k], x[i[k]] + 0.5 * length * n, length, x[i[k]] + (0.1 - 0.5 * length) * n))
+        if sphere[
+            k
+        ]:  # stands once: the middle of the centres, and a point that is off by one overlap
+            rows.append(
+                (
+                    i[k],
+                    j[k],
+                    force[k],
+                    x[i[k]] + 0.5 * length * n,
+                    length,
+                    x[i[k]] + (0.1 - 0.5 * length) * n,
+                )
+            )
             continue
         for own, other, sign in ((i[k], j[k], 1.0), (j[k], i[k], -1.0)):
             # across the edge each row is what was applied to its own first particle, else all but the side is the same
@@ -237,7 +280,10 @@ def test_superquadrics_count_once(tmp_path):
     total = (ds.cg.particle_stress(symmetric=False).stress * ds.volume).sum("particle").values[0]
     np.testing.assert_allclose(total, virial, rtol=0, atol=1e-6 * np.abs(virial).max())
     mesh = {"bounds": {"x": (0.0, 1.0), "y": (0.0, 0.5)}, "spacing": 0.1, "width": 0.1}
-    one, two = (s.cg.coarse_grain(["contact_stress", "fabric", "coordination_number"], **mesh) for s in (ds, exact))
+    one, two = (
+        s.cg.coarse_grain(["contact_stress", "fabric", "coordination_number"], **mesh)
+        for s in (ds, exact)
+    )
     for name in two.data_vars:
         size = float(np.abs(two[name]).max())
         np.testing.assert_allclose(one[name], two[name], rtol=0, atol=1e-5 * size, err_msg=name)
@@ -254,7 +300,13 @@ def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contact
     i, j, f, point, centre = map(np.array, zip(*rows, strict=True))
     length = np.linalg.norm(point - centre, axis=1)
     path = write_contacts(
-        tmp_path / "FC_1.vtp", i, j, f, (centre + point) / 2, FORCE_CHAIN_LENGTH=length, FORCE_CHAIN_CONTACT_POINT=point
+        tmp_path / "FC_1.vtp",
+        i,
+        j,
+        f,
+        (centre + point) / 2,
+        FORCE_CHAIN_LENGTH=length,
+        FORCE_CHAIN_CONTACT_POINT=point,
     )
     frame = read_contacts(path)
     np.testing.assert_array_equal(frame["contact_i"], [1, 1, 3])
@@ -264,7 +316,9 @@ def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contact
 
 def test_superquadrics_without_contact_points_raise(tmp_path):
     path = write_contacts(tmp_path / "FC_1.vtp", [1], [2], [[1, 0, 0]], shape="SQP_01")
-    with pytest.raises(SceneError, match=r"FC_1\.vtp: contacts of superquadrics need FORCE_CHAIN_CONTACT_POINT"):
+    with pytest.raises(
+        SceneError, match=r"FC_1\.vtp: contacts of superquadrics need FORCE_CHAIN_CONTACT_POINT"
+    ):
         read_contacts(path)
 
 
@@ -306,8 +360,12 @@ def test_a_bed_of_superquadrics_from_its_configuration_alone(tmp_path, across):
     places = {a: got[a].values for a in "xy"}
     bounds = {a: (v[0], v[-1]) for a, v in places.items()}
     spacing = {a: v[1] - v[0] for a, v in places.items()}
-    own = exact.cg.coarse_grain(["contact_stress"], width=width, bounds=bounds, spacing=spacing).contact_stress[0]
-    np.testing.assert_allclose(got.transpose(*own.dims), own, rtol=0, atol=1e-5 * float(np.abs(own).max()))
+    own = exact.cg.coarse_grain(
+        ["contact_stress"], width=width, bounds=bounds, spacing=spacing
+    ).contact_stress[0]
+    np.testing.assert_allclose(
+        got.transpose(*own.dims), own, rtol=0, atol=1e-5 * float(np.abs(own).max())
+    )
 
 
 @pytest.fixture(scope="module")
@@ -331,16 +389,24 @@ def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload)
     total = np.zeros_like(applied)
     for name, sign in (("contact_i", 1), ("contact_j", -1)):
         np.add.at(total, ds[name].values[0, there] - 1, sign * ds.contact_force.values[0, there])
-    free = ds.species.values[0] == 1  # fixed spheres carry forces of contacts that are not in the file
+    free = (
+        ds.species.values[0] == 1
+    )  # fixed spheres carry forces of contacts that are not in the file
     error = np.linalg.norm(total - applied, axis=1)[free]
     assert np.mean(error < 1e-7) > 0.95  # the others stand at the cyclic boundary
     assert error.max() < 0.03 < 0.01 * np.linalg.norm(applied, axis=1).max() + 0.02
     # what both rows of a contact say on average, whatever the contact points
     path = bedload / "FC_0150.vtp"
-    raw = vtp.read_arrays(vtp.read_header(str(path)), [f"FORCE_CHAIN_{n}" for n in ("FC", "GLOBAL_ID1", "GLOBAL_ID2")])
+    raw = vtp.read_arrays(
+        vtp.read_header(str(path)), [f"FORCE_CHAIN_{n}" for n in ("FC", "GLOBAL_ID1", "GLOBAL_ID2")]
+    )
     i, j = (raw[f"FORCE_CHAIN_GLOBAL_ID{side}"].astype(int) - 1 for side in (1, 2))
-    branch = minimum_image(ds.position.values[0, i] - ds.position.values[0, j], np.array([0.5, np.inf, np.inf]))
-    _, pair, rows = np.unique(np.sort([i, j], axis=0), axis=1, return_inverse=True, return_counts=True)
+    branch = minimum_image(
+        ds.position.values[0, i] - ds.position.values[0, j], np.array([0.5, np.inf, np.inf])
+    )
+    _, pair, rows = np.unique(
+        np.sort([i, j], axis=0), axis=1, return_inverse=True, return_counts=True
+    )
     virial = np.einsum("n,ni,nj->ij", 1 / rows[pair.ravel()], raw["FORCE_CHAIN_FC"], branch)
     got = (ds.cg.particle_stress(symmetric=False).stress * ds.volume).sum("particle").values[0]
     np.testing.assert_allclose(got, virial, rtol=0, atol=1e-5 * np.abs(virial).max())
@@ -348,7 +414,8 @@ def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload)
     for side in ("contact_i", "contact_j"):
         k = ds[side].values[0, there] - 1
         arm = minimum_image(
-            ds.contact_point.values[0, there] - ds.position.values[0, k], np.array([0.5, np.inf, np.inf])
+            ds.contact_point.values[0, there] - ds.position.values[0, k],
+            np.array([0.5, np.inf, np.inf]),
         )
         assert (np.linalg.norm(arm, axis=1) < 0.0131).all()
 

@@ -44,7 +44,9 @@ def check(ds, scene):
     np.testing.assert_array_equal(ds.time, scene.time)
 
 
-@pytest.mark.parametrize("ending", ["csv", "tsv", "csv.gz", "semicolon.csv", "blanks.csv", "parquet"])
+@pytest.mark.parametrize(
+    "ending", ["csv", "tsv", "csv.gz", "semicolon.csv", "blanks.csv", "parquet"]
+)
 def test_scenes_written_as_tables_read_back_equal(tmp_path, scene, ending):
     if ending == "parquet":
         pytest.importorskip("pyarrow")
@@ -90,7 +92,9 @@ def test_steps_are_numbered_by_file_names(tmp_path):
     np.testing.assert_array_equal(ds.position[:, 0, 0], [2, 10])
     for step in (2, 10):
         (tmp_path / f"p_{step}.csv").rename(tmp_path / f"p.csv.{step}")
-    np.testing.assert_array_equal(xcg.open_scene(str(tmp_path / "p.csv.*"), engine="table", density=1.0).step, [2, 10])
+    np.testing.assert_array_equal(
+        xcg.open_scene(str(tmp_path / "p.csv.*"), engine="table", density=1.0).step, [2, 10]
+    )
 
 
 def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
@@ -100,7 +104,12 @@ def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
         write(tmp_path / f"contacts_of_{name}", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
     for count in (1, 2):
         contacts = [tmp_path / f"contacts_of_{name}" for name in names[:count]]
-        ds = xcg.open_scene([tmp_path / name for name in names[:count]], contacts=contacts, density=1.0, timestep=0.5)
+        ds = xcg.open_scene(
+            [tmp_path / name for name in names[:count]],
+            contacts=contacts,
+            density=1.0,
+            timestep=0.5,
+        )
         np.testing.assert_array_equal(ds.step, np.arange(count))
         np.testing.assert_array_equal(ds.time, 0.5 * np.arange(count))
         assert (ds.contact_force.isel(contact=0, component=0) == -1).all()
@@ -113,7 +122,9 @@ def test_one_file_of_each_kind_is_paired_whatever_their_names_count(tmp_path):
     assert ds.step.values.tolist() == [3]
     assert ds.contact_force.values.tolist() == [[[-1, 0, 0]]]
     stated = write(tmp_path / "stated.csv", "step,id1,id2,fx,fy,fz\n12,0,1,-1,0,0\n")
-    assert xcg.open_scene(particles, contacts=stated, density=1.0).sizes["contact"] == 1  # one name counts
+    assert (
+        xcg.open_scene(particles, contacts=stated, density=1.0).sizes["contact"] == 1
+    )  # one name counts
     both = write(tmp_path / "both.csv", "step,x,y,z,radius\n3,0,0,0,0.5\n3,1,0,0,0.5\n")
     for one, other in ((both, stated), (tmp_path / "p.*.csv", tmp_path / "c.*.csv")):
         with pytest.raises(xcg.SceneError, match="no step with the same step number"):
@@ -124,7 +135,9 @@ def test_unnumbered_steps_at_fault_are_skipped(tmp_path):
     rows = ["0,1,0,0,0.5", "1,one,0,0,0.5", "2,1,0,0,0.5"]
     path = write(tmp_path / "a.csv", "time,x,y,z,radius\n" + "\n".join(rows))
     ds = xcg.open_scene(path, density=1.0, box=[[-1.0, 2.0]] * 3)
-    with pytest.warns(xcg.SceneWarning, match=r"step 1 is skipped: .*a\.csv \(step 1\): row 0 has 'one'"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"step 1 is skipped: .*a\.csv \(step 1\): row 0 has 'one'"
+    ):
         f = ds.cg.coarse_grain("density", axes="z", on_error="skip").compute()
     assert f.skipped.values.tolist() == [False, True, False]
 
@@ -142,7 +155,9 @@ def test_one_step_is_read_alone(tmp_path, monkeypatch):
 
 
 def test_particles_without_ids_are_numbered_by_row(tmp_path):
-    ds = xcg.open_scene(write(tmp_path / "a.csv", "x,y,z,radius\n5,0,0,0.5\n1,0,0,0.5\n"), density=1.0)
+    ds = xcg.open_scene(
+        write(tmp_path / "a.csv", "x,y,z,radius\n5,0,0,0.5\n1,0,0,0.5\n"), density=1.0
+    )
     np.testing.assert_array_equal(ds.particle_id[0], [0, 1])
     np.testing.assert_array_equal(ds.position[0, :, 0], [5, 1])
 
@@ -155,7 +170,10 @@ def test_particles_without_ids_are_numbered_by_row(tmp_path):
         ("x,y,z,radius\n1,2,3,0.5\n1,2,3\n", "row 1 has 3 values, expected 4"),
         ("x,y,z,radius\n1,2,,0.5\n", "row 0 has 3 values, expected 4"),
         ("x,y,z,radius\n1,2,three,0.5\n", "row 0 has 'three' in column 'z'"),
-        ("time,x,y,z,radius\n0,1,2,3,0.5\n1,1,2,3,0.5\n0,1,2,3,0.5\n", "rows of the time 0.0 stand apart"),
+        (
+            "time,x,y,z,radius\n0,1,2,3,0.5\n1,1,2,3,0.5\n0,1,2,3,0.5\n",
+            "rows of the time 0.0 stand apart",
+        ),
         ("time,x,y,z,radius\n0,1,2,3,0.5\n-,1,2,3,0.5\n", "row 1 has '-' in column 'time'"),
         ("step,x,y,z,radius\n0.5,1,2,3,0.5\n", "the step of row 0"),
         ("a,b,c\n1,2,3\n", "no x of the position"),
@@ -171,7 +189,9 @@ def test_damaged_tables_raise(tmp_path, text, message):
 
 def test_wrong_tables_in_memory_raise():
     good = pd.DataFrame({"x": [0.0], "y": 0.0, "z": 0.0, "radius": 0.5})
-    with pytest.raises(xcg.SceneError, match="particles: column 'x' holds other things than numbers"):
+    with pytest.raises(
+        xcg.SceneError, match="particles: column 'x' holds other things than numbers"
+    ):
         xcg.scene_from_table(good.assign(x="a"), density=1.0)
     with pytest.raises(xcg.SceneError, match=r"particles .*no y of the position"):
         xcg.scene_from_table(good.drop(columns="y"), density=1.0)
@@ -186,8 +206,12 @@ def test_wrong_tables_in_memory_raise():
 
 @pytest.mark.parametrize("name", ["time", "diameter", "particle_id", "mass", "position"])
 def test_arguments_do_not_repeat_columns(name):
-    table = pd.DataFrame({"time": [1.0, 2.0], "id": 3, "x": 0.0, "y": 0.0, "z": 0.0, "radius": 0.5, "mass": 1.0})
-    with pytest.raises(xcg.SceneError, match=f"{name}= is given, and the tables hold '{name}', too"):
+    table = pd.DataFrame(
+        {"time": [1.0, 2.0], "id": 3, "x": 0.0, "y": 0.0, "z": 0.0, "radius": 0.5, "mass": 1.0}
+    )
+    with pytest.raises(
+        xcg.SceneError, match=f"{name}= is given, and the tables hold '{name}', too"
+    ):
         xcg.scene_from_table(table, **{name: [[7.0], [7.0]]})
     ds = xcg.scene_from_table(table, **{name: None}, density=5.0, velocity=[[[1.0, 0, 0]]] * 2)
     assert (ds.mass == 1).all()
@@ -195,22 +219,33 @@ def test_arguments_do_not_repeat_columns(name):
 
 
 def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
-    table = pd.DataFrame({"x": [0.0, 1.0], "position_x": 7.0, "y": 0.0, "z": 0.0, "radius": 0.5, "diameter": 1.0})
+    table = pd.DataFrame(
+        {"x": [0.0, 1.0], "position_x": 7.0, "y": 0.0, "z": 0.0, "radius": 0.5, "diameter": 1.0}
+    )
     table = table.assign(id=[3, 4], particle_id=[5, 6], type=1, species=2)
     contacts = pd.DataFrame({"id1": [5], "id2": [6], "fx": [1.0], "fy": 0.0, "fz": 0.0, "age": 3.0})
     paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
     for path, rows in zip(paths, (table, contacts), strict=True):
         rows.to_csv(path, index=False)
     ignored = "particles: x, id, type\ncontacts: age"
-    assert xcg.open_scene(paths[0], contacts=paths[1], density=1.0).attrs["ignored_columns"] == ignored
-    assert xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"] == ignored
-    with pytest.raises(xcg.SceneError, match=r"particles.*: diameter 3 of row 1 is not 2 times radius 0\.5"):
+    assert (
+        xcg.open_scene(paths[0], contacts=paths[1], density=1.0).attrs["ignored_columns"] == ignored
+    )
+    assert (
+        xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"]
+        == ignored
+    )
+    with pytest.raises(
+        xcg.SceneError, match=r"particles.*: diameter 3 of row 1 is not 2 times radius 0\.5"
+    ):
         xcg.scene_from_table(table.assign(diameter=[1.0, 3.0]), density=1.0)
 
 
 @pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
 def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
-    grains = pd.DataFrame({"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
+    grains = pd.DataFrame(
+        {"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5}
+    )
     contacts = pd.DataFrame(columns=["time", "contact_i", "contact_j", *forces], dtype=float)
     ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0, box=[[-1.0, 2.0]] * 3)
     assert (ds.contact_i < 0).all()
@@ -218,9 +253,13 @@ def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
 
 
 def test_steps_without_rows_of_contacts_are_named():
-    grains = pd.DataFrame({"time": [1.0, 1.0, 2.0, 2.0], "x": [0.0, 1.0] * 2, "y": 0.0, "z": 0.0, "radius": 0.5})
+    grains = pd.DataFrame(
+        {"time": [1.0, 1.0, 2.0, 2.0], "x": [0.0, 1.0] * 2, "y": 0.0, "z": 0.0, "radius": 0.5}
+    )
     contacts = pd.DataFrame({"time": [1.0], "id1": 0, "id2": 1, "fx": -1.0, "fy": 0.0, "fz": 0.0})
-    with pytest.warns(xcg.SceneWarning, match=r"no rows for 1 of 2 steps of the particles, such as 2, and nothing"):
+    with pytest.warns(
+        xcg.SceneWarning, match=r"no rows for 1 of 2 steps of the particles, such as 2, and nothing"
+    ):
         ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0)
     np.testing.assert_array_equal(ds.contact_i, [[0], [-1]])
 
@@ -261,18 +300,29 @@ def test_compressed_text_of_two_steps_is_read(tmp_path, scene):
     particles, _ = tables_of(scene)
     data = particles.to_csv(index=False).encode()
     (tmp_path / "p.csv.gz").write_bytes(gzip.compress(data))
-    check(xcg.open_scene(tmp_path / "p.csv.gz", **OPTIONS), scene[[n for n in scene if "contact" not in scene[n].dims]])
+    check(
+        xcg.open_scene(tmp_path / "p.csv.gz", **OPTIONS),
+        scene[[n for n in scene if "contact" not in scene[n].dims]],
+    )
 
 
 def test_empty_cells_and_names_of_columns_raise(tmp_path):
-    shifted = write(tmp_path / "a.csv", "id,x,y,z,radius,note\n1,0,0,0,0.5,7\n2,0.5,,0.9,0.05,1,5\n")
-    with pytest.raises(xcg.SceneError, match=r"1 more ',' than 6 columns have.*every cell must hold a number"):
+    shifted = write(
+        tmp_path / "a.csv", "id,x,y,z,radius,note\n1,0,0,0,0.5,7\n2,0.5,,0.9,0.05,1,5\n"
+    )
+    with pytest.raises(
+        xcg.SceneError, match=r"1 more ',' than 6 columns have.*every cell must hold a number"
+    ):
         xcg.open_scene(shifted, density=1.0)
     short = write(tmp_path / "s.csv", "id,x,y,z,radius\n1,0,0,0,0.5\n2,0.5,,0.9,0.05\n")
-    with pytest.raises(xcg.SceneError, match=r"row 1 has 4 values, expected 5 .*; the columns are id x y z radius"):
+    with pytest.raises(
+        xcg.SceneError, match=r"row 1 has 4 values, expected 5 .*; the columns are id x y z radius"
+    ):
         xcg.open_scene(short, density=1.0)
     named = write(tmp_path / "b.csv", "ID,x,y,z,radius\n1,0,0,0,0.5\n")
-    with pytest.raises(xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"):
+    with pytest.raises(
+        xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"
+    ):
         xcg.open_scene(named, density=1.0, names={"ID": "id"})
     unknown = write(tmp_path / "c.csv", "Pos X,Pos Y,Pos Z,R\n0,0,0,0.5\n")
     with pytest.raises(xcg.SceneError, match=r"names={'Pos X': 'position_x'}"):

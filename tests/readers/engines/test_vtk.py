@@ -73,7 +73,9 @@ def test_spheres_written_by_yade_are_read(tmp_path, mode):
 
 def test_radii_and_diameters_that_disagree_raise(tmp_path):
     write_spheres(tmp_path / "a.vtu", radius=[0.5] * 3, diameter=[1.0, 1.0, 3.0])
-    with pytest.raises(xcg.SceneError, match=r"a\.vtu.*diameter 3 of row 2 is not 2 times radius 0\.5"):
+    with pytest.raises(
+        xcg.SceneError, match=r"a\.vtu.*diameter 3 of row 2 is not 2 times radius 0\.5"
+    ):
         xcg.open_scene(tmp_path / "a.vtu", density=1.0)
 
 
@@ -83,10 +85,14 @@ def test_contacts_as_points_are_read(tmp_path):
     force = np.array([[-1.0, 2, 0]])
     write_vtp(tmp_path / "c.vtp", [[0.7, 0, 0]], first=[1], second=[2], F=force)
     names = {"first": "contact_i", "second": "contact_j", "F": "contact_force"}
-    ds = xcg.open_scene(tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk", names=names).load()
+    ds = xcg.open_scene(
+        tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk", names=names
+    ).load()
     np.testing.assert_array_equal(ds.contact_force[0], force)
     np.testing.assert_allclose(ds.contact_point[0], [[0.7, 0, 0]], rtol=1e-7)
-    with pytest.raises(xcg.SceneError, match=r"c\.vtp: contacts lack \['contact_i', 'contact_j', 'contact_force'\]"):
+    with pytest.raises(
+        xcg.SceneError, match=r"c\.vtp: contacts lack \['contact_i', 'contact_j', 'contact_force'\]"
+    ):
         xcg.open_scene(tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk")
 
 
@@ -98,7 +104,15 @@ def test_contacts_as_lines_are_read(tmp_path, mode):
     """A line between two centres, forces as data of cells; a step in which nothing touches has none."""
     force = np.array([[-1.0, 2, 0], [1, -2, 3]])
     for step, x, rows in ((1, X, 2), (2, 2 * X, 0)):
-        write_vtp(tmp_path / f"p_{step}.vtp", x, time=step, id=[1, 2, 3], radius=[0.75, 0.25, 1], v=X, mass=[1, 1, 1])
+        write_vtp(
+            tmp_path / f"p_{step}.vtp",
+            x,
+            time=step,
+            id=[1, 2, 3],
+            radius=[0.75, 0.25, 1],
+            v=X,
+            mass=[1, 1, 1],
+        )
         write_lines(tmp_path / f"c_{step}.vtp", [x[[0, 1]], x[[1, 0]]][:rows], mode, first=[1, 2][:rows],
                     second=[2, 1][:rows], F=force[:rows], own=[5, 6][:rows])  # fmt: skip
     ds = xcg.open_scene(str(tmp_path / "p_*.vtp"), contacts=str(tmp_path / "c_*.vtp"), engine="vtk",
@@ -112,6 +126,10 @@ def test_contacts_as_lines_are_read(tmp_path, mode):
 def test_lines_among_other_cells_are_read(tmp_path):
     """Data of cells are those of all kinds of cells, one after the other."""
     write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1])
-    write_lines(tmp_path / "c.vtp", [X[[0, 1]]], verts=1, first=[0, 1], second=[0, 2], F=np.eye(3)[:2])
+    write_lines(
+        tmp_path / "c.vtp", [X[[0, 1]]], verts=1, first=[0, 1], second=[0, 2], F=np.eye(3)[:2]
+    )
     with pytest.raises(xcg.SceneError, match=r"c\.vtp: holds Verts beside Lines"):
-        xcg.open_scene(tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk", names=NAMES, density=1.0)
+        xcg.open_scene(
+            tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk", names=NAMES, density=1.0
+        )

@@ -10,12 +10,17 @@ from tests.dumps import write
 CELL = "10 0 0 0 10 0 0 0 10"
 GRAINS = "# time {time} step {step} cell {cell}\n# id x y z r mass vx vy vz wx wy wz fx fy fz\n"
 ROWS = "0 11.5 1 1 0.5 1 0.1 0.2 0.3 0 0 1 9 9 9\n1 2.4 1 1 0.5 1 0 0 0 0 0 0 0 0 0\n"
-PAIRS = "# id1 id2 cellDist(3) c(3) n(3) delta fn(3) fs(3)\n0 1 1 0 0 11.95 1 1 1 0 0 0.1 5 0 0 0 2 0\n"
+PAIRS = (
+    "# id1 id2 cellDist(3) c(3) n(3) delta fn(3) fs(3)\n0 1 1 0 0 11.95 1 1 1 0 0 0.1 5 0 0 0 2 0\n"
+)
 
 
 def texts(tmp_path, steps=(0, 10), cell=CELL, pairs=PAIRS):
     for step in steps:
-        write(tmp_path / f"grains_{step}.txt", GRAINS.format(time=step / 10, step=step, cell=cell) + ROWS)
+        write(
+            tmp_path / f"grains_{step}.txt",
+            GRAINS.format(time=step / 10, step=step, cell=cell) + ROWS,
+        )
         write(tmp_path / f"pairs_{step}.txt", pairs)
     return {"particles": str(tmp_path / "grains_*.txt"), "contacts": str(tmp_path / "pairs_*.txt")}
 
@@ -28,7 +33,9 @@ def test_forces_on_the_second_body_change_sign(tmp_path):
     np.testing.assert_array_equal(ds.time, [0, 1])
     np.testing.assert_array_equal([ds.contact_i[0, 0], ds.contact_j[0, 0]], [1, 0])
     np.testing.assert_array_equal(ds.contact_force[0, 0], [5, 2, 0])
-    np.testing.assert_array_equal(ds.contact_normal[0, 0], [1, 0, 0])  # from j to i, as from id1 to id2
+    np.testing.assert_array_equal(
+        ds.contact_normal[0, 0], [1, 0, 0]
+    )  # from j to i, as from id1 to id2
     np.testing.assert_array_equal(ds.diameter[0], [1, 1])
     np.testing.assert_array_equal(ds.angular_velocity[0, 0], [0, 0, 1])
 
@@ -38,7 +45,9 @@ def test_the_stress_equals_that_of_yade():
     folder = shared_data("yade_periodic")
     ds = xcg.open_scene(folder / "particles_end.txt", contacts=folder / "contacts_end.txt")
     f = ds.cg.coarse_grain("contact_stress", axes="")
-    np.testing.assert_allclose(f.contact_stress[0], -np.loadtxt(folder / "stress_end.txt"), rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(
+        f.contact_stress[0], -np.loadtxt(folder / "stress_end.txt"), rtol=1e-8, atol=1e-6
+    )
 
 
 def test_a_sheared_cell_is_read(tmp_path):
@@ -49,8 +58,13 @@ def test_a_sheared_cell_is_read(tmp_path):
 
 def test_names_without_numbers_are_paired_in_their_order(tmp_path):
     for name in ("a", "b"):
-        write(tmp_path / f"grains_{name}.txt", "#format id_x_y_z_r_matId\n0\t1\t1\t1\t0.5\t3\n1\t1.9\t1\t1\t0.5\t3\n")
-        write(tmp_path / f"pairs_{name}.txt", PAIRS.replace(" 5 0 0 ", f" {5 + (name == 'b')} 0 0 "))
+        write(
+            tmp_path / f"grains_{name}.txt",
+            "#format id_x_y_z_r_matId\n0\t1\t1\t1\t0.5\t3\n1\t1.9\t1\t1\t0.5\t3\n",
+        )
+        write(
+            tmp_path / f"pairs_{name}.txt", PAIRS.replace(" 5 0 0 ", f" {5 + (name == 'b')} 0 0 ")
+        )
     ds = xcg.open_scene(
         str(tmp_path / "grains_*.txt"), contacts=str(tmp_path / "pairs_*.txt"), density=2500, periodic="x",
         box={"x": (0, 10)},
@@ -62,7 +76,9 @@ def test_names_without_numbers_are_paired_in_their_order(tmp_path):
 def test_walls_may_be_the_first_or_second_body(tmp_path):
     """Whichever side the wall is on, the force is that on the grain."""
     for pair, sign in (("7 1", 1), ("1 7", -1)):
-        given = texts(tmp_path, pairs=PAIRS.replace("0 1 1 0 0", f"{pair} 0 0 0").replace("11.95", "1.95"))
+        given = texts(
+            tmp_path, pairs=PAIRS.replace("0 1 1 0 0", f"{pair} 0 0 0").replace("11.95", "1.95")
+        )
         with pytest.raises(xcg.SceneError, match="allow_unknown"):
             xcg.open_scene(**given).load()
         ds = xcg.open_scene(**given, allow_unknown=True).load()

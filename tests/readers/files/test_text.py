@@ -22,9 +22,9 @@ from xcg.readers.series import open_scene
 lammps = Lammps()
 
 COLUMNS = ("a", "b", "c")
-numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6g}") | st.integers(-(10**9), 10**9).map(
-    str
-)
+numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6g}") | st.integers(
+    -(10**9), 10**9
+).map(str)
 tables = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=20)
 
 
@@ -33,7 +33,12 @@ tables = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=20)
 def test_white_space_and_pieces_of_text_change_no_bit(rows, end):
     body = "".join(" ".join(row) + end for row in rows).encode()
     expected = np.array([[float(word) for word in row] for row in rows]).T.tobytes()
-    for changed in (body, body.replace(b" ", b"  "), body.replace(b" ", b"\t"), body.replace(b"\n", b"\r\n\n")):
+    for changed in (
+        body,
+        body.replace(b" ", b"  "),
+        body.replace(b" ", b"\t"),
+        body.replace(b"\n", b"\r\n\n"),
+    ):
         for size in (1, 7, len(changed)):
             pieces = [changed[at : at + size] for at in range(0, len(changed), size)]
             table = parse_table(pieces, COLUMNS, COLUMNS, len(rows), "file")
@@ -45,7 +50,10 @@ def test_white_space_and_pieces_of_text_change_no_bit(rows, end):
 def test_blocks_and_threads_change_nothing(threads, rows):
     values = np.random.default_rng(0).normal(size=(20_000, 3))
     # 1.2 MB: ten pieces of text
-    lines = ["{!r} {!r} {!r}\n".format(*row) + "\n" * (k % 700 == 5) for k, row in enumerate(values.tolist())]
+    lines = [
+        "{!r} {!r} {!r}\n".format(*row) + "\n" * (k % 700 == 5)
+        for k, row in enumerate(values.tolist())
+    ]
 
     def parse(lines, threads):
         return parse_table("".join(lines).encode(), COLUMNS, ("c", "a"), rows, "file", threads)
@@ -62,9 +70,13 @@ def test_blocks_and_threads_change_nothing(threads, rows):
             with pytest.raises(SceneError, match=re.escape(f"file: row {row} has {found}")):
                 parse([*lines[:row], line, "\n", *lines[row + 1 :]], further)
     if rows:
-        with pytest.raises(SceneError, match="19999 rows, but the header says 20000: row 19999 is missing"):
+        with pytest.raises(
+            SceneError, match="19999 rows, but the header says 20000: row 19999 is missing"
+        ):
             parse(lines[:-1], threads)
-        with pytest.raises(SceneError, match="more rows than the 20000 that the header says; row 20000 is '7 8 9'"):
+        with pytest.raises(
+            SceneError, match="more rows than the 20000 that the header says; row 20000 is '7 8 9'"
+        ):
             parse([*lines, "\n7 8 9\n\n", "8 9"], threads)
 
 
@@ -93,10 +105,14 @@ def test_an_endless_line_raises():
 def test_uneven_white_space_changes_nothing(body, wanted):
     table = parse_table(body, COLUMNS, wanted, 2, "file")
     whole = dict(zip(COLUMNS, ([1, 4], [2, 5], [3, 6]), strict=True))
-    assert {name: values.tolist() for name, values in table.items()} == {name: whole[name] for name in wanted}
+    assert {name: values.tolist() for name, values in table.items()} == {
+        name: whole[name] for name in wanted
+    }
 
 
-@pytest.mark.parametrize("body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"])
+@pytest.mark.parametrize(
+    "body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"]
+)
 def test_errors_name_the_row(body):
     with pytest.raises(SceneError, match="file: row 1 has"):
         parse_table(body, COLUMNS, COLUMNS, 2, "file")
@@ -162,7 +178,9 @@ def test_zstd_is_read_as_plain_text_is(tmp_path, opened):
     texts = [dump_text(rows(t), ATOMS, step=t) for t in range(12)]
     plain = write(tmp_path / "plain.dump", texts)
     path = tmp_path / "p.dump.zst"
-    path.write_bytes(b"".join(zstd().compress(text.encode()) for text in ["".join(texts[:5]), *texts[5:]]))  # frames
+    path.write_bytes(
+        b"".join(zstd().compress(text.encode()) for text in ["".join(texts[:5]), *texts[5:]])
+    )  # frames
     scene, expected = open_scene(path), open_scene(plain)
     np.testing.assert_array_equal(scene.position, expected.position)
     opened.clear()
@@ -195,7 +213,10 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     texts, positions = [], []
     for t in range(3):
         positions.append(rng.random((count, 3)))
-        lines = [f"{k} 1 {x} {y} {z} 0 0 0 0.005 1" for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)]
+        lines = [
+            f"{k} 1 {x} {y} {z} 0 0 0 0.005 1"
+            for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)
+        ]
         texts.append(dump_text(lines, ATOMS, step=10 * t))
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
@@ -213,7 +234,10 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
 
 @pytest.mark.parametrize("count", [10, 400])
 def test_whole_steps_of_a_gzip_file_that_ends_early_are_read(tmp_path, count):
-    texts = [dump_text([f"{k} 1 {k / 7 + t} 1 1 0 0 0 0.5 1" for k in range(1, count)], step=t) for t in range(12)]
+    texts = [
+        dump_text([f"{k} 1 {k / 7 + t} 1 1 0 0 0 0.5 1" for k in range(1, count)], step=t)
+        for t in range(12)
+    ]
     whole = gzip.compress("".join(texts).encode())
     data = whole[: int(0.9 * len(whole))]
     path = tmp_path / "p.dump.gz"
@@ -221,7 +245,9 @@ def test_whole_steps_of_a_gzip_file_that_ends_early_are_read(tmp_path, count):
     stops = np.cumsum([len(text) for text in texts])
     complete = int((stops <= len(zlib.decompressobj(31).decompress(data))).sum())
     assert 6 < complete < 12
-    with pytest.raises(SceneError, match=r"p\.dump\.gz: its compressed data are damaged or cut off"):
+    with pytest.raises(
+        SceneError, match=r"p\.dump\.gz: its compressed data are damaged or cut off"
+    ):
         open_scene(path)
     with pytest.warns(SceneWarning):
         ds = open_scene(path, on_error="skip")
@@ -231,7 +257,9 @@ def test_whole_steps_of_a_gzip_file_that_ends_early_are_read(tmp_path, count):
 
 
 def test_a_second_step_in_a_file_of_one_step_raises(tmp_path, monkeypatch):
-    rows = [f"{k} 1 {k} 1 1 0 0 0 0.5 1" for k in range(30)]  # so many that lines of headers are few
+    rows = [
+        f"{k} 1 {k} 1 1 0 0 0 0.5 1" for k in range(30)
+    ]  # so many that lines of headers are few
     texts = [dump_text(rows, step=t).encode() for t in range(2)]
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(map(gzip.compress, texts)))

@@ -81,11 +81,16 @@ def test_arrays_compressed_by_zlib_are_read(tmp_path, encoding):
 def test_wrong_sizes_of_compressed_parts_raise(tmp_path, number, size, last, part, message):
     parts = [zlib.compress(part, 9), zlib.compress(bytes(12_000))][:number]
     path = tmp_path / "block"
-    path.write_bytes(np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts))
+    path.write_bytes(
+        np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts)
+    )
     encoding = vtkdata.VtkEncoding("<", np.dtype("<u4"), "vtkZLibDataCompressor")
     tracemalloc.start()
     try:
-        with path.open("rb") as file, pytest.raises(vtkdata.DataError, match=message) if message else nullcontext():
+        with (
+            path.open("rb") as file,
+            pytest.raises(vtkdata.DataError, match=message) if message else nullcontext(),
+        ):
             assert not vtkdata.read_raw(file, 0, encoding, np.dtype("<f4"), 3000).any()
         assert tracemalloc.get_traced_memory()[1] < 1 << 22
     finally:
@@ -99,5 +104,7 @@ def test_damaged_compressed_parts_raise(tmp_path):
     data = path.read_bytes()
     start = header.arrays[0].start + 16
     path.write_bytes(data[:start] + b"\xff" * 400 + data[start + 400 :])
-    with pytest.raises(SceneError, match=r"p\.vtp: 'coordinates' is not as its header says.*does not unpack"):
+    with pytest.raises(
+        SceneError, match=r"p\.vtp: 'coordinates' is not as its header says.*does not unpack"
+    ):
         vtp.read_arrays(header, header.names)

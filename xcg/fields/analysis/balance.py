@@ -25,7 +25,9 @@ def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
     """Central difference of fourth order; NaN at the two nodes next to an end, unless the axis wraps."""
     step = float(field[axis][1] - field[axis][0])
     nodes = field.sizes[axis]
-    wide = field.pad({axis: 2}, mode="wrap") if wraps else field.pad({axis: 2}, constant_values=np.nan)
+    wide = (
+        field.pad({axis: 2}, mode="wrap") if wraps else field.pad({axis: 2}, constant_values=np.nan)
+    )
     near, far = (
         wide.isel({axis: slice(2 + k, nodes + 2 + k)}).drop_vars(axis)
         - wide.isel({axis: slice(2 - k, nodes + 2 - k)}).drop_vars(axis)
@@ -61,7 +63,10 @@ class _Law:
     units: str
     long_name: str
     fields: tuple[str, ...]
-    terms: Callable[[xr.Dataset, Callable[[xr.DataArray], xr.DataArray], xr.DataArray | float], list[xr.DataArray]]
+    terms: Callable[
+        [xr.Dataset, Callable[[xr.DataArray], xr.DataArray], xr.DataArray | float],
+        list[xr.DataArray],
+    ]
     rate: str = ""
     needs_gravity: bool = False
 
@@ -88,43 +93,73 @@ def _energy(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
 
 LAWS: dict[str, _Law] = {
     "force": _Law(
-        "N m^-3", "residual of the divergence of contact stress",
+        "N m^-3",
+        "residual of the divergence of contact stress",
         ("contact_stress", "contact_force_density", "wall_traction"),
         lambda f, div, g: [div(f.contact_stress), f.contact_force_density, -_traction(f)],
     ),
     "torque": _Law(
-        "N m^-2", "residual of the divergence of couple stress",
+        "N m^-2",
+        "residual of the divergence of couple stress",
         ("couple_stress", "torque_density", "contact_couple_density"),
         lambda f, div, g: [div(f.couple_stress), f.torque_density, -f.contact_couple_density],
     ),
     "power": _Law(
-        "W m^-3", "residual of the divergence of the contact energy flux",
+        "W m^-3",
+        "residual of the divergence of the contact energy flux",
         ("contact_energy_flux", "contact_power", "dissipation_rate", "wall_power"),
-        lambda f, div, g: [div(f.contact_energy_flux), f.contact_power, f.dissipation_rate, -f.wall_power],
+        lambda f, div, g: [
+            div(f.contact_energy_flux),
+            f.contact_power,
+            f.dissipation_rate,
+            -f.wall_power,
+        ],
     ),
     "mass": _Law(
-        "kg m^-3 s^-1", "residual of the balance of mass", ("density", "momentum_density"),
-        lambda f, div, g: [div(f.momentum_density)], rate="density",
+        "kg m^-3 s^-1",
+        "residual of the balance of mass",
+        ("density", "momentum_density"),
+        lambda f, div, g: [div(f.momentum_density)],
+        rate="density",
     ),
     "momentum": _Law(
-        "N m^-3", "residual of the balance of momentum",
+        "N m^-3",
+        "residual of the balance of momentum",
         ("density", "momentum_density", "velocity", "stress", "wall_traction"),
-        _momentum, rate="momentum_density", needs_gravity=True,
+        _momentum,
+        rate="momentum_density",
+        needs_gravity=True,
     ),
     "spin": _Law(
-        "N m^-2", "residual of the balance of spin",
+        "N m^-2",
+        "residual of the balance of spin",
         ("spin_density", "spin_flux", "couple_stress", "contact_couple_density"),
-        lambda f, div, g: [div(f.spin_flux + f.couple_stress), -f.contact_couple_density], rate="spin_density",
+        lambda f, div, g: [div(f.spin_flux + f.couple_stress), -f.contact_couple_density],
+        rate="spin_density",
     ),
     "energy": _Law(
-        "W m^-3", "residual of the balance of energy",
-        ("kinetic_energy", "kinetic_energy_flux", "contact_energy_flux", "momentum_density", "dissipation_rate",
-         "wall_power"),
-        _energy, rate="kinetic_energy", needs_gravity=True,
+        "W m^-3",
+        "residual of the balance of energy",
+        (
+            "kinetic_energy",
+            "kinetic_energy_flux",
+            "contact_energy_flux",
+            "momentum_density",
+            "dissipation_rate",
+            "wall_power",
+        ),
+        _energy,
+        rate="kinetic_energy",
+        needs_gravity=True,
     ),
-}  # fmt: skip
+}
 USUAL = ("force", "mass", "momentum")
-OF_THE_MIXTURE = ("torque", "power", "spin", "energy")  # contacts between phases are shared, their sides are not
+OF_THE_MIXTURE = (
+    "torque",
+    "power",
+    "spin",
+    "energy",
+)  # contacts between phases are shared, their sides are not
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,26 +242,36 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
             "contacts between grains of different widths exchange momentum at a distance: give one width for all"
         )
     if asked.preset is not None:
-        raise ValueError(f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out")
+        raise ValueError(
+            f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
+        )
     call, (ds, asked) = asked.call("balance"), prepare(ds, asked)
     refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
-    needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
+    needed = [name for law in laws.values() for name in law.fields] + list(
+        OF_PHASES if asked.by else ()
+    )
     request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
     plan = make_plan(describe(ds, request.by), request)
     grid = plan.deposit.grid
     if not grid.axes:
-        raise ValueError("balance takes differences between nodes: resolve an axis at least, such as axes='z'")
+        raise ValueError(
+            "balance takes differences between nodes: resolve an axis at least, such as axes='z'"
+        )
     short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
     if short:
-        raise ValueError(f"axes {short} have fewer than five nodes, which differences take; lower spacing=")
+        raise ValueError(
+            f"axes {short} have fewer than five nodes, which differences take; lower spacing="
+        )
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
     f = answer(ds, request)
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:
-        return _divergence(field, "direction" if "direction" in field.dims else "component", grid.axes, wraps)
+        return _divergence(
+            field, "direction" if "direction" in field.dims else "component", grid.axes, wraps
+        )
 
     given = np.asarray(ds.attrs.get("gravity", (0.0, 0.0, 0.0)), float)
     gravity = xr.DataArray(given, {"component": list(COMPONENTS)}, "component")
@@ -243,11 +288,17 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         largest = xr.concat([_rms(part.where(valid)) for part in parts], "term").max("term")
         norm = (_rms(residual) / largest.where(largest > 0)).rename(steps)
         out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
-        out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
+        out[f"{name}_norm"] = norm.assign_attrs(
+            units="1", long_name=f"{long_name}, relative to its largest term"
+        )
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
-    coords = {name: known[name] for name in (*f.coords, "interval") if name in known}  # in the order of the fields
+    coords = {
+        name: known[name] for name in (*f.coords, "interval") if name in known
+    }  # in the order of the fields
     return xr.Dataset(
-        {name: residual.variable for name, residual in out.items()}, coords, f.attrs | provenance(ds, call)
+        {name: residual.variable for name, residual in out.items()},
+        coords,
+        f.attrs | provenance(ds, call),
     )
 
 
@@ -256,26 +307,36 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     if isinstance(asked.of, str) or not set(asked.of or ()) <= set(LAWS) or asked.of == []:
         raise ValueError(f"of={asked.of!r}: expected a list of any of {', '.join(LAWS)}")
     lacking = {name for name, law in LAWS.items() if law.rate and ds.sizes["time"] < 2}
-    lacking |= {name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs}
+    lacking |= {
+        name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs
+    }
     for name in asked.of or ():
         if name in lacking:
             msg = f"of={list(asked.of or ())}: the balance of {name} holds between steps"
             msg += ", and takes the scene's gravity" if LAWS[name].needs_gravity else ""
-            msg += "; open two steps or more" + (", with gravity=" if LAWS[name].needs_gravity else "")
+            msg += "; open two steps or more" + (
+                ", with gravity=" if LAWS[name].needs_gravity else ""
+            )
             raise ValueError(msg)
         if asked.by is not None and name in OF_THE_MIXTURE:
             raise ValueError(
                 f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
             )
-    return {name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))}
+    return {
+        name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))
+    }
 
 
-def _halfway(field: xr.DataArray, combine: Callable[[xr.DataArray, xr.DataArray], xr.DataArray]) -> xr.DataArray:
+def _halfway(
+    field: xr.DataArray, combine: Callable[[xr.DataArray, xr.DataArray], xr.DataArray]
+) -> xr.DataArray:
     """Combine each step with the next, at the time in the middle."""
     bare = field.drop_vars(["time", "step"], errors="ignore")
     middle = (field.time[1:].variable + field.time[:-1].values) / 2
     middle.attrs = field.time.attrs | {"long_name": "time in the middle between two steps"}
-    return combine(bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None))).assign_coords(time=middle)
+    return combine(bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None))).assign_coords(
+        time=middle
+    )
 
 
 def _rms(field: xr.DataArray) -> xr.DataArray:

@@ -77,28 +77,48 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         )
     spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
     wraps = [
-        axis in str(f.attrs.get("wrapped_axes", "")) and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
-        for axis, size in ((axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True))
+        axis in str(f.attrs.get("wrapped_axes", ""))
+        and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
+        for axis, size in (
+            (axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True)
+        )
     ]
     lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]
     length = f[axes[0]].attrs.get("units", "m")
-    coords = {f"lag_{axis}": (f"lag_{axis}", step * lag, {"units": length, "long_name": f"distance along {axis}"})
-              for axis, step, lag in zip(axes, spacing, lags, strict=True)}  # fmt: skip
+    coords = {
+        f"lag_{axis}": (
+            f"lag_{axis}",
+            step * lag,
+            {"units": length, "long_name": f"distance along {axis}"},
+        )
+        for axis, step, lag in zip(axes, spacing, lags, strict=True)
+    }
     tail = [dim for dim in _TAIL if dim in a.dims]
     core = [*axes, *tail]
     sizes = {dim: len(lag) for dim, lag in zip(coords, lags, strict=True)}
     found = xr.apply_ufunc(
-        _products, a.drop_vars(axes), b.drop_vars(axes), kwargs={"wraps": tuple(wraps), "rank": len(tail)},
-        input_core_dims=[core, core], output_core_dims=[list(coords)] * 2 + [[]] * 4, dask="parallelized",
-        output_dtypes=[float] * 6, dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
-    )  # fmt: skip
+        _products,
+        a.drop_vars(axes),
+        b.drop_vars(axes),
+        kwargs={"wraps": tuple(wraps), "rank": len(tail)},
+        input_core_dims=[core, core],
+        output_core_dims=[list(coords)] * 2 + [[]] * 4,
+        dask="parallelized",
+        output_dtypes=[float] * 6,
+        dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
+    )
     sums = xr.Dataset(dict(zip(_SUMS, found, strict=True))).assign_coords(coords)
     r, by_shell = _shells([values for _, values, _ in coords.values()], min(spacing))
     for sum_ in ("products", "pairs"):
         sums[f"radial_{sum_}"] = xr.apply_ufunc(
-            by_shell, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
-            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
-        )  # fmt: skip
+            by_shell,
+            sums[sum_],
+            input_core_dims=[list(coords)],
+            output_core_dims=[["r"]],
+            dask="parallelized",
+            output_dtypes=[float],
+            dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
+        )
     sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
     about = {
         "correlation": ("1", f"correlation of {name} with {other}"),
@@ -165,10 +185,12 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     at_nodes, series = [], []
     for lag in range(last + 1):
         now, then = slice(0, steps - lag), slice(lag, None)
-        sums = xr.Dataset({
-            "products": (away.isel(time=now) * away.isel(time=then)).sum(tail),
-            "pairs": (known.isel(time=now) & known.isel(time=then)).astype(float),
-        })  # fmt: skip
+        sums = xr.Dataset(
+            {
+                "products": (away.isel(time=now) * away.isel(time=then)).sum(tail),
+                "pairs": (known.isel(time=now) & known.isel(time=then)).astype(float),
+            }
+        )
         at_nodes.append(sums.sum("time"))
         series.append(sums.sum(nodes))
     second = f["time"].attrs.get("units", "s")
@@ -179,13 +201,21 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     }
     sums = xr.concat(at_nodes, "lag")
     # the last steps have no partner
-    by_time = xr.concat([one.pad(time=(0, lag), constant_values=0.0) for lag, one in enumerate(series)], "lag")
+    by_time = xr.concat(
+        [one.pad(time=(0, lag), constant_values=0.0) for lag, one in enumerate(series)], "lag"
+    )
     by_time = by_time.chunk(time=-1, lag=-1) if by_time.chunks else by_time
     mean, error, forgets, forgets_error = xr.apply_ufunc(
-        _correlation_in_time, by_time["products"], by_time["pairs"], kwargs={"lags": lags},
-        input_core_dims=[["lag", "time"]] * 2, output_core_dims=[["lag"], ["lag"], [], []], vectorize=True,
-        dask="parallelized", output_dtypes=[float] * 4,
-    )  # fmt: skip
+        _correlation_in_time,
+        by_time["products"],
+        by_time["pairs"],
+        kwargs={"lags": lags},
+        input_core_dims=[["lag", "time"]] * 2,
+        output_core_dims=[["lag"], ["lag"], [], []],
+        vectorize=True,
+        dask="parallelized",
+        output_dtypes=[float] * 4,
+    )
     what = f"correlation of {name} with itself"
     about = {
         "correlation": (_by_lag(sums)["correlation"], "1", f"{what} at later times"),
@@ -201,7 +231,9 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
 
 def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
     if name not in f.data_vars:
-        raise ValueError(f"{purpose}({name!r}): no such field; the result has {', '.join(map(str, f.data_vars))}")
+        raise ValueError(
+            f"{purpose}({name!r}): no such field; the result has {', '.join(map(str, f.data_vars))}"
+        )
     return f[name].astype(float)
 
 
@@ -216,7 +248,9 @@ def _with_errors(
 ) -> xr.Dataset:
     """Return a function of the time mean of some sums, and its standard errors."""
     series = sums if "time" in sums.dims else sums.expand_dims("time")
-    series = series.drop_vars([name for name in series.coords if name not in series.dims or name == "time"])
+    series = series.drop_vars(
+        [name for name in series.coords if name not in series.dims or name == "time"]
+    )
     mean, errors = function(series.mean("time")), block_errors(series, "time", function)
     data = {}
     for name, (units, long_name) in about.items():
@@ -245,7 +279,10 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
 
     axes = tuple(range(-len(wraps), 0))
     sizes = np.array(a.shape[: a.ndim - rank][-len(wraps) :])
-    padded = [int(n) if wrapped else fft.next_fast_len(2 * int(n) - 1) for n, wrapped in zip(sizes, wraps, strict=True)]
+    padded = [
+        int(n) if wrapped else fft.next_fast_len(2 * int(n) - 1)
+        for n, wrapped in zip(sizes, wraps, strict=True)
+    ]
     fields, known, norms = [], [], []
     for values in (a, b):
         flat = np.moveaxis(values.reshape(*values.shape[: values.ndim - rank], -1), -1, 0)
@@ -255,14 +292,22 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
         away = np.where(here, flat - mean, 0.0)
         fields.append(fft.rfftn(away, padded, axes))
         known.append(fft.rfftn(here.astype(float), padded, axes))
-        norms += [(away**2).sum(axis=(0, *axes)), count.reshape(count.shape[: -len(wraps)]).astype(float)]
+        norms += [
+            (away**2).sum(axis=(0, *axes)),
+            count.reshape(count.shape[: -len(wraps)]).astype(float),
+        ]
     lags = [_lags(int(n), wrapped) for n, wrapped in zip(sizes, wraps, strict=True)]
     place: Any = np.ix_(*(lag % size for lag, size in zip(lags, padded, strict=True)))
-    products, pairs = (fft.irfftn(one.conj() * other, padded, axes)[(..., *place)] for one, other in (fields, known))
+    products, pairs = (
+        fft.irfftn(one.conj() * other, padded, axes)[(..., *place)]
+        for one, other in (fields, known)
+    )
     return products.sum(axis=0), np.rint(pairs), *norms
 
 
-def _shells(lags: Sequence[NDArray], thickness: float) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
+def _shells(
+    lags: Sequence[NDArray], thickness: float
+) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
     """Return the mean length (m) of the lags in each shell, and a function that adds up sums (..., lags) by shell.
 
     A shell is as thick as the smallest spacing; the longest length is the longest lag along an axis.
@@ -282,17 +327,24 @@ def _shells(lags: Sequence[NDArray], thickness: float) -> tuple[NDArray, Callabl
 
 def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
     one, two = (
-        sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0) for whose in ("", "other_")
+        sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0)
+        for whose in ("", "other_")
     )
     scale = np.sqrt((one * two).where(one * two > 0))
     found = {
-        f"{way}correlation": sums[f"{way}products"] / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0) / scale
+        f"{way}correlation": sums[f"{way}products"]
+        / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0)
+        / scale
         for way in ("", "radial_")
     }
     found["correlation_length"] = xr.apply_ufunc(
-        falls_to, found["radial_correlation"], sums["r"], input_core_dims=[["r"]] * 2, dask="parallelized",
+        falls_to,
+        found["radial_correlation"],
+        sums["r"],
+        input_core_dims=[["r"]] * 2,
+        dask="parallelized",
         output_dtypes=[float],
-    )  # fmt: skip
+    )
     return xr.Dataset(found)
 
 
@@ -304,7 +356,10 @@ def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArr
     below = ~(values > level)
     k = below.argmax(axis=-1)[..., None]
     before = np.maximum(k - 1, 0)
-    (x0, x1), (y0, y1) = (at[before], at[k]), (np.take_along_axis(values, n, axis=-1) for n in (before, k))
+    (x0, x1), (y0, y1) = (
+        (at[before], at[k]),
+        (np.take_along_axis(values, n, axis=-1) for n in (before, k)),
+    )
     falls = below.any(axis=-1, keepdims=True) & (k > 0) & np.isfinite(y1)
     share = (y0 - level) / np.where(falls, y0 - y1, 1.0)
     return np.where(falls, x0 + share * (x1 - x0), np.nan)[..., 0]

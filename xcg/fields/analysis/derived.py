@@ -69,7 +69,9 @@ def derive_director(
     """
     names = list(quaternion)
     if len(names) != 4:
-        raise ValueError(f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z")
+        raise ValueError(
+            f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z"
+        )
     require_scene(ds, names, "derive_director")
     a = np.eye(3)[COMPONENTS.index(axis)] if axis in COMPONENTS else unit_vector("axis", axis)
     w, x, y, z = (ds[name].drop_attrs(deep=False) for name in names)
@@ -79,12 +81,20 @@ def derive_director(
         (2 * (x * y + w * z), (w * w - x * x + y * y - z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), (w * w - x * x - y * y + z * z)),
     )
-    parts = [sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows]
+    parts = [
+        sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows
+    ]
     found = {"director": _vector(parts).assign_attrs(units="1", long_name="director of the grain")}
     if "angular_velocity" in ds:
-        omega = [ds.angular_velocity.sel(component=c, drop=True).drop_attrs(deep=False) for c in COMPONENTS]
+        omega = [
+            ds.angular_velocity.sel(component=c, drop=True).drop_attrs(deep=False)
+            for c in COMPONENTS
+        ]
         along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
-        label = {"units": ds.angular_velocity.attrs.get("units", "s^-1"), "long_name": "angular velocity, body axes"}
+        label = {
+            "units": ds.angular_velocity.attrs.get("units", "s^-1"),
+            "long_name": "angular velocity, body axes",
+        }
         found["body_angular_velocity"] = _vector(along).assign_attrs(label)
     return ds.assign(found)
 
@@ -143,17 +153,25 @@ def derive_superquadric(
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
     axes = list(half_axes)
-    powers = [n if n in ds else 2.0 for n in ("exponent_1", "exponent_2")] if exponents is None else list(exponents)
+    powers = (
+        [n if n in ds else 2.0 for n in ("exponent_1", "exponent_2")]
+        if exponents is None
+        else list(exponents)
+    )
     named = [power for power in powers if isinstance(power, str)]
     valid = all(power in named or is_positive(power) for power in powers)
     if len(axes) != 3 or len(powers) != 2 or not valid:
-        raise ValueError(f"{half_axes=}, {exponents=}: expected three names, and two names or positive numbers")
+        raise ValueError(
+            f"{half_axes=}, {exponents=}: expected three names, and two names or positive numbers"
+        )
     if density is not None and not is_positive(density):
         raise ValueError(f"density={density!r}: expected a positive number (kg/m^3), or None")
     known = [] if density is not None else ["mass" if "mass" in ds else "density"]
     require_scene(ds, [*axes, *named, *known], "derive_superquadric")
     a, b, c = (ds[name].drop_attrs(deep=False) for name in axes)
-    n1, n2 = (ds[power].drop_attrs(deep=False) if isinstance(power, str) else power for power in powers)
+    n1, n2 = (
+        ds[power].drop_attrs(deep=False) if isinstance(power, str) else power for power in powers
+    )
     volume, square_x, square_z = _moments(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}
@@ -161,7 +179,11 @@ def derive_superquadric(
         new["mass"] = ds.mass.drop_attrs(deep=False)
         new["density"] = new["mass"] / volume
     else:
-        new["density"] = xr.full_like(volume, density) if density is not None else ds.density.drop_attrs(deep=False)
+        new["density"] = (
+            xr.full_like(volume, density)
+            if density is not None
+            else ds.density.drop_attrs(deep=False)
+        )
         new["mass"] = new["density"] * volume
     per_volume = new["mass"] * (a * b * c) / volume
     squares = square_x * a**2, square_x * b**2, square_z * c**2
@@ -171,13 +193,18 @@ def derive_superquadric(
     for name, values in new.items():
         row = VARIABLES[name]
         new[name] = values.assign_attrs(units=units_in(row.units, system), long_name=row.long_name)
-    label = {"units": units_in("kg m^2", system), "long_name": "moments of inertia about the axes of the body"}
+    label = {
+        "units": units_in("kg m^2", system),
+        "long_name": "moments of inertia about the axes of the body",
+    }
     return ds.assign(new | {"principal_inertia": _vector(inertia).assign_attrs(label)})
 
 
 def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
     """Return components x, y and z as one vector."""
-    return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(*parts[0].dims, "component")
+    return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(
+        *parts[0].dims, "component"
+    )
 
 
 def _moments(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
@@ -242,8 +269,14 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     if count < 2:
         raise SceneError("derive_velocity needs two steps or more, and this scene has one")
     require_rising_times(ds, "derive_velocity")
-    names = ["particle_id", "position", *(name for name in OF_STEP if name in ds and name != "lattice_velocity")]
-    series = ds.drop_vars("velocity", errors="ignore").assign(moment=("time", ds["time"].to_numpy()))
+    names = [
+        "particle_id",
+        "position",
+        *(name for name in OF_STEP if name in ds and name != "lattice_velocity"),
+    ]
+    series = ds.drop_vars("velocity", errors="ignore").assign(
+        moment=("time", ds["time"].to_numpy())
+    )
     beside: dict[str, xr.Variable] = {}
     for side, step in _SIDES.items():
         other = np.clip(np.arange(count) + step, 0, count - 1)
@@ -260,7 +293,11 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
 def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
     """Velocities (t, n, 3) of a chunk, NaN in padding."""
     moment = arrays["moment"]
-    here = {name: a for name, a in arrays.items() if not name.endswith(tuple(_SIDES)) and name != "moment"}
+    here = {
+        name: a
+        for name, a in arrays.items()
+        if not name.endswith(tuple(_SIDES)) and name != "moment"
+    }
     out = np.full((*here["particle_id"].shape, 3), np.nan)
     frames = [list(steps_in(here, periodic))]
     for side in _SIDES:

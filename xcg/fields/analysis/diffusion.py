@@ -110,17 +110,22 @@ def mean_squared_displacement(
 
     def means(sums: xr.Dataset) -> xr.Dataset:
         tensor = sums["sum"] / sums["count"].where(sums["count"] > 0)
-        return xr.Dataset({"displacement_products": tensor, "mean_squared_displacement": _trace(tensor, plane)})
+        return xr.Dataset(
+            {"displacement_products": tensor, "mean_squared_displacement": _trace(tensor, plane)}
+        )
 
     def slope(sums: xr.Dataset) -> xr.Dataset:
         away = xr.DataArray(at[used] - at[used].mean(), dims="lag")
         tensor = means(sums)["displacement_products"].isel(lag=used).drop_vars("lag")
         tensor = (tensor * away).sum("lag") / (2 * (away**2).sum())
-        return xr.Dataset({"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)})
+        return xr.Dataset(
+            {"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)}
+        )
 
     found = means(samples.sum("first"))
     errors = [
-        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means) for k, lag in enumerate(chosen)
+        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
+        for k, lag in enumerate(chosen)
     ]
     parts = [(found, xr.concat(errors, "lag"))]
     if used.size:
@@ -132,11 +137,15 @@ def mean_squared_displacement(
             data[name], data[f"{name}_error"] = values[name], error[name]
     result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
     given = {"lags": list(chosen), "by": by, "remove_drift": remove_drift, "fit": fit}
-    call = format_call("mean_squared_displacement", {k: v for k, v in given.items() if v is not None})
+    call = format_call(
+        "mean_squared_displacement", {k: v for k, v in given.items() if v is not None}
+    )
     return _label(result.assign_attrs(provenance(ds, call)), chosen, by, known)
 
 
-def _label(result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]) -> xr.Dataset:
+def _label(
+    result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]
+) -> xr.Dataset:
     system = result.attrs.get("unit_system", "SI")
     about = {
         "mean_squared_displacement": ("m^2", "mean squared displacement"),
@@ -165,12 +174,18 @@ def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
 
 def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
     if steps < 2:
-        raise ValueError(f"mean_squared_displacement needs two steps or more, and the scene has {steps}")
+        raise ValueError(
+            f"mean_squared_displacement needs two steps or more, and the scene has {steps}"
+        )
     if lags is None:
         lags = [2**k for k in range(64) if 2**k <= steps // 2]
     given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
-    if not given or not all(isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given):
-        raise ValueError(f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}")
+    if not given or not all(
+        isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given
+    ):
+        raise ValueError(
+            f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}"
+        )
     return sorted({int(lag) for lag in given})
 
 
@@ -179,9 +194,15 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     if fit is None:
         return np.zeros(0, int)
     ends, hair = floats(fit), 1e-9 * at[-1]
-    used = np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair)) if ends.shape == (2,) else np.zeros(0, int)
+    used = (
+        np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair))
+        if ends.shape == (2,)
+        else np.zeros(0, int)
+    )
     if used.size < 2:
-        raise ValueError(f"fit={plain(fit)}: expected a range with two or more of the lags {at.tolist()} (s)")
+        raise ValueError(
+            f"fit={plain(fit)}: expected a range with two or more of the lags {at.tolist()} (s)"
+        )
     return used
 
 
@@ -198,12 +219,18 @@ class _Places:
     phase: NDArray
 
 
-def _ways(ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool) -> Iterator[_Places]:
+def _ways(
+    ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool
+) -> Iterator[_Places]:
     """Follow the grains from step to step."""
-    names = [n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds]
+    names = [
+        n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds
+    ]
     periodic, before = str(ds.attrs.get("periodic", "")), None
     for t, step in enumerate(each_step(ds[names])):
-        frame, lattice, source = next(steps_in({name: step[name].to_numpy() for name in names}, periodic))
+        frame, lattice, source = next(
+            steps_in({name: step[name].to_numpy() for name in names}, periodic)
+        )
         frame = without_frozen(frame)
         ids, position = frame["particle_id"], frame["position"]
         place, seen = np.zeros_like(position), np.full(len(ids), t)
@@ -240,6 +267,11 @@ def _sums(
             moved = now.place[rows[stay]] - then.place[stay]
             for phase in range(phases):
                 of_phase = moved[then.phase[stay] == phase]
-                sums[t - lag, k, phase], counts[t - lag, k, phase] = of_phase.T @ of_phase, len(of_phase)
-    sums, counts = (np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts))
+                sums[t - lag, k, phase], counts[t - lag, k, phase] = (
+                    of_phase.T @ of_phase,
+                    len(of_phase),
+                )
+    sums, counts = (
+        np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts)
+    )
     return sums, counts

@@ -29,15 +29,24 @@ from xcg.steps.labels import mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
-BESIDE = ("sample_count", "centre_offset", "density", "volume_fraction", "number_density", "effective_count",
-          "fluctuation_density")  # fmt: skip
+BESIDE = (
+    "sample_count",
+    "centre_offset",
+    "density",
+    "volume_fraction",
+    "number_density",
+    "effective_count",
+    "fluctuation_density",
+)
 _GRADIENT, _TOTAL = "displacement_gradient", "deformation_gradient"
 _LATER = "_later"
 _MADE = ("velocity", "interval")
 _MOTION: dict[str, Result] = {
-    "left": ((), "int64"), "entered": ((), "int64"), "box_gradient": ((3, 3), "float64"),
+    "left": ((), "int64"),
+    "entered": ((), "int64"),
+    "box_gradient": ((3, 3), "float64"),
     "box_shift": ((3,), "float64"),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -136,12 +145,20 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
     moves = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
     if moves and "frame" in ds.attrs:
-        raise ValueError("displacements in a box that changes are found in the scene's own axes: leave frame= out")
-    options = registry.options_of({**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature})
+        raise ValueError(
+            "displacements in a box that changes are found in the scene's own axes: leave frame= out"
+        )
+    options = registry.options_of(
+        {**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature}
+    )
     options = replace(options, lag=asked.lag)
     if asked.for_averages:
         names = (*names, *needed_for_averages(names, options))
-    derived = [name for name in names if name != _GRADIENT and _GRADIENT in registry.order_of((name,), options)]
+    derived = [
+        name
+        for name in names
+        if name != _GRADIENT and _GRADIENT in registry.order_of((name,), options)
+    ]
     summed = [name for name in names if name not in derived] + [_GRADIENT] * bool(derived)
     summed += ["centre_offset"] * (moves and "displacement" in names)
     f, motion = _between_frames(ds, asked, list(dict.fromkeys(summed)), call)
@@ -151,9 +168,13 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     if asked.accumulate:
         found[_TOTAL] = _composed(derive(_TOTAL, dict(found), options))
         labels = [name for name in ("time", "step") if name in ds.coords]
-        f = f.assign_coords({name: ("time", ds[name].to_numpy()[1:], ds[name].attrs) for name in labels})
+        f = f.assign_coords(
+            {name: ("time", ds[name].to_numpy()[1:], ds[name].attrs) for name in labels}
+        )
         since = {"units": f["interval"].attrs["units"], "long_name": "time since the first frame"}
-        f = f.assign_coords(interval=("time", ds["time"].to_numpy()[1:] - ds["time"].to_numpy()[0], since))
+        f = f.assign_coords(
+            interval=("time", ds["time"].to_numpy()[1:] - ds["time"].to_numpy()[0], since)
+        )
     system = f.attrs.get("unit_system", "SI")
     data = {}
     for name in names:
@@ -168,17 +189,23 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     if not isinstance(lag, (int, np.integer)) or isinstance(lag, bool) or lag < 1:
         raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
-        raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
+        raise ValueError(
+            f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them"
+        )
     for name, no in (("preset", None), ("by_pair", False)):
         if getattr(asked, name) != no:
-            raise ValueError(f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out")
+            raise ValueError(
+                f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out"
+            )
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     ours = [name for name in known if registry.FIELDS[name].default]
     given = ["sample_count", *ours] if asked.fields is None else asked.fields
     names = [str(name) for name in ([given] if isinstance(given, str) else given)]
     if not names:
-        raise ValueError(f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements")
+        raise ValueError(
+            f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements"
+        )
     for name in names:
         if name not in (*known, *BESIDE):
             raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
@@ -203,13 +230,23 @@ def _between_frames(
     count, lag = ds.sizes["time"] - asked.lag, asked.lag
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
     # displacements relative to the box are the same in all images
-    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore").isel(time=slice(0, count))
+    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore").isel(
+        time=slice(0, count)
+    )
     # a plan looks at names only: what stands for displacements and intervals comes with the frames
     moved = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
     scene = describe(moved, asked.by)
     plan = make_plan(scene, asked.ask(fields=names, width=asked.width, at=asked.at))
-    both = ["particle_id", "position", "time", *(name for name in OF_STEP if name in ds and name != "lattice_velocity")]
-    later = {f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable() for name in both}
+    both = [
+        "particle_id",
+        "position",
+        "time",
+        *(name for name in OF_STEP if name in ds and name != "lattice_velocity"),
+    ]
+    later = {
+        f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable()
+        for name in both
+    }
     read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
     pairs = first.assign(later)
     threads = threads_a_chunk(pairs, [*read, *later], THREADS)
@@ -220,13 +257,24 @@ def _between_frames(
     times = ds["time"].to_numpy()
     second = units_in("s", plan.setup.unit_system)
     coords = {
-        "interval": (times[lag:] - times[:count], {"units": second, "long_name": "time to the later frame"}),
-        "left": (arrays["left"], {"units": "1", "long_name": "number of grains in the first frame only"}),
-        "entered": (arrays["entered"], {"units": "1", "long_name": "number of grains in the later frame only"}),
+        "interval": (
+            times[lag:] - times[:count],
+            {"units": second, "long_name": "time to the later frame"},
+        ),
+        "left": (
+            arrays["left"],
+            {"units": "1", "long_name": "number of grains in the first frame only"},
+        ),
+        "entered": (
+            arrays["entered"],
+            {"units": "1", "long_name": "number of grains in the later frame only"},
+        ),
     }
     axes = {dim: list(COMPONENTS) for dim in ("component", "direction")}
     tensors = {"box_gradient": ("component", "direction"), "box_shift": ("component",)}
-    motion = xr.Dataset({name: (("time", *dims), arrays[name]) for name, dims in tensors.items()}, axes)
+    motion = xr.Dataset(
+        {name: (("time", *dims), arrays[name]) for name, dims in tensors.items()}, axes
+    )
     return f.assign_coords({name: ("time", *values) for name, values in coords.items()}), motion
 
 
@@ -236,11 +284,15 @@ def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) ->
     later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
     steps, grains = first["particle_id"].shape
     found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
-    first["interval"] = np.broadcast_to((later.pop("time") - first.pop("time"))[:, None], (steps, grains))
+    first["interval"] = np.broadcast_to(
+        (later.pop("time") - first.pop("time"))[:, None], (steps, grains)
+    )
     first["velocity"] = np.full((steps, grains, 3), np.nan)
     ids = np.full((steps, grains), PADDING)
     frames = {name: first[name] for name in later}
-    for t, (one, other) in enumerate(zip(steps_in(frames, periodic), steps_in(later, periodic), strict=True)):
+    for t, (one, other) in enumerate(
+        zip(steps_in(frames, periodic), steps_in(later, periodic), strict=True)
+    ):
         sources = one[2], other[2]
         rows = partners(one[0], other[0], sources)
         stay = rows >= 0
@@ -249,8 +301,13 @@ def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) ->
         given = first["particle_id"][t]
         place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
         ids[t, place] = given[place]
-        first["velocity"][t, place] = motion.relative(one[0]["position"][stay], other[0]["position"][rows[stay]])
-        found["left"][t], found["entered"][t] = (~stay).sum(), len(other[0]["position"]) - stay.sum()
+        first["velocity"][t, place] = motion.relative(
+            one[0]["position"][stay], other[0]["position"][rows[stay]]
+        )
+        found["left"][t], found["entered"][t] = (
+            (~stay).sum(),
+            len(other[0]["position"]) - stay.sum(),
+        )
         found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
     return {**compute(first | {"particle_id": ids}), **found}
 

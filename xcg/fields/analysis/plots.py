@@ -181,14 +181,20 @@ def movie(
             raise ValueError(f"{what}={number!r}: expected a positive number")
     maps = extra("matplotlib", "plot", "a movie").colormaps
     if cmap is not None and not (isinstance(cmap, str) and cmap in maps):
-        raise ValueError(unknown("colour map", cmap, maps, "others are listed by matplotlib.colormaps"))
+        raise ValueError(
+            unknown("colour map", cmap, maps, "others are listed by matplotlib.colormaps")
+        )
     f = with_time(f)
     if "time" not in f.dims:
-        raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
+        raise ValueError(
+            "movie needs a result with the dimension 'time'; draw a single step with plot"
+        )
     require_steps(f, "movie")
     animation = extra("matplotlib.animation", "plot", "a movie")
     if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
-        raise OSError(f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif")
+        raise OSError(
+            f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif"
+        )
     part = _part(f, field, component, direction, at, arrows, shading)
     count, name = part.sizes["time"], part.attrs["drawn"]
     steps = []
@@ -201,7 +207,9 @@ def movie(
         low, high = drawing.ends_of(values)
         fastest = max(_fastest(step) for step in steps)
         colours = drawing.colours_of(values, cmap, vmin, vmax)
-        figure = extra("matplotlib.figure", "plot", "a movie").Figure(figsize=(7, 5), layout="constrained")
+        figure = extra("matplotlib.figure", "plot", "a movie").Figure(
+            figsize=(7, 5), layout="constrained"
+        )
         ax = figure.add_subplot()
         axes = _axes(steps[0])
 
@@ -221,7 +229,12 @@ def movie(
         film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
         part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
         try:
-            film.save(part_of_file, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=fps, dpi=dpi)
+            film.save(
+                part_of_file,
+                writer="pillow" if path.suffix == ".gif" else "ffmpeg",
+                fps=fps,
+                dpi=dpi,
+            )
             part_of_file.replace(path)
         finally:
             part_of_file.unlink(missing_ok=True)
@@ -232,14 +245,21 @@ def movie(
 
 
 def _part(
-    f: xr.Dataset, field: str | None, component: str | None, direction: str | None, at: Mapping[str, float] | None,
-    arrows: str | None, shading: str,
-) -> xr.Dataset:  # fmt: skip
+    f: xr.Dataset,
+    field: str | None,
+    component: str | None,
+    direction: str | None,
+    at: Mapping[str, float] | None,
+    arrows: str | None,
+    shading: str,
+) -> xr.Dataset:
     """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
     check_choice("shading", shading, Shading)
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
     if "particle_id" in f:
-        raise ValueError("plot draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.plot()")
+        raise ValueError(
+            "plot draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.plot()"
+        )
     if name is None or name not in f:
         fields = list(map(str, f.data_vars))
         hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
@@ -248,23 +268,40 @@ def _part(
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        drawn, dims = ", ".join(_AXES), [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")]
+        drawn, dims = (
+            ", ".join(_AXES),
+            [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")],
+        )
         own = next((dim for dim in dims if dim not in ("time", "phase")), dims[0] if dims else None)
         step = ".isel(time=-1)" if "time" in dims and own != "time" else ""
         raise ValueError(
             f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
-            + (f"; xarray draws others, such as f[{name!r}]{step}.plot.line(x={own!r})" if own else "")
+            + (
+                f"; xarray draws others, such as f[{name!r}]{step}.plot.line(x={own!r})"
+                if own
+                else ""
+            )
         )
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
-        labels = [str(label) for label in value["component"].values if str(label) in f.attrs.get("plane", _AXES)]
+        labels = [
+            str(label)
+            for label in value["component"].values
+            if str(label) in f.attrs.get("plane", _AXES)
+        ]
         x, z = labels[0], labels[-1]
-        raise ValueError(f"{name} is a tensor: name a part of it, for example component={x!r}, direction={z!r}")
+        raise ValueError(
+            f"{name} is a tensor: name a part of it, for example component={x!r}, direction={z!r}"
+        )
     spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
     if len(axes) == 2 and spare:
         dim = str(min(spare, key=str))
-        raise ValueError(f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)")
-    chosen = {dim: x for dim, x in (("component", component), ("direction", direction)) if x is not None}
+        raise ValueError(
+            f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
+        )
+    chosen = {
+        dim: x for dim, x in (("component", component), ("direction", direction)) if x is not None
+    }
     found = {name: _component(value, name, chosen)}
     if len(axes) == 1 and f"{name}{ERROR}" in cut:
         found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
@@ -281,14 +318,18 @@ def _part(
                 found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
         if "component" in found[name].dims:
             size = (found[name] ** 2).sum("component", skipna=False) ** 0.5
-            found[name] = size.assign_attrs(value.attrs, long_name=f"magnitude of {drawing.long_name_of(value, name)}")
+            found[name] = size.assign_attrs(
+                value.attrs, long_name=f"magnitude of {drawing.long_name_of(value, name)}"
+            )
     return xr.Dataset(found, attrs={"drawn": name})
 
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
     for dim, label in chosen.items():
         if dim in value.dims and not isinstance(label, str):
-            raise TypeError(f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}")
+            raise TypeError(
+                f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}"
+            )
         value = _labelled(value, dim, label).drop_vars(dim)
     part = f"{drawing.long_name_of(value, name)}, {''.join(chosen.values())}"
     return value.assign_attrs(value.attrs, long_name=part) if chosen else value
@@ -297,7 +338,9 @@ def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.
 def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
     if set(at or ()) - set(_axes(f)):
-        raise ValueError(f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}")
+        raise ValueError(
+            f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}"
+        )
     cut = f.sel(at, method="nearest") if at else f
     if len(axes := _axes(cut)) < 3:
         return cut
@@ -351,7 +394,9 @@ def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
     for labels in product(*(value[dim].to_numpy() for dim in others)):
         place = dict(zip(others, labels, strict=True))
         y = value.sel(place).to_numpy()
-        (line,) = ax.plot(*((y, nodes) if upright else (nodes, y)), label=", ".join(map(str, labels)) or None)
+        (line,) = ax.plot(
+            *((y, nodes) if upright else (nodes, y)), label=", ".join(map(str, labels)) or None
+        )
         if error is not None:
             e = error.sel(place).to_numpy()
             fill = ax.fill_betweenx if upright else ax.fill_between
@@ -364,9 +409,14 @@ def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
 
 
 def _draw_map(
-    picture: xr.Dataset, name: str, axes: list[str], ax: Axes, colours: Mapping[str, Any], fastest: float,
+    picture: xr.Dataset,
+    name: str,
+    axes: list[str],
+    ax: Axes,
+    colours: Mapping[str, Any],
+    fastest: float,
     shading: Shading,
-) -> Any:  # fmt: skip
+) -> Any:
     across, up = axes
     picture = picture.sortby(axes)
     value = picture[name].transpose(up, across)
@@ -378,26 +428,39 @@ def _draw_map(
         every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
         some = picture.isel({a: slice(every // 2, None, every) for a in axes})
         along, rise = (some[f"{_ARROW}{a}"].transpose(up, across).to_numpy() for a in axes)
-        apart = min((float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0)
+        apart = min(
+            (float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0
+        )
         _draw_arrows(ax, *np.meshgrid(some[across], some[up]), along, rise, fastest, apart)
     ax.set_aspect("auto" if across == "theta" else "equal")
     ax.apply_aspect()
     wide = ax.get_window_extent().width / ax.figure.dpi
     if wide < NARROW:
-        ax.xaxis.set_major_locator(extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide))))
+        ax.xaxis.set_major_locator(
+            extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide)))
+        )
     drawing.set_label(ax.xaxis, drawing.label_of(picture[across], across))
     drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
     return mesh
 
 
 def _draw_circle(
-    picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Mapping[str, Any], fastest: float, shading: Shading
+    picture: xr.Dataset,
+    value: xr.DataArray,
+    ax: Axes,
+    colours: Mapping[str, Any],
+    fastest: float,
+    shading: Shading,
 ) -> Any:
     """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
     rim, turn, values = drawing.cells_of(value, shading)
     rim = rim.clip(0)
     mesh = ax.pcolormesh(
-        rim * np.cos(turn[:, None]), rim * np.sin(turn[:, None]), values, rasterized=shading == "smooth", **colours
+        rim * np.cos(turn[:, None]),
+        rim * np.sin(turn[:, None]),
+        values,
+        rasterized=shading == "smooth",
+        **colours,
     )
     if fastest > 0:
         apart = 2 * rim[-1] / ARROWS
@@ -407,7 +470,9 @@ def _draw_circle(
         inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
         x, y, away, angle = (a[inside] for a in (x, y, away, angle))
         there = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
-        outward, around = (picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta"))
+        outward, around = (
+            picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta")
+        )
         along = outward * np.cos(angle) - around * np.sin(angle)
         rise = outward * np.sin(angle) + around * np.cos(angle)
         _draw_arrows(ax, x, y, along, rise, fastest, apart)
@@ -418,13 +483,25 @@ def _draw_circle(
     return mesh
 
 
-def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float) -> None:
+def _draw_arrows(
+    ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float
+) -> None:
     """Draw arrows; the longest are as long as their spacing, and slow places have none."""
     there = np.hypot(along, rise) >= AT_REST * fastest
     ax.quiver(
-        x[there], y[there], along[there], rise[there], pivot="mid", color="white", edgecolor="black", linewidth=0.5,
-        angles="xy", scale_units="xy", scale=fastest / apart, width=0.006,
-    )  # fmt: skip
+        x[there],
+        y[there],
+        along[there],
+        rise[there],
+        pivot="mid",
+        color="white",
+        edgecolor="black",
+        linewidth=0.5,
+        angles="xy",
+        scale_units="xy",
+        scale=fastest / apart,
+        width=0.006,
+    )
 
 
 def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray) -> None:
@@ -435,14 +512,21 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
     ax = mesh.axes
     room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
     tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
-    drawing.add_colour_bar(mesh, ax, drawing.label_of(picture[name], name), extend=extend, shrink=min(1.0, tall))
+    drawing.add_colour_bar(
+        mesh, ax, drawing.label_of(picture[name], name), extend=extend, shrink=min(1.0, tall)
+    )
 
 
 def _title(picture: xr.Dataset) -> str:
     """Return the time and the position of a slice, as text."""
     parts = []
-    for name in (a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim):
-        value, unit = picture[name].item(), drawing.unit_text(str(picture[name].attrs.get("units", "")))
+    for name in (
+        a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim
+    ):
+        value, unit = (
+            picture[name].item(),
+            drawing.unit_text(str(picture[name].attrs.get("units", ""))),
+        )
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         parts.append(f"{name} = {text} {unit}".rstrip())
     return ", ".join(parts)

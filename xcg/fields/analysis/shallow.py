@@ -22,7 +22,9 @@ from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, provenance
 
 
-def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: str = "volume_fraction") -> xr.Dataset:
+def free_surface(
+    f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: str = "volume_fraction"
+) -> xr.Dataset:
     """Find the free surface and the base of a flow: where its fields fall through a share of their bulk value.
 
     The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the same everywhere.
@@ -60,22 +62,35 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
     ('time', 'x')
     """
     if of not in f:
-        raise ValueError(f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}")
+        raise ValueError(
+            f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}"
+        )
     if axis not in f[of].dims:
-        raise ValueError(f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}")
+        raise ValueError(
+            f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}"
+        )
     if not (is_finite(threshold) and 0 < threshold < 1):
-        raise ValueError(f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5")
+        raise ValueError(
+            f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5"
+        )
     values = f[of].sortby(axis)
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
     found = xr.apply_ufunc(
-        partial(_crossings, z=values[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
-        threshold * bulk, input_core_dims=[[axis], []], output_core_dims=[["end"]], dask="parallelized",
-        output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"end": 2}},
-    )  # fmt: skip
-    about = {"units": f[axis].attrs.get("units", "m")} | ({"cutoff": f.attrs["cutoff"]} if "cutoff" in f.attrs else {})
+        partial(_crossings, z=values[axis].to_numpy()),
+        values.chunk({axis: -1}) if values.chunks else values,
+        threshold * bulk,
+        input_core_dims=[[axis], []],
+        output_core_dims=[["end"]],
+        dask="parallelized",
+        output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {"end": 2}},
+    )
+    about = {"units": f[axis].attrs.get("units", "m")} | (
+        {"cutoff": f.attrs["cutoff"]} if "cutoff" in f.attrs else {}
+    )
     data, share = {}, f"where {of} is {threshold:g} of its bulk value"
     for end, name, what in ((1, "height", "free surface"), (0, "base", "base")):
         data[name] = found.isel(end=end).drop_attrs(deep=False)
@@ -88,10 +103,19 @@ def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
     """Lowest and highest crossing (..., 2) of values (..., n) through what is `least` (...)."""
     above = values >= least[..., None]
     out = np.full((*above.shape[:-1], 2), np.nan)
-    for end, (inside, beyond) in enumerate(((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))):
+    for end, (inside, beyond) in enumerate(
+        ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))
+    ):
         crosses = above[..., inside] & ~above[..., beyond]
-        k = crosses.argmax(-1) if end == 0 else crosses.shape[-1] - 1 - crosses[..., ::-1].argmax(-1)
-        here, there = (np.take_along_axis(values[..., part], k[..., None], -1)[..., 0] for part in (inside, beyond))
+        k = (
+            crosses.argmax(-1)
+            if end == 0
+            else crosses.shape[-1] - 1 - crosses[..., ::-1].argmax(-1)
+        )
+        here, there = (
+            np.take_along_axis(values[..., part], k[..., None], -1)[..., 0]
+            for part in (inside, beyond)
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
             share = (here - least) / (here - np.where(np.isnan(there), 0.0, there))
         place = z[inside][k] + share * (z[beyond][k] - z[inside][k])
@@ -129,21 +153,31 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     16.699244
     """
     if isinstance(surface, xr.Dataset) and "height" not in surface:
-        raise ValueError("fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields")
+        raise ValueError(
+            "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
+        )
     height = surface["height"] if isinstance(surface, xr.Dataset) else surface
     axes = [a for a in COMPONENTS if a in height.dims]
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
-    places = np.stack([c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1)
+    places = np.stack(
+        [c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1
+    )
     support = 2 * float(np.max(height.attrs.get("cutoff", surface.attrs.get("cutoff", 0.0))))
-    steps = [float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes]
+    steps = [
+        float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes
+    ]
     shared = float(np.prod([max(1.0, support / step) for step in steps]))
     dims = dict.fromkeys(axes, -1)
     found = xr.apply_ufunc(
-        partial(_fitted, places=places, shared=shared), height.chunk(dims) if height.chunks else height,
-        input_core_dims=[axes], output_core_dims=[["number"]], dask="parallelized", output_dtypes=[float],
+        partial(_fitted, places=places, shared=shared),
+        height.chunk(dims) if height.chunks else height,
+        input_core_dims=[axes],
+        output_core_dims=[["number"]],
+        dask="parallelized",
+        output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"number": 2 * len(axes) + 2}},
-    )  # fmt: skip
+    )
     count = len(axes)
     parts: dict[str, tuple[int | slice, str, str]] = {
         "slope": (slice(count), "1", "slope of the surface"),
@@ -151,7 +185,10 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         "angle": (-2, "degree", "angle of the surface"),
         "angle_error": (-1, "degree", "standard error of the angle"),
     }
-    data = {name: found.isel(number=k).assign_attrs(units=u, long_name=text) for name, (k, u, text) in parts.items()}
+    data = {
+        name: found.isel(number=k).assign_attrs(units=u, long_name=text)
+        for name, (k, u, text) in parts.items()
+    }
     return xr.Dataset(data).rename(number="component").assign_coords(component=axes)
 
 
@@ -165,14 +202,21 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
         matrix = np.column_stack([np.ones(known.sum()), places[known] - places[known].mean(axis=0)])
         if len(matrix) < count + 1 or np.linalg.matrix_rank(matrix) < count + 1:
             continue
-        slope, left = np.linalg.lstsq(matrix, values[at][known], rcond=None)[0], len(matrix) - count - 1
+        slope, left = (
+            np.linalg.lstsq(matrix, values[at][known], rcond=None)[0],
+            len(matrix) - count - 1,
+        )
         rest = values[at][known] - matrix @ slope
         variance = shared * (rest @ rest) / left if left else np.nan
         covariance = variance * np.linalg.inv(matrix.T @ matrix)[1:, 1:]
         steep = np.linalg.norm(slope[1:])
         along = slope[1:] / steep if steep else np.zeros(count)
         angle_error = np.sqrt(along @ covariance @ along) / (1 + steep**2)
-        out[at] = *slope[1:], *np.sqrt(np.diag(covariance)), *np.degrees([np.arctan(steep), angle_error])
+        out[at] = (
+            *slope[1:],
+            *np.sqrt(np.diag(covariance)),
+            *np.degrees([np.arctan(steep), angle_error]),
+        )
     return out
 
 
@@ -238,13 +282,18 @@ def depth_average(
     if axis not in plane:
         raise ValueError(f"axis={axis!r}: expected one of the scene's axes {plane!r}")
     if axis in scene.setup.periodic:
-        raise SceneError(f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth along it")
+        raise SceneError(
+            f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth along it"
+        )
     axes = "".join(a for a in plane if a != axis) if axes is None else axes
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
     given = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
     further = {"spacing": spacing, "bounds": bounds, "extent": extent}
-    call = format_call("depth_average", given | {name: value for name, value in further.items() if value is not None})
+    call = format_call(
+        "depth_average",
+        given | {name: value for name, value in further.items() if value is not None},
+    )
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if spacing is not None and not is_positive(spacing):
         raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
@@ -254,7 +303,9 @@ def depth_average(
     forces = "contact_force" in scene.columns
     names += ["stress", "wall_traction"] if forces else []
     lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
-    sums = coarse_grain(ds, names, axes=axes, spacing=apart or None, extent=lengths | {axis: 1.0}, **shared)
+    sums = coarse_grain(
+        ds, names, axes=axes, spacing=apart or None, extent=lengths | {axis: 1.0}, **shared
+    )
     order = "".join(a for a in plane if a in axes + axis)
     along = {**apart, axis: 0.25 * smooth.width}
     u = coarse_grain(ds, names[:2], axes=order, spacing=along, extent=lengths or None, **shared)
@@ -265,7 +316,11 @@ def depth_average(
         "mass_per_area": (mass, "kg m^-2", "mass per area"),
         "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
         "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
-        "depth_averaged_velocity": (momentum / mass.where(mass > 0), "m s^-1", "depth-averaged velocity"),
+        "depth_averaged_velocity": (
+            momentum / mass.where(mass > 0),
+            "m s^-1",
+            "depth-averaged velocity",
+        ),
         "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
     if forces:
@@ -277,14 +332,22 @@ def depth_average(
         found |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
             "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
-            "basal_traction": (sums["wall_traction"], "Pa", "force of walls on the grains per area"),
+            "basal_traction": (
+                sums["wall_traction"],
+                "Pa",
+                "force of walls on the grains per area",
+            ),
         }
     system = scene.setup.unit_system
     data = {
-        name: values.drop_attrs(deep=False).assign_attrs(units=units_in(units, system), long_name=text)
+        name: values.drop_attrs(deep=False).assign_attrs(
+            units=units_in(units, system), long_name=text
+        )
         for name, (values, units, text) in found.items()
     }
-    return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(provenance(ds, call), depth_axis=axis)
+    return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(
+        provenance(ds, call), depth_axis=axis
+    )
 
 
 def _transport(f: xr.Dataset) -> xr.DataArray:

@@ -106,23 +106,35 @@ def flow_rate(
     for one in wanted:
         if one not in get_args(Flow):
             raise ValueError(unknown("flow", one, get_args(Flow)))
-    call = format_call("flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by})
+    call = format_call(
+        "flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by}
+    )
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if "momentum" in wanted:
         other = ds["velocity"].rename(component="direction")
-        ds = ds.assign(velocity_squared=(ds["velocity"] * other).assign_attrs(units=units_in("m^2 s^-2", "SI")))
+        ds = ds.assign(
+            velocity_squared=(ds["velocity"] * other).assign_attrs(units=units_in("m^2 s^-2", "SI"))
+        )
     fields = [field for one in wanted for field in _fields(one, scene)]
     shared = {"kernel": smooth, "by": by, "groups": groups, "on_error": on_error}
     if isinstance(surface, Plane) and surface.bounds is None:
         flux = _through_plane(ds, scene, surface, fields, shared)
     else:
-        flux = _through_points(ds, scene, surface, fields, shared, smooth.width * _FINE if spacing is None else spacing)
+        flux = _through_points(
+            ds, scene, surface, fields, shared, smooth.width * _FINE if spacing is None else spacing
+        )
     found = {f"{one}_flow_rate": _rate(flux, one, scene) for one in wanted}
-    result = xr.Dataset(found).drop_vars([*COMPONENTS, "direction"], errors="ignore")  # where the plane is
+    result = xr.Dataset(found).drop_vars(
+        [*COMPONENTS, "direction"], errors="ignore"
+    )  # where the plane is
     return result.assign_attrs(
-        provenance(ds, call), kernel=smooth.name, width=smooth.width, cutoff=smooth.cutoff, surface=repr(surface)
+        provenance(ds, call),
+        kernel=smooth.name,
+        width=smooth.width,
+        cutoff=smooth.cutoff,
+        surface=repr(surface),
     )
 
 
@@ -132,13 +144,18 @@ def _fields(flow: Flow, scene: Description) -> list[str | Sum]:
         contacts = ["contact_stress"] if "contact_force" in scene.columns else []
         return [Sum("velocity_squared", "mass", "momentum_transport"), *contacts]
     if flow == "energy":
-        return ["kinetic_energy_flux", *(["contact_energy_flux"] if "contact_force" in scene.columns else [])]
+        return [
+            "kinetic_energy_flux",
+            *(["contact_energy_flux"] if "contact_force" in scene.columns else []),
+        ]
     return [Sum("velocity", flow, f"{flow}_transport")]
 
 
 def _rate(flux: xr.Dataset, flow: Flow, scene: Description) -> xr.DataArray:
     """Sum what the flow of a quantity consists of, and label it."""
-    parts = [flux[field if isinstance(field, str) else field.name] for field in _fields(flow, scene)]
+    parts = [
+        flux[field if isinstance(field, str) else field.name] for field in _fields(flow, scene)
+    ]
     found = sum(parts[1:], start=parts[0]).drop_attrs(deep=False)
     found.attrs = {"units": units_in(_UNITS[flow], scene.setup.unit_system)}
     found.attrs["long_name"] = f"flow rate of {flow} along the normal"
@@ -162,7 +179,13 @@ def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
 def _depth(scene: Description) -> float:
     """Thickness of a scene of one layer (m), 1 in three dimensions: fields are per volume."""
     depth = scene.layer_depth
-    return scene.edges[depth][1] - scene.edges[depth][0] if isinstance(depth, str) else 1.0 if depth is None else depth
+    return (
+        scene.edges[depth][1] - scene.edges[depth][0]
+        if isinstance(depth, str)
+        else 1.0
+        if depth is None
+        else depth
+    )
 
 
 def _through_plane(
@@ -176,22 +199,36 @@ def _through_plane(
     else:
         across = [a for a in COMPONENTS if a not in plane]
         along = "z" if not across else plane[0]
-        frame = Rotated(**{along: normal.tolist(), **{a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in across}},
-                        origin=surface.point)  # fmt: skip
+        frame = Rotated(
+            **{
+                along: normal.tolist(),
+                **{a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in across},
+            },
+            origin=surface.point,
+        )
         at, options, turn = {along: 0.0}, {"frame": frame}, np.asarray(frame.axes)
     extent = {a: 1.0 for a in plane if a not in at}
-    flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **options, **shared) * _depth(scene)
+    flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **options, **shared) * _depth(
+        scene
+    )
     flux = _across(flux, turn @ normal)  # the normal in the axes of the fields
     if k is None and "momentum_transport" in flux:  # back to the axes of the scene
         back = xr.DataArray(turn, dims=("component", "own"))
         for name in {"momentum_transport", "contact_stress"} & {*map(str, flux.data_vars)}:
-            turned = xr.dot(flux[name].drop_vars("component"), back, dim="component").rename(own="component")
+            turned = xr.dot(flux[name].drop_vars("component"), back, dim="component").rename(
+                own="component"
+            )
             flux = flux.assign({name: turned.assign_coords(component=list(COMPONENTS))})
     return flux
 
 
 def _through_points(
-    ds: xr.Dataset, scene: Description, surface: Wall, fields: list[Any], shared: dict[str, Any], spacing: float
+    ds: xr.Dataset,
+    scene: Description,
+    surface: Wall,
+    fields: list[Any],
+    shared: dict[str, Any],
+    spacing: float,
 ) -> xr.Dataset:
     """Sum over points of the surface, each with its share of the area."""
     centre, area = _points(surface, scene, spacing)
@@ -204,13 +241,17 @@ def _through_points(
 def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray, NDArray]:
     """Centres (n, 3) and areas (n,) of small cells of a surface; of triangles that are divided until they are small."""
     if not isinstance(surface, Surface):
-        lower, upper = np.array(scene.corners if scene.corners is not None else np.full((2, 3), np.nan))
+        lower, upper = np.array(
+            scene.corners if scene.corners is not None else np.full((2, 3), np.nan)
+        )
         inside, layer = 1.0, scene.layer
         if layer is not None:  # fields are the same all across it
             k, lower[k], upper[k] = layer
         cells = surface.cells(lower, upper, spacing)
         if layer is not None:
-            ends = np.sort(surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0)
+            ends = np.sort(
+                surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0
+            )
             for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
                 if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
                     inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
@@ -221,7 +262,12 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
         count = max(1, int(np.ceil(longest / spacing)))
         i, j = (m.ravel() for m in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
         upright, turned = i + j < count, i + j < count - 1
-        share = np.concatenate([np.stack([i, j], 1)[upright] + 1 / 3, np.stack([i, j], 1)[turned] + 2 / 3]) / count
+        share = (
+            np.concatenate(
+                [np.stack([i, j], 1)[upright] + 1 / 3, np.stack([i, j], 1)[turned] + 2 / 3]
+            )
+            / count
+        )
         centres.append(a + share[:, :1] * (b - a) + share[:, 1:] * (c - a))
         areas.append(np.full(len(share), 0.5 * np.linalg.norm(np.cross(b - a, c - a)) / count**2))
     return np.concatenate(centres), np.concatenate(areas)
@@ -315,7 +361,9 @@ def wall_stress(
     >>> f.normal_traction.dims
     ('time', 'x', 'y')
     """
-    call = format_call("wall_stress", {"surface": surface, "width": width, "walls": walls, "within": within})
+    call = format_call(
+        "wall_stress", {"surface": surface, "width": width, "walls": walls, "within": within}
+    )
     require_scene(ds, _NEEDS, "wall_stress")
     if not isinstance(surface, Wall):
         raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
@@ -327,24 +375,46 @@ def wall_stress(
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
             raise ValueError(f"{name}={value!r}: expected a positive length (m)")
-    cells = surface.cells(*_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing))
+    cells = surface.cells(
+        *_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing)
+    )
     task = _Task(surface, cells, smooth, smooth.width if within is None else float(within), setup)
     nodes = tuple(cells.coords)
     rows = {
-        "normal_traction": Variable(nodes, "Pa", "normal traction of the grains on the wall, compression positive"),
-        "shear_traction": Variable((*nodes, "along"), "Pa", "shear traction of the grains on the wall"),
+        "normal_traction": Variable(
+            nodes, "Pa", "normal traction of the grains on the wall, compression positive"
+        ),
+        "shear_traction": Variable(
+            (*nodes, "along"), "Pa", "shear traction of the grains on the wall"
+        ),
         "traction": Variable((*nodes, "component"), "Pa", "traction of the grains on the wall"),
         "wall_force": Variable(("component",), "N", "force of the grains on the wall"),
         "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
     }
-    results = results_of(rows, dict(zip(nodes, cells.shape, strict=True)) | {"along": len(cells.axes)})
-    names = ["particle_id", "position", *_NEEDS, *(n for n in ("diameter", "frozen", *OF_STEP) if n in ds)]
+    results = results_of(
+        rows, dict(zip(nodes, cells.shape, strict=True)) | {"along": len(cells.axes)}
+    )
+    names = [
+        "particle_id",
+        "position",
+        *_NEEDS,
+        *(n for n in ("diameter", "frozen", *OF_STEP) if n in ds),
+    ]
     found = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
     result = label(
-        ds, rows, found, call, kernel=smooth.name, width=smooth.width, cutoff=smooth.cutoff, surface=repr(surface)
+        ds,
+        rows,
+        found,
+        call,
+        kernel=smooth.name,
+        width=smooth.width,
+        cutoff=smooth.cutoff,
+        surface=repr(surface),
     )
     for values in result.data_vars.values():
-        values.attrs["source"] = "contact_force"  # sums over contacts, which averages take as they are
+        values.attrs["source"] = (
+            "contact_force"  # sums over contacts, which averages take as they are
+        )
     return storable(result.assign_coords(_coordinates(cells, setup.unit_system)))
 
 
@@ -374,7 +444,10 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
     _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
     point, force = _over_surface(task, point, -force, lattice, source)
     if not len(point):
-        warn_once("wall stress", f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}")
+        warn_once(
+            "wall stress",
+            f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}",
+        )
     normal, along = task.surface.in_surface(point, force)
     smeared = _smear(task, point, np.column_stack([-normal, along, force]), lattice)
     shape, axes = task.cells.shape, len(task.cells.axes)
@@ -387,7 +460,9 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
     }
 
 
-def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, ...]:
+def _over_surface(
+    task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str
+) -> tuple[NDArray, ...]:
     """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
     if not len(point):
         return point, force
@@ -397,9 +472,13 @@ def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice,
     distance = np.where(task.surface.covers(places, task.cells).reshape(apart.shape), apart, np.inf)
     image, near = np.argmin(distance, axis=0), distance.min(axis=0) <= task.within
     lost = ~near & (apart <= task.within).any(axis=0)
-    if lost.any() and all(getattr(task.surface, end, None) is None for end in ("bounds", "low", "high")):
+    if lost.any() and all(
+        getattr(task.surface, end, None) is None for end in ("bounds", "low", "high")
+    ):
         dims = [*task.cells.coords][-len(task.cells.bounds) :]
-        for a, x, (low, high) in zip(dims, task.surface.coordinates(point[lost]).T, task.cells.bounds, strict=True):
+        for a, x, (low, high) in zip(
+            dims, task.surface.coordinates(point[lost]).T, task.cells.bounds, strict=True
+        ):
             if a not in task.setup.periodic:
                 warn_beyond(a, x, low, high, source, what="contacts with the wall")
     return (point + images[image])[near], force[near]
@@ -417,20 +496,30 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     from scipy.spatial import cKDTree  # slow to import
 
     cells, cutoff = task.cells, task.kernel.cutoff
-    seen = np.array([float(a in task.setup.plane) for a in COMPONENTS])  # the same all across a layer
+    seen = np.array(
+        [float(a in task.setup.plane) for a in COMPONENTS]
+    )  # the same all across a layer
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
         return out
     shifts = _images(lattice, int(np.ceil(cutoff / lattice.closest[0])))
-    tree, trees = cKDTree(cells.centre * seen), [cKDTree((point + shift) * seen) for shift in shifts]
+    tree, trees = (
+        cKDTree(cells.centre * seen),
+        [cKDTree((point + shift) * seen) for shift in shifts],
+    )
     pairs = [tree.sparse_distance_matrix(other, cutoff, output_type="ndarray") for other in trees]
-    cell, contact, distance = (np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v"))
+    cell, contact, distance = (
+        np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v")
+    )
     weight = task.kernel.value(distance) * cells.area[cell]
     total = np.bincount(contact, weight, len(point))
     alone = np.flatnonzero(total <= 0)
     weight[total[contact] <= 0] = 0.0  # below zero where the kernel is
     cell = np.concatenate([cell, tree.query(point[alone])[1]])
-    contact, weight = np.concatenate([contact, alone]), np.concatenate([weight, np.ones(len(alone))])
+    contact, weight = (
+        np.concatenate([contact, alone]),
+        np.concatenate([weight, np.ones(len(alone))]),
+    )
     total[alone] = 1.0
     np.add.at(out, cell, (weight / total[contact])[:, None] * values[contact])
     return out / cells.area[:, None]

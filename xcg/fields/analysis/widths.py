@@ -103,7 +103,10 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
         asked = _with_nodes(ds, asked, lengths, points[0])
-    swept = [_join_widths(ds, lengths, partial(asked.ask, fields=asked.fields, at=point)) for point in points]
+    swept = [
+        _join_widths(ds, lengths, partial(asked.ask, fields=asked.fields, at=point))
+        for point in points
+    ]
     joined = xr.concat(swept, "point", coords="different", compat="equals") if several else swept[0]
     joined = joined.transpose("width", *(["point"] if several else []), ...)
     if joined.chunks:
@@ -116,7 +119,9 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     return joined.assign(found).assign_attrs(provenance(ds, call))
 
 
-def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Mapping[str, Any]], bool]:
+def _points(
+    at: Mapping[str, ArrayLike | xr.DataArray] | None,
+) -> tuple[list[Mapping[str, Any]], bool]:
     """Points as single `at` mappings, and whether there are several; DataArrays name all points at once."""
     if not at:
         return [{}], False
@@ -132,52 +137,77 @@ def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Map
     return [dict(zip(columns, row, strict=True)) for row in rows], any(shapes.values())
 
 
-def _join_widths(ds: xr.Dataset, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
+def _join_widths(
+    ds: xr.Dataset, widths: Sequence[float], ask: Callable[..., Request]
+) -> xr.Dataset:
     """Coarse-grain a prepared scene with each of the widths (m): fields with the dimension width."""
     along = xr.Variable("width", widths, {"long_name": "width of the kernel"})
     joined = xr.concat([answer(ds, ask(width=width)) for width in widths], along, join="override")
     joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
-    joined.attrs = {name: value for name, value in joined.attrs.items() if name not in ("width", "cutoff")}
+    joined.attrs = {
+        name: value for name, value in joined.attrs.items() if name not in ("width", "cutoff")
+    }
     return joined
 
 
-def _with_nodes(ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]) -> Asked:
+def _with_nodes(
+    ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]
+) -> Asked:
     """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
     spacing = widths[0] if asked.spacing is None else asked.spacing
     if asked.bounds is not None:
         return replace(asked, spacing=spacing)
     placing = Request(
-        "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
-        extent=asked.extent, sampling=asked.sampling,
-    )  # fmt: skip
+        "number_density",
+        width=widths[-1],
+        at=point,
+        axes=asked.axes,
+        spacing=spacing,
+        kernel=asked.kernel,
+        extent=asked.extent,
+        sampling=asked.sampling,
+    )
     grid = make_plan(describe(ds), placing).deposit.grid
     ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
     return replace(asked, spacing=spacing, bounds=ends)
 
 
-def _bias(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
+def _bias(
+    name: str, field: xr.DataArray, widths: NDArray, threshold: float
+) -> dict[str, xr.DataArray]:
     """Bias of a field in proportion to w^2, the field without it, and where it exceeds a share of the largest value."""
     squares = xr.DataArray(widths**2, {"width": widths}, "width")
     level = field.diff("width", label="lower") / squares.diff("width", label="lower")
     bias = (level.reindex(width=widths, method="ffill") * squares).transpose(*field.dims)
     parts = [dim for dim in ("component", "direction") if dim in field.dims]
-    places = [dim for dim in field.dims if dim not in ("width", "time", "phase", "other_phase", *parts)]
+    places = [
+        dim for dim in field.dims if dim not in ("width", "time", "phase", "other_phase", *parts)
+    ]
     size, largest = ((values**2).sum(parts, skipna=False) ** 0.5 for values in (bias, field))
     what = field.attrs.get("long_name", name)
     units = {"units": field.attrs.get("units", "1")}
     return {
-        f"{name}_bias": bias.assign_attrs(units, long_name=f"bias of {what} by the width of the kernel"),
-        f"{name}_extrapolated": (field - bias).assign_attrs(units, long_name=f"{what} without the bias of the width"),
+        f"{name}_bias": bias.assign_attrs(
+            units, long_name=f"bias of {what} by the width of the kernel"
+        ),
+        f"{name}_extrapolated": (field - bias).assign_attrs(
+            units, long_name=f"{what} without the bias of the width"
+        ),
         f"{name}_too_wide": (size > threshold * largest.max(places)).assign_attrs(
-            units="1", long_name=f"whether the width smears {what} by more than {threshold:g} of its largest value"
+            units="1",
+            long_name=f"whether the width smears {what} by more than {threshold:g} of its largest value",
         ),
     }
 
 
-def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
+def _plateau(
+    name: str, field: xr.DataArray, widths: NDArray, threshold: float
+) -> dict[str, xr.DataArray]:
     """Slope of a field, and width and value where it is smallest."""
     # d ln f / d ln w = (w / f) df / dw, which also holds where f is negative
-    by_width = field.assign_coords(width=np.log(widths)).differentiate("width").assign_coords(width=widths)
+    by_width = (
+        field.assign_coords(width=np.log(widths)).differentiate("width").assign_coords(width=widths)
+    )
     slope = abs(by_width / field.where(field != 0))
     # the ends have one neighbour only: no plateau is told from them
     inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
@@ -187,8 +217,12 @@ def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) 
     width = inside.width.where(best).sum("width", min_count=1)
     unit, what = field.coords["width"].attrs.get("units", "m"), field.attrs.get("long_name", name)
     return {
-        f"{name}_slope": slope.assign_attrs(units="1", long_name=f"size of the logarithmic slope of {what} by width"),
-        f"{name}_plateau_width": width.assign_attrs(units=unit, long_name=f"width at the plateau of {what}"),
+        f"{name}_slope": slope.assign_attrs(
+            units="1", long_name=f"size of the logarithmic slope of {what} by width"
+        ),
+        f"{name}_plateau_width": width.assign_attrs(
+            units=unit, long_name=f"width at the plateau of {what}"
+        ),
         f"{name}_plateau": value.assign_attrs(field.attrs, long_name=f"{what} at its plateau"),
     }
 
@@ -289,14 +323,26 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     for name in names:
         bias, noise = _bias_and_noise(mean, name, seen)
         noise = noise * math.sqrt(len(rows))
-        found |= {f"{name}_bias": bias, f"{name}_noise": noise, f"{name}_total": np.hypot(bias, noise / frames**0.5)}
+        found |= {
+            f"{name}_bias": bias,
+            f"{name}_noise": noise,
+            f"{name}_total": np.hypot(bias, noise / frames**0.5),
+        }
     out = xr.Dataset(
-        {n: ("width", values, {"units": "1", "long_name": n.replace("_", " ")}) for n, values in found.items()},
-        {"width": mean["width"]}, {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
-    )  # fmt: skip
+        {
+            n: ("width", values, {"units": "1", "long_name": n.replace("_", " ")})
+            for n, values in found.items()
+        },
+        {"width": mean["width"]},
+        {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
+    )
     total = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
-    out["total"] = total.drop_attrs(deep=False).assign_attrs(units="1", long_name="largest total of the fields")
-    return out.assign(_choice(out, names, kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension)))
+    out["total"] = total.drop_attrs(deep=False).assign_attrs(
+        units="1", long_name="largest total of the fields"
+    )
+    return out.assign(
+        _choice(out, names, kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension))
+    )
 
 
 def _averages(
@@ -304,16 +350,23 @@ def _averages(
 ) -> tuple[xr.Dataset, list[str], int]:
     """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
     wanted = [asked.fields] if isinstance(asked.fields, str | Quantity) else list(asked.fields)
-    at, axes = asked.at or {}, plane if asked.axes is None and asked.at is None else asked.axes or ""
+    at, axes = (
+        asked.at or {},
+        plane if asked.axes is None and asked.at is None else asked.axes or "",
+    )
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
-        asked = _with_nodes(ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at)
+        asked = _with_nodes(
+            ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at
+        )
     moving = "velocity" in ds  # a velocity has an error beside fields without one
     fields = list(dict.fromkeys([*wanted, _COUNT, *["velocity"] * moving]))
     ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
     f = _join_widths(ds, widths, ask).compute()
-    names = [name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)]
+    names = [
+        name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)
+    ]
     lone = [name for name in names if f"{name}_error" not in f]
     if lone and f.sizes.get("time", 1) < 2:
         raise ValueError(
@@ -333,13 +386,17 @@ def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, ND
     def mean_square(values: xr.DataArray) -> NDArray:
         squares = (values**2).sum(parts, skipna=False)
         known = count.where(squares.notnull(), 0.0)
-        squares = (squares * known).sum(places) / known.sum(places).where(known.sum(places) >= KNOWN * count.sum())
+        squares = (squares * known).sum(places) / known.sum(places).where(
+            known.sum(places) >= KNOWN * count.sum()
+        )
         return squares.transpose("width").to_numpy()
 
     noise = mean_square(error)
     change = mean_square(field.diff("width", label="lower"))
     # less the noise of the difference: of Gaussians, the noise at two widths is correlated by this
-    correlation = (2 * widths[1:] * widths[:-1] / (widths[1:] ** 2 + widths[:-1] ** 2)) ** (seen / 2)
+    correlation = (2 * widths[1:] * widths[:-1] / (widths[1:] ** 2 + widths[:-1] ** 2)) ** (
+        seen / 2
+    )
     change -= noise[1:] + noise[:-1] - 2 * correlation * np.sqrt(noise[1:] * noise[:-1])
     bias = _integrate(np.fmin.accumulate(np.clip(change, 0.0, None)[::-1])[::-1] ** 0.5, widths)
     size = mean_square(field)[len(widths) // 2 :]
@@ -370,7 +427,9 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
         values = np.maximum(found[name].to_numpy(), 1e-9)
         return np.exp(np.interp(np.log(fine), np.log(widths), np.log(values)))
 
-    biases, noises = (np.stack([between(f"{name}_{end}") for name in names]) for end in ("bias", "noise"))
+    biases, noises = (
+        np.stack([between(f"{name}_{end}") for name in names]) for end in ("bias", "noise")
+    )
     totals = np.hypot(biases, noises / math.sqrt(frames))
     worst = totals.max(axis=0)
     needed = (noises**2 / np.maximum(target**2 - biases**2, 1e-300)).max(axis=0)
@@ -381,7 +440,9 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
             "particles, or zero everywhere; choose by other fields, or measure at wider widths="
         )
     best, fewest = int(np.nanargmin(worst)), int(np.lexsort((worst, needed))[0])
-    end = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}.get(best, "")
+    end = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}.get(
+        best, ""
+    )
     leading = int(totals[:, best].argmax())
     bias, total = biases[leading, best], worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
@@ -394,13 +455,28 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     numbers = {
         "best_width": (fine[best], unit, f"width with the least error{end}"),
         "best_bias": (bias, "1", "relative bias at the best width"),
-        "best_noise": (noises[leading, best] / math.sqrt(frames), "1", f"relative noise, mean of {frames} frames"),
+        "best_noise": (
+            noises[leading, best] / math.sqrt(frames),
+            "1",
+            f"relative noise, mean of {frames} frames",
+        ),
         "best_total": (total, "1", "relative error at the best width"),
-        "best_spacing": (min(spacing, 2 * fine[best]), unit, "widest spacing of nodes for linear interpolation"),
-        "target_width": (np.where(needed > 0, fine, np.nan)[fewest], unit, f"width to reach an error of {target:g}"),
+        "best_spacing": (
+            min(spacing, 2 * fine[best]),
+            unit,
+            "widest spacing of nodes for linear interpolation",
+        ),
+        "target_width": (
+            np.where(needed > 0, fine, np.nan)[fewest],
+            unit,
+            f"width to reach an error of {target:g}",
+        ),
         "target_frames": (needed[fewest], "1", f"frames to reach an error of {target:g}"),
     }
-    return {name: xr.DataArray(v, attrs={"units": u, "long_name": text}) for name, (v, u, text) in numbers.items()}
+    return {
+        name: xr.DataArray(v, attrs={"units": u, "long_name": text})
+        for name, (v, u, text) in numbers.items()
+    }
 
 
 def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -426,7 +502,11 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
         raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")
     ax = drawing.new_axes() if ax is None else ax
     frames, width = found.attrs["frames"], found["width"]
-    names = [str(name).removesuffix("_bias") for name in found if str(name).endswith("_bias") and name != "best_bias"]
+    names = [
+        str(name).removesuffix("_bias")
+        for name in found
+        if str(name).endswith("_bias") and name != "best_bias"
+    ]
     for k, name in enumerate(names):
         what = name.replace("_", " ")
         for label, values, style in (

@@ -41,16 +41,24 @@ _FIELDS = {
     "number_density": Variable((), "m^-3", "number of grains in a unit of volume, by their shares"),
     "density": Variable((), "kg m^-3", "mass of the grains in a unit of volume, by their shares"),
     "momentum_density": Variable(
-        ("component",), "kg m^-2 s^-1", "momentum of the grains in a unit of volume, by their shares"
+        ("component",),
+        "kg m^-2 s^-1",
+        "momentum of the grains in a unit of volume, by their shares",
     ),
-    "velocity": Variable(("component",), "m s^-1", "velocity of the grains, weighted by the mass inside"),
+    "velocity": Variable(
+        ("component",), "m s^-1", "velocity of the grains, weighted by the mass inside"
+    ),
 }
 SliceMethod: TypeAlias = Literal["planes", "bins"]
 
 
 def _along(axis: str, nodes: NDArray, system: str) -> tuple[str, NDArray, dict[str, str]]:
     """Coordinate of the cells or slices along an axis."""
-    about = {"units": units_in("m", system), "long_name": f"position along {axis}", "axis": axis.upper()}
+    about = {
+        "units": units_in("m", system),
+        "long_name": f"position along {axis}",
+        "axis": axis.upper(),
+    }
     return axis, nodes, about
 
 
@@ -121,15 +129,24 @@ def cell_volumes(
     scene = describe(ds, by)
     setup = scene.setup
     if scene.tilted:
-        raise SceneError("cell_volumes takes boxes with edges along x, y and z, and this one is tilted")
+        raise SceneError(
+            "cell_volumes takes boxes with edges along x, y and z, and this one is tilted"
+        )
     if scene.cylindrical:
         raise SceneError("cell_volumes takes cells along x, y and z, not about an axis")
     axes = setup.plane if axes is None else axes
     largest = 0.5 * scene.sizes.get("dmax", 0.0)
     grid = make_grid(
-        axes, {}, bounds or {}, spacing, plane=setup.plane, cutoff=largest or math.inf,
-        automatic=automatic_bounds(scene, largest), period=scene.periods, cells=True,
-    )  # fmt: skip
+        axes,
+        {},
+        bounds or {},
+        spacing,
+        plane=setup.plane,
+        cutoff=largest or math.inf,
+        automatic=automatic_bounds(scene, largest),
+        period=scene.periods,
+        cells=True,
+    )
     if loose := [a for a in grid.averaged if a not in scene.edges]:
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
@@ -138,15 +155,21 @@ def cell_volumes(
     task = _Cells(grid, setup, scene.layer_depth, by, values)
     dims = (*grid.dims, *(("phase",) if by is not None else ()))
     rows = {
-        name: replace(row, dims=(*dims, *row.dims)) for name, row in _FIELDS.items() if "velocity" in ds or not row.dims
+        name: replace(row, dims=(*dims, *row.dims))
+        for name, row in _FIELDS.items()
+        if "velocity" in ds or not row.dims
     }
-    results = results_of(rows, dict(zip(grid.dims, grid.sizes, strict=True)) | {"phase": 1 + len(values)})
+    results = results_of(
+        rows, dict(zip(grid.dims, grid.sizes, strict=True)) | {"phase": 1 + len(values)}
+    )
     names = ["particle_id", "position", "diameter", "volume", "mass", *([by] if by else [])]
     names += [name for name in ("velocity", "frozen", *OF_STEP) if name in ds]
     found = map_over_time(ds, names, partial(_of_chunk, task), results, "cell-volumes", on_error)
     call = format_call("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
     result = label(ds, rows, found, call, sampling="cell")
-    coords: dict[str, Any] = {a: _along(a, nodes.to_numpy(), setup.unit_system) for a, nodes in grid.coords.items()}
+    coords: dict[str, Any] = {
+        a: _along(a, nodes.to_numpy(), setup.unit_system) for a, nodes in grid.coords.items()
+    }
     if by is not None:
         coords["phase"] = ("phase", ["bulk", *map(str, values)], {"long_name": f"phase by {by}"})
     return with_phase_labels(storable(result.assign_coords(coords)))
@@ -159,11 +182,15 @@ def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]
     sums = np.stack(steps)  # (time, groups, cells..., columns)
     if task.by is not None:
         sums = np.concatenate([sums.sum(axis=1, keepdims=True), sums], axis=1)
-    sums = np.moveaxis(sums, 1, -2).reshape(len(sums), *grid.sizes, *(sums.shape[1:2] if task.by else ()), _COLUMNS)
+    sums = np.moveaxis(sums, 1, -2).reshape(
+        len(sums), *grid.sizes, *(sums.shape[1:2] if task.by else ()), _COLUMNS
+    )
     found = {
-        "volume_fraction": sums[..., 1], "void_fraction": 1.0 - sums[..., 1], "number_density": sums[..., 0],
+        "volume_fraction": sums[..., 1],
+        "void_fraction": 1.0 - sums[..., 1],
+        "number_density": sums[..., 0],
         "density": sums[..., 2],
-    }  # fmt: skip
+    }
     if "velocity" in arrays:
         with np.errstate(invalid="ignore", divide="ignore"):
             found |= {"momentum_density": sums[..., 3:], "velocity": sums[..., 3:] / sums[..., 2:3]}
@@ -176,20 +203,38 @@ def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) ->
     some = without_frozen(frame)
     for a in grid.fitted:
         k = COMPONENTS.index(a)
-        warn_beyond(a, some["position"][:, k], grid.lower[k], grid.upper[k], source, room=some["diameter"] / 2)
+        warn_beyond(
+            a,
+            some["position"][:, k],
+            grid.lower[k],
+            grid.upper[k],
+            source,
+            room=some["diameter"] / 2,
+        )
     phase = phase_of(some, task.by, task.groups, source)
     count, diameter, volume = len(some["position"]), some["diameter"], some["volume"]
     momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
     values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
-    spheres = setup.dimension == 3 or np.allclose(volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0)
+    spheres = setup.dimension == 3 or np.allclose(
+        volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0
+    )
     across = next((k for k, a in enumerate(COMPONENTS) if a not in setup.plane), -1)
     step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
     reach = [1.0 if np.isinf(size) else diameter.max(initial=0.0) // size + 3.0 for size in step]
     out = np.zeros((groups, *grid.shape, _COLUMNS))
     add_shares(
-        np.ascontiguousarray(some["position"]), diameter / 2, values, phase, grid.lower, step, np.array(grid.shape),
-        lattice.period, -1 if spheres else across, np.empty(int(math.prod(n + 1 for n in reach))), out,
-    )  # fmt: skip
+        np.ascontiguousarray(some["position"]),
+        diameter / 2,
+        values,
+        phase,
+        grid.lower,
+        step,
+        np.array(grid.shape),
+        lattice.period,
+        -1 if spheres else across,
+        np.empty(int(math.prod(n + 1 for n in reach))),
+        out,
+    )
     lengths = [lattice.length(a) for a in grid.averaged]
     if task.depth is not None:  # of one layer
         lengths.append(lattice.length(task.depth) if isinstance(task.depth, str) else task.depth)
@@ -254,12 +299,18 @@ def slice_temperature(
     ValueError
         If an argument is wrong.
     """
-    given = {name: value for name, value in locals().items() if name not in ("ds", "on_error") and value is not None}
+    given = {
+        name: value
+        for name, value in locals().items()
+        if name not in ("ds", "on_error") and value is not None
+    }
     weight = {"planes": "diameter", "bins": "mass"}.get(method)
     if weight is None:
         raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
     if method == "bins" and spacing is not None:
-        raise ValueError(f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes")
+        raise ValueError(
+            f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes"
+        )
     require_scene(ds, ("velocity", weight), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup
@@ -273,9 +324,15 @@ def slice_temperature(
     elif bounds is None and scene.corners is not None:
         bounds = fitted = scene.corners[0][k], scene.corners[1][k]
     if not is_positive(width):
-        raise ValueError(f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()")
+        raise ValueError(
+            f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()"
+        )
     width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
-    shared: dict[str, Any] = {"axis": k, "dims": [COMPONENTS.index(a) for a in setup.plane], "width": width}
+    shared: dict[str, Any] = {
+        "axis": k,
+        "dims": [COMPONENTS.index(a) for a in setup.plane],
+        "width": width,
+    }
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)
@@ -289,22 +346,42 @@ def slice_temperature(
                 f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             )
         step = float(step)
-        nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
+        nodes = bounds[0] + step * np.arange(
+            _whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1
+        )
         limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
         function = partial(_planes, sides=planes, **shared)
     periodic = setup.periodic if scene.tilted else axis if axis in setup.periodic else ""
     compute = partial(
-        _over_time, weight=weight, function=function, nodes=nodes, axis=k, limits=limits, periodic=periodic,
+        _over_time,
+        weight=weight,
+        function=function,
+        nodes=nodes,
+        axis=k,
+        limits=limits,
+        periodic=periodic,
         fitted=fitted,
-    )  # fmt: skip
-    names = ["particle_id", "position", "velocity", weight, *(name for name in ("frozen", *OF_STEP) if name in ds)]
+    )
+    names = [
+        "particle_id",
+        "position",
+        "velocity",
+        weight,
+        *(name for name in ("frozen", *OF_STEP) if name in ds),
+    ]
     rows = {
-        "granular_temperature": Variable((axis,), "m^2 s^-2", f"granular temperature in slices ({method})"),
+        "granular_temperature": Variable(
+            (axis,), "m^2 s^-2", f"granular temperature in slices ({method})"
+        ),
         "velocity": Variable((axis, "component"), "m s^-1", "velocity of the slice"),
         "sample_count": Variable((axis,), "1", "number of particles in the slice"),
     }
-    found = map_over_time(ds, names, compute, results_of(rows, {axis: len(nodes)}), "slices", on_error)
-    result = label(ds, rows, found, format_call("slice_temperature", given), slice_width=width, method=method)
+    found = map_over_time(
+        ds, names, compute, results_of(rows, {axis: len(nodes)}), "slices", on_error
+    )
+    result = label(
+        ds, rows, found, format_call("slice_temperature", given), slice_width=width, method=method
+    )
     return result.assign_coords({axis: _along(axis, nodes, setup.unit_system)})
 
 
@@ -318,18 +395,31 @@ def _whole(count: float, planes: int = 1) -> int:
 
 
 def _over_time(
-    arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray, axis: int,
-    periodic: str, limits: tuple[float, float], fitted: tuple[float, float] | None,
-) -> dict[str, NDArray]:  # fmt: skip
+    arrays: Mapping[str, NDArray],
+    *,
+    weight: str,
+    function: Callable[..., NDArray],
+    nodes: NDArray,
+    axis: int,
+    periodic: str,
+    limits: tuple[float, float],
+    fitted: tuple[float, float] | None,
+) -> dict[str, NDArray]:
     """Temperature, velocity and count of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
     for t, (whole, box, source) in enumerate(steps_in(arrays, periodic)):
         frame = without_frozen(whole)
-        lattice, position, velocity = box.seen(np.arange(3) == axis, source), frame["position"], frame["velocity"]
+        lattice, position, velocity = (
+            box.seen(np.arange(3) == axis, source),
+            frame["position"],
+            frame["velocity"],
+        )
         row = np.arange(len(position))
         if fitted is not None:
             warn_beyond(COMPONENTS[axis], position[:, axis], *fitted, source)
-        if lattice.vectors is not None:  # every image stands for itself, as its velocity may be another
+        if (
+            lattice.vectors is not None
+        ):  # every image stands for itself, as its velocity may be another
             reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
             low, high = (
                 np.where(np.arange(3) == axis, end, sign * np.inf)
@@ -338,8 +428,14 @@ def _over_time(
             row, shift, drift = lattice.images(position, low, high, source)
             frame = {weight: frame[weight][row]}
             position, velocity = position[row] + shift, velocity[row] + drift
-        out[t] = function(position, velocity, frame[weight], nodes, row=row, period=float(lattice.period[axis]))
-    return {"granular_temperature": out[..., 0], "velocity": out[..., 1:4], "sample_count": out[..., 4]}
+        out[t] = function(
+            position, velocity, frame[weight], nodes, row=row, period=float(lattice.period[axis])
+        )
+    return {
+        "granular_temperature": out[..., 0],
+        "velocity": out[..., 1:4],
+        "sample_count": out[..., 4],
+    }
 
 
 def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
@@ -350,15 +446,26 @@ def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArr
 
 
 def _bins(
-    position: NDArray, velocity: NDArray, mass: NDArray, nodes: NDArray, *, axis: int, dims: list[int], edges: float,
-    width: float, row: NDArray, period: float,
-) -> NDArray:  # fmt: skip
+    position: NDArray,
+    velocity: NDArray,
+    mass: NDArray,
+    nodes: NDArray,
+    *,
+    axis: int,
+    dims: list[int],
+    edges: float,
+    width: float,
+    row: NDArray,
+    period: float,
+) -> NDArray:
     out = np.full((len(nodes), 5), np.nan)
     hair = _HAIR * width  # edges are known to rounding only
     for k in range(len(nodes)):
         # the last edge belongs to the last bin, unless it is the first edge over again
         end = hair if k == len(nodes) - 1 and not np.isfinite(period) else -hair
-        images = _images_between(position[:, axis], edges + k * width - hair, edges + (k + 1) * width + end, period)
+        images = _images_between(
+            position[:, axis], edges + k * width - hair, edges + (k + 1) * width + end, period
+        )
         here = images > 0
         m, v = (images * mass)[here], velocity[here]
         out[k, 4] = len(np.unique(row[here]))
@@ -370,16 +477,27 @@ def _bins(
 
 
 def _planes(
-    position: NDArray, velocity: NDArray, diameter: NDArray, nodes: NDArray, *, axis: int, dims: list[int], sides: int,
-    width: float, row: NDArray, period: float,
-) -> NDArray:  # fmt: skip
+    position: NDArray,
+    velocity: NDArray,
+    diameter: NDArray,
+    nodes: NDArray,
+    *,
+    axis: int,
+    dims: list[int],
+    sides: int,
+    width: float,
+    row: NDArray,
+    period: float,
+) -> NDArray:
     x, radius, grain = position[:, axis], diameter / 2, np.arange(len(position))
     reach = radius.max(initial=0.0)
     if not reach < _MOST_PERIODS * period:
         raise SceneError(
             f"a grain of diameter {2 * reach:.3g} m reaches over more than {_MOST_PERIODS} periods of {period:.3g} m"
         )
-    if np.isfinite(period):  # planes and grains are taken to [0, period), and images as far as grains reach beyond it
+    if np.isfinite(
+        period
+    ):  # planes and grains are taken to [0, period), and images as far as grains reach beyond it
         images = period * np.arange(-np.ceil(reach / period), np.ceil(reach / period) + 1)
         grain = np.tile(grain, len(images))
         x = (np.mod(x, period) + images[:, None]).ravel()

@@ -45,7 +45,9 @@ class Trace:
         """Return a symbol for a value that may be a number."""
         return value if isinstance(value, Symbol) else self.add(loops.CONSTANT, float(value))
 
-    def load(self, name: str, columns: NDArray, groups: int = 0, *, paired: bool = False) -> NDArray:
+    def load(
+        self, name: str, columns: NDArray, groups: int = 0, *, paired: bool = False
+    ) -> NDArray:
         """Return symbols (phase, 1, ...) for a moment at one node: of the bulk, the sum over groups, and of each group.
 
         It is made of these columns, in sums of each group, or of each pair of a group with another or with walls.
@@ -68,14 +70,23 @@ class Symbol:
         numbers = [self.number, self.record.of(other).number]
         if reflected:
             numbers.reverse()
-        if operation in (loops.ADD, loops.MULTIPLY):  # the order of two does not matter, to the last bit
+        if operation in (
+            loops.ADD,
+            loops.MULTIPLY,
+        ):  # the order of two does not matter, to the last bit
             numbers.sort()
         return self.record.add(operation, *numbers)
 
     __add__ = __radd__ = partialmethod(_with, loops.ADD)
     __mul__ = __rmul__ = partialmethod(_with, loops.MULTIPLY)
-    __sub__, __rsub__ = partialmethod(_with, loops.SUBTRACT), partialmethod(_with, loops.SUBTRACT, reflected=True)
-    __truediv__, __rtruediv__ = partialmethod(_with, loops.DIVIDE), partialmethod(_with, loops.DIVIDE, reflected=True)
+    __sub__, __rsub__ = (
+        partialmethod(_with, loops.SUBTRACT),
+        partialmethod(_with, loops.SUBTRACT, reflected=True),
+    )
+    __truediv__, __rtruediv__ = (
+        partialmethod(_with, loops.DIVIDE),
+        partialmethod(_with, loops.DIVIDE, reflected=True),
+    )
 
     def __neg__(self) -> Symbol:
         return self * -1.0
@@ -99,7 +110,16 @@ class Symbol:
 
 # What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
 # over axes are not among it, as NumPy adds numbers in another order than symbols.
-_ARITHMETIC = {np.add, np.subtract, np.multiply, np.divide, np.negative, np.square, np.sqrt, np.power}
+_ARITHMETIC = {
+    np.add,
+    np.subtract,
+    np.multiply,
+    np.divide,
+    np.negative,
+    np.square,
+    np.sqrt,
+    np.power,
+}
 _PLACEMENT = {
     np.array_split, np.broadcast_to, np.concatenate, np.copy, np.diagonal, np.expand_dims, np.flip, np.moveaxis,
     np.ravel, np.reshape, np.split, np.squeeze, np.stack, np.swapaxes, np.take, np.transpose, np.where,
@@ -137,7 +157,9 @@ def _each(array: NDArray, operation: int) -> NDArray:
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """As `xcg.compiled.matrices.fit_gradient`, for symbols."""
     record, flags = sums[0, 0].record, flags_of(active, about_node)
-    fits = [record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
+    fits = [
+        record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T
+    ]
     found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]
     return as_symbols(np.array(found, object).reshape(FOUND, -1))
 
@@ -245,4 +267,7 @@ def dot(a: NDArray, b: NDArray) -> NDArray:
 def double_dot(a: NDArray, b: NDArray) -> NDArray:
     """Return a_ij b_ij."""
     # term by term: the order in which numpy sums over axes depends on the number of nodes, and with it the last bit
-    return sum((a[..., i, j] * b[..., i, j] for i in range(3) for j in range(3)), start=np.zeros(b.shape[:-2]))
+    return sum(
+        (a[..., i, j] * b[..., i, j] for i in range(3) for j in range(3)),
+        start=np.zeros(b.shape[:-2]),
+    )

@@ -77,7 +77,9 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     if not noise or not set(others) <= set(COMPONENTS):
         return mean
     count = _independent(f, others)
-    scatter = {f"{name}_error": f[name].std(others) / np.sqrt(count - 1.0) for name in noise if count > 1}
+    scatter = {
+        f"{name}_error": f[name].std(others) / np.sqrt(count - 1.0) for name in noise if count > 1
+    }
     of_nodes = {name: _noise(one, sums, name, others, count) for name, one in noise.items()}
     return _with_larger(mean.assign(scatter), of_nodes, "scatter_of_places")
 
@@ -120,8 +122,12 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         if value is not None and not is_whole(value, 1, count):
             raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
     if window is None and every != 1:
-        raise ValueError(f"every={every!r} is the distance of windows: give their length, window=, too")
-    f = f.assign_attrs(provenance(f, format_call("time_average", {"window": window, "every": every})))
+        raise ValueError(
+            f"every={every!r} is the distance of windows: give their length, window=, too"
+        )
+    f = f.assign_attrs(
+        provenance(f, format_call("time_average", {"window": window, "every": every}))
+    )
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
@@ -141,10 +147,14 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         # without coordinates, which are the mean's; of blocks that leave out an unknown step there may be an error
         beside[f"{name}_error"] = errors[name].variable.where(mean[name].variable.notnull())
         beside[f"{name}_error"].attrs = {
-            "units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"
-        }  # fmt: skip
+            "units": f[name].attrs.get("units", "1"),
+            "long_name": f"standard error of {name}",
+        }
     mean = mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
-    of_steps = {name: _noise(one, samples, name, [_SAMPLE], samples.sizes[_SAMPLE]) for name, one in noisy.items()}
+    of_steps = {
+        name: _noise(one, samples, name, [_SAMPLE], samples.sizes[_SAMPLE])
+        for name, one in noisy.items()
+    }
     return _with_larger(mean, of_steps, "scatter_of_steps")
 
 
@@ -156,10 +166,18 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     rows, fraction = _rows_of(f), fraction.drop_attrs(deep=False)
     sums = _to_sums(f, "per='accessible'")
     kept = {"sample_count", *(name for name, row in rows.items() if row is not None and row.weight)}
-    divided = {name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction for name in sums}
+    divided = {
+        name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction
+        for name in sums
+    }
     out = _from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
-    return out.assign({name: f[name].where(known) if name != "sample_count" else f[name] for name in kept & set(rows)})
+    return out.assign(
+        {
+            name: f[name].where(known) if name != "sample_count" else f[name]
+            for name in kept & set(rows)
+        }
+    )
 
 
 # --- errors of one step ----------------------------------------------------------------------------------
@@ -175,12 +193,14 @@ def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
         return f, {}
     found = {name: f.get(f"{name}_error") for name in map(str, f.data_vars)}
     noise = {name: error for name, error in found.items() if error is not None}
-    return f.drop_vars([f"{name}_error{end}" for name in noise for end in ("", "_from")], errors="ignore"), noise
+    return f.drop_vars(
+        [f"{name}_error{end}" for name in noise for end in ("", "_from")], errors="ignore"
+    ), noise
 
 
 def _noise(
     noise: xr.DataArray, sums: xr.Dataset, name: str, dims: Sequence[str], independent: float
-) -> xr.DataArray:  # fmt: skip
+) -> xr.DataArray:
     """Error of an average of some independent values over dimensions; of a ratio with the weights of its average."""
     if (bottom := sums.get(f"{name}/bottom")) is None:
         variance = (noise**2).mean(dims)
@@ -201,7 +221,13 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     kept = len(seen) - len(axes)
     length = [float(f[a][1] - f[a][0]) * f.sizes[a] if f.sizes[a] > 1 else 0.0 for a in axes]
     return max(
-        1.0, min(count, math.prod(length) * squared_integral(kernel, len(seen)) / squared_integral(kernel, kept))
+        1.0,
+        min(
+            count,
+            math.prod(length)
+            * squared_integral(kernel, len(seen))
+            / squared_integral(kernel, kept),
+        ),
     )
 
 
@@ -222,15 +248,20 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
         larger = ((other > one) | one.isnull()).drop_attrs(deep=False)
         error = other.where(larger, one).where(mean[name].notnull()).drop_attrs(deep=False)
         units = mean[name].attrs.get("units", "1")
-        found[f"{name}_error"] = error.assign_attrs(units=units, long_name=f"standard error of {name}")
+        found[f"{name}_error"] = error.assign_attrs(
+            units=units, long_name=f"standard error of {name}"
+        )
         found[f"{name}_error_from"] = larger.astype("int8").assign_attrs(
-            long_name=f"source of the error of {name}", flag_values=np.array([0, 1], "int8"),
+            long_name=f"source of the error of {name}",
+            flag_values=np.array([0, 1], "int8"),
             flag_meanings=f"noise_of_each_step {source}",
-        )  # fmt: skip
+        )
     return mean.assign(found)
 
 
-def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
+def block_errors(
+    samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]
+) -> xr.Dataset:
     """Return standard errors of a function of the mean over consecutive samples, which may be correlated.
 
     They come from the first size of blocks beyond which they do not grow, see `time_average`.
@@ -257,13 +288,19 @@ def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset],
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
-    rows = {name: registry.row(name, options) for name in names if name.removesuffix("_error") not in {*names} - {name}}
+    rows = {
+        name: registry.row(name, options)
+        for name in names
+        if name.removesuffix("_error") not in {*names} - {name}
+    }
     return _all_of(_missing(rows, options))
 
 
 def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     """Return the fields that are missing, each once."""
-    return tuple(dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE))
+    return tuple(
+        dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE)
+    )
 
 
 def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
@@ -273,15 +310,21 @@ def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, li
     def follows(name: str) -> bool:
         """Return whether a sum is here, or follows from sums that are."""
         row = registry.row(name, options)
-        return name in here or bool(row.fields and not row.moments and all(map(follows, row.fields)))
+        return name in here or bool(
+            row.fields and not row.moments and all(map(follows, row.fields))
+        )
 
     def obtain(name: str, row: Field | None) -> list[str]:
         if row is None or (row.moments and not row.additive and not row.weight):
             return [_NO_RULE]
         if not row.additive and not row.weight:
-            return [lack for need in row.fields for lack in obtain(need, registry.row(need, options))]
+            return [
+                lack for need in row.fields for lack in obtain(need, registry.row(need, options))
+            ]
         wanted = [
-            field for field in (name, row.weight) if field and not (field in here or (row.additive and follows(name)))
+            field
+            for field in (name, row.weight)
+            if field and not (field in here or (row.additive and follows(name)))
         ]
         here.update(wanted)
         return wanted
@@ -296,7 +339,10 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
     """Rows of the fields of a result; None for other variables."""
     options = registry.options_of(f.attrs)
     names = map(str, f.data_vars)
-    return {name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name]) for name in names}
+    return {
+        name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name])
+        for name in names
+    }
 
 
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
@@ -315,7 +361,9 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
         msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
         if sums := _all_of(missing):
-            msg += f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
+            msg += (
+                f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
+            )
         raise ValueError(msg)
     f = _with_components(f, rows, purpose)
     out: dict[str, xr.DataArray] = {}
@@ -323,12 +371,17 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         assert row is not None
         if row.additive:
             value = f[name].astype(float)
-            out[name] = value.where(~f[SKIPPED]) if SKIPPED in f.coords else value  # whole numbers of such steps are -1
+            out[name] = (
+                value.where(~f[SKIPPED]) if SKIPPED in f.coords else value
+            )  # whole numbers of such steps are -1
         elif row.weight:
             weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
             weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
             if row.harmonic:
-                out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight != 0, 1.0)
+                out[f"{name}/top"], out[f"{name}/bottom"] = (
+                    weight,
+                    weight / value.where(weight != 0, 1.0),
+                )
             else:
                 out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
     return xr.Dataset(out)
@@ -352,7 +405,11 @@ def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: s
         if (whole := next((found for found in ordered if found is not None), None)) is not None:
             f = whole
             continue
-        anew = [n for n, row in rows.items() if row and not (row.additive or row.weight) and of_tensors(n)]
+        anew = [
+            n
+            for n, row in rows.items()
+            if row and not (row.additive or row.weight) and of_tensors(n)
+        ]
         if anew:
             held = ", ".join(map(str, labels_along(f, dim)))
             raise ValueError(
@@ -385,7 +442,10 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
         elif "/" not in name:
             found[name] = sums[name]
 
-    out = {name: derive(name, found, options).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
+    out = {
+        name: derive(name, found, options).assign_attrs(f[name].attrs)
+        for name in map(str, f.data_vars)
+    }
     return xr.Dataset(out, attrs=f.attrs)
 
 
@@ -393,7 +453,9 @@ def derive(name: str, found: dict[str, xr.DataArray], options: Options) -> xr.Da
     """Return a field from those found, or compute it and add what it needed to them."""
     if name not in found:
         row = registry.row(name, options)
-        found[name] = _compute(row, {need: derive(need, found, options) for need in row.fields}, options)
+        found[name] = _compute(
+            row, {need: derive(need, found, options) for need in row.fields}, options
+        )
     return found[name]
 
 
@@ -402,12 +464,18 @@ def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) ->
 
     def plain(*arrays: NDArray) -> NDArray:
         with np.errstate(all="ignore"):
-            return row.compute(SimpleNamespace(**dict(zip(needs, arrays, strict=True))), None, options)
+            return row.compute(
+                SimpleNamespace(**dict(zip(needs, arrays, strict=True))), None, options
+            )
 
     if not needs:
         return xr.DataArray(plain())
     tail = ("component", "direction")
     return xr.apply_ufunc(
-        plain, *needs.values(), input_core_dims=[[d for d in tail if d in v.dims] for v in needs.values()],
-        output_core_dims=[tail[: row.rank]], dask="parallelized", output_dtypes=[float],
-    )  # fmt: skip
+        plain,
+        *needs.values(),
+        input_core_dims=[[d for d in tail if d in v.dims] for v in needs.values()],
+        output_core_dims=[tail[: row.rank]],
+        dask="parallelized",
+        output_dtypes=[float],
+    )

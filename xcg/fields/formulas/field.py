@@ -165,12 +165,18 @@ class Field:
 
 def sum_of(moment: str, **about: Any) -> Field:
     """Return the row of a field that is one moment."""
-    return Field(compute=lambda f, s, o: getattr(s, moment), moments=(moment,), additive=True, **about)
+    return Field(
+        compute=lambda f, s, o: getattr(s, moment), moments=(moment,), additive=True, **about
+    )
 
 
 def mean_of_sums(top: str, bottom: str, **about: Any) -> Field:
     """Return the row of a field that is one moment over another, the sum of its weights."""
-    return Field(compute=lambda f, s, o: mean_of(getattr(s, top), getattr(s, bottom)), moments=(top, bottom), **about)
+    return Field(
+        compute=lambda f, s, o: mean_of(getattr(s, top), getattr(s, bottom)),
+        moments=(top, bottom),
+        **about,
+    )
 
 
 # --- quantities of variables ----------------------------------------------------------------------------
@@ -213,9 +219,13 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if not isinstance(self.variable, str):
-            raise ValueError(f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene")
+            raise ValueError(
+                f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene"
+            )
         if self.weight is not None and self.weight not in WEIGHTS:
-            raise ValueError(f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}")
+            raise ValueError(
+                f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}"
+            )
 
 
 class Mean(Quantity):
@@ -328,8 +338,12 @@ class Conduction(Quantity):
 
 
 KINDS: dict[str, type[Quantity]] = {
-    "mean": Mean, "sum": Sum, "variance": Variance, "flux": Flux, "conduction": Conduction
-}  # fmt: skip
+    "mean": Mean,
+    "sum": Sum,
+    "variance": Variance,
+    "flux": Flux,
+    "conduction": Conduction,
+}
 _CALL = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
 
 
@@ -345,7 +359,9 @@ def read_quantity(text: str) -> Quantity | None:
     if call is None:
         return None
     kind, given = call[1].lower(), [part.strip() for part in call[2].split(",")]
-    named: dict[str, Any] = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
+    named: dict[str, Any] = dict(
+        re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part
+    )
     plain: list[Any] = [part for part in given if "=" not in part]
     if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
         hint = "" if kind in KINDS else did_you_mean(kind, KINDS)

@@ -50,7 +50,9 @@ class Program:
     widths: Mapping[str, int]
     stores: NDArray
 
-    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None) -> None:
+    def run(
+        self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None
+    ) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
@@ -80,7 +82,9 @@ class Program:
             source.append((number, first + column, factors.index(factor)))
         # rows of the scratch: constants of the program, factors, columns of each array, and results of steps
         own, widths = len(self.scratch), [a.shape[1] for a in arrays]
-        rows = np.cumsum([own + len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
+        rows = np.cumsum(
+            [own + len(factors), *(width + -width % EIGHT for width in widths)]
+        ).tolist()
         scratch = loops.room_for(rows[-1])
         scratch[:own], scratch[own : rows[0]] = self.scratch, np.reshape(factors, (-1, 1))
         inputs = [(rows[number] + column, own + factor) for number, column, factor in source]
@@ -89,13 +93,27 @@ class Program:
             (loops.address_of(a, nodes, width, "moments"), width, row)
             for a, width, row in zip(arrays, widths, rows, strict=False)
         ]
-        begins = [loops.address_of(out[name], places, width, name) for name, width in self.widths.items()]
+        begins = [
+            loops.address_of(out[name], places, width, name) for name, width in self.widths.items()
+        ]
         which, first, count = self.stores.T
         address = np.array(begins, "uint64")[which] + loops.BYTES * first.astype("uint64")
-        fields = np.stack([address, np.array(list(self.widths.values()), "uint64")[which], count.astype("uint64")], 1)
+        fields = np.stack(
+            [
+                address,
+                np.array(list(self.widths.values()), "uint64")[which],
+                count.astype("uint64"),
+            ],
+            1,
+        )
         tile = np.empty((loops.TILE + EIGHT) * max(widths))
         to = place if order is None else place[order]
-        lists = np.array(records, "uint64"), np.array(inputs, "uint64").reshape(-1, 2), fields, self.target
+        lists = (
+            np.array(records, "uint64"),
+            np.array(inputs, "uint64").reshape(-1, 2),
+            fields,
+            self.target,
+        )
         loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 
@@ -110,7 +128,10 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
         return None
     record, found = Trace(), dict[str, Any]()
     wanted = registry.moments_of(fields, options)
-    moments = {name: record.load(name, row.columns, groups, paired=row.paired) for name, row in wanted.items()}
+    moments = {
+        name: record.load(name, row.columns, groups, paired=row.paired)
+        for name, row in wanted.items()
+    }
     moments["reference"] = zero_if_unknown(record.load("reference", np.arange(3))[0, 0])
     s = SimpleNamespace(**moments)
     for name in registry.order_of(fields, options):
@@ -121,7 +142,9 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
             except Exception:  # numbers may do; if not, they give an error that says why
                 continue
     results = {
-        (name, first, number): [record.of(value).number for value in found[name].flat[first : first + number]]
+        (name, first, number): [
+            record.of(value).number for value in found[name].flat[first : first + number]
+        ]
         for name in fields
         if name in found
         for number in [3 ** registry.row(name, options).rank]
@@ -131,7 +154,8 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
 
 
 def _allocate(
-    recorded: Sequence[tuple[int, tuple[Any, ...]]], results: Mapping[tuple[str, int, int], Sequence[int]]
+    recorded: Sequence[tuple[int, tuple[Any, ...]]],
+    results: Mapping[tuple[str, int, int], Sequence[int]],
 ) -> Program:
     """Assign the steps that lead to results to rows of numbers; rows are reused once nothing needs them.
 
@@ -199,7 +223,9 @@ def _allocate(
     for name, first, components in stored:
         widths[name] = max(widths.get(name, 0), first + components)
     names = list(widths)
-    stores = np.array([(names.index(name), first, components) for name, first, components in stored])
+    stores = np.array(
+        [(names.index(name), first, components) for name, first, components in stored]
+    )
     return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
 
 

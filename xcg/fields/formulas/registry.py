@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flow, orientation, rheology
+from xcg.fields.formulas.rows import (
+    contacts,
+    displacement,
+    energy,
+    errors,
+    flow,
+    orientation,
+    rheology,
+)
 from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
@@ -98,10 +106,16 @@ def moments_of(fields: Iterable[str], options: Options) -> dict[str, Moment]:
     if options.friction is not None:
         column = partial(sliding_contacts, options.friction)
         rows["sliding_contacts"] = replace(MOMENTS["sliding_contacts"], column=column)
-    return {name: rows[name] for field in order_of(fields, options) for name in row(field, options).moments}
+    return {
+        name: rows[name]
+        for field in order_of(fields, options)
+        for name in row(field, options).moments
+    }
 
 
-def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:
+def evaluate(
+    fields: Sequence[str], moments: Mapping[str, NDArray], options: Options
+) -> dict[str, NDArray]:
     """Compute fields from moments with NumPy; arrays (phase, node, ...)."""
     s, f = SimpleNamespace(**moments), SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
@@ -110,7 +124,16 @@ def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opt
     return {name: getattr(f, name) for name in fields}
 
 
-COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
+COORDINATES = (
+    "time",
+    "step",
+    "skipped",
+    *COMPONENTS,
+    "phase",
+    "other_phase",
+    "component",
+    "direction",
+)
 _PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
 
 
@@ -183,12 +206,21 @@ def register_field(
     'Pa'
     """
     row = Field(
-        rank=rank, units=_unit(name, units, powers), long_name=long_name or str(name).replace("_", " "),
-        formula=formula, compute=compute, fields=_names(fields), moments=_names(moments), additive=additive,
-        weight=weight, default=False,
-    )  # fmt: skip
+        rank=rank,
+        units=_unit(name, units, powers),
+        long_name=long_name or str(name).replace("_", " "),
+        formula=formula,
+        compute=compute,
+        fields=_names(fields),
+        moments=_names(moments),
+        additive=additive,
+        weight=weight,
+        default=False,
+    )
     _check(name, row)
-    row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
+    row = replace(
+        row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), "")
+    )
     _try_out(name, row)
     REGISTERED[name] = row
 
@@ -204,7 +236,8 @@ def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
     if powers is not None:
         if len(powers) != 3 or not all(isinstance(power, int) for power in powers):
             _refuse(
-                name, f"powers={powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa"
+                name,
+                f"powers={powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa",
             )
         length, mass, time = powers
         return units_of((length, mass, time))
@@ -224,7 +257,10 @@ def _check(name: str, row: Field) -> None:
     if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
         _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
     if name in own or name in COORDINATES:
-        _refuse(name, f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another")
+        _refuse(
+            name,
+            f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another",
+        )
     if not callable(row.compute):
         _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
     if row.rank not in (0, 1, 2):
@@ -237,19 +273,27 @@ def _check(name: str, row: Field) -> None:
     ):
         for need in needs:
             if need not in known:
-                _refuse(name, f"it needs an {unknown(kind, need, known, f'{kind}s are in {where}')}")
+                _refuse(
+                    name, f"it needs an {unknown(kind, need, known, f'{kind}s are in {where}')}"
+                )
     if name in order_of(row.fields, Options()):
         _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
     if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):
         sums = [field for field in own if FIELDS[field].additive and FIELDS[field].rank == 0]
-        _refuse(name, f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}")
+        _refuse(
+            name,
+            f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}",
+        )
 
 
 def _try_out(name: str, row: Field) -> None:
     """Compute the field from made-up moments."""
     options = Options(fluid_viscosity=1.0, own=(OwnRow(name, row),))
     moments = _made_up(moments_of((name,), options))
-    part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
+    part = {
+        moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4]
+        for moment, a in moments.items()
+    }
     try:
         found = evaluate([*row.fields, name], moments, options)
         again = evaluate([name], part, options)[name]
@@ -257,7 +301,9 @@ def _try_out(name: str, row: Field) -> None:
         why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
         if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
             why = f"its formula takes {error.name!r}, which neither fields= nor moments= names"
-        raise ValueError(f"register_field({name!r}): {why}: {type(error).__name__}: {error}") from error
+        raise ValueError(
+            f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
+        ) from error
     values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":
         _refuse(
@@ -267,9 +313,15 @@ def _try_out(name: str, row: Field) -> None:
         )
     for need, unchanged in evaluate(row.fields, moments, options).items():
         if not np.array_equal(found[need], unchanged, equal_nan=True):
-            _refuse(name, f"its formula changes the field {need!r} that it is given; let it work on a copy")
+            _refuse(
+                name,
+                f"its formula changes the field {need!r} that it is given; let it work on a copy",
+            )
     if not np.allclose(values[:, 2:4], again, rtol=1e-9, equal_nan=True):
-        _refuse(name, "what its formula gives at a node depends on other nodes, which are computed block by block")
+        _refuse(
+            name,
+            "what its formula gives at a node depends on other nodes, which are computed block by block",
+        )
 
 
 def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:

@@ -40,7 +40,15 @@ from xcg.fields.formulas.field import (
 from xcg.fields.sums.moments import Moment, of_sides
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
-from xcg.scene.schema import Frame, factors_of_unit, powers_of, product_of_units, units_in, units_of, variable
+from xcg.scene.schema import (
+    Frame,
+    factors_of_unit,
+    powers_of,
+    product_of_units,
+    units_in,
+    units_of,
+    variable,
+)
 
 
 class _MeanError(Variance):
@@ -92,10 +100,17 @@ class OwnField:
         reads = (q,) if self.weight == "number" else (q, self.weight)
         if isinstance(self.quantity, Conduction):
             formula, column = f"{q} a, along the branch", partial(_of_sides, q)
-            return {formula: Moment(reads, formula, (3,), column=column, contacts=True, along_branches=True)}
+            return {
+                formula: Moment(
+                    reads, formula, (3,), column=column, contacts=True, along_branches=True
+                )
+            }
         made = partial(Moment, contacts=self.at_contacts, at_contacts=self.at_contacts)
         if isinstance(self.quantity, (Mean, Sum)):
-            formula, column = q if symbol == "1" else f"{symbol} {q}", partial(_weighted, q, self.weight)
+            formula, column = (
+                q if symbol == "1" else f"{symbol} {q}",
+                partial(_weighted, q, self.weight),
+            )
             return {f"{self.weight} {q}": made(reads, formula, (3,) * self.rank, column=column)}
         # sums of products, relative to each node, of three numbers a pass
         numbers: list[_Number] = [(q, k) for k in range(3**self.rank)]
@@ -112,11 +127,15 @@ class OwnField:
             f"{self.weight} about {', '.join(map(_text, triple))}{squares}": made(
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
                 f"{symbol} (1, q, q q){squares} of {', '.join(_text(part) for part in triple if part)}",
-                (len(layout),), loops.FLUCTUATION, loops.MASS, partial(_numbers, triple, self.weight), layout=layout,
+                (len(layout),),
+                loops.FLUCTUATION,
+                loops.MASS,
+                partial(_numbers, triple, self.weight),
+                layout=layout,
                 vector=self.rank == 1 and isinstance(self.quantity, Variance),
             )
             for triple in triples
-        }  # fmt: skip
+        }
 
     @property
     def error(self) -> Quantity | None:
@@ -130,7 +149,9 @@ class OwnField:
         """The row that it would have in the registry of fields."""
         names, rank = tuple(self.moments), self.rank
         # what weights sum to: a moment, and the field that weighs averages over nodes or steps
-        total, counts = ("contacts", "contact_number_density") if self.at_contacts else WEIGHTS[self.weight][2:]
+        total, counts = (
+            ("contacts", "contact_number_density") if self.at_contacts else WEIGHTS[self.weight][2:]
+        )
         u = {"1": ""}.get(WEIGHTS[self.weight][0], f"{WEIGHTS[self.weight][0]}_i ")
         point = "Psi(r - c)" if self.at_contacts else "Psi"
         by = "number" if self.at_contacts else self.weight
@@ -139,39 +160,55 @@ class OwnField:
         mean = f"<q> = sum {u}q {point} / {below}"
         forms: dict[type[Quantity], tuple[Any, ...]] = {
             Mean: (
-                f"mean of {self.what}, weighted by {by}", f"sum {u}q {point} / {below}",
-                lambda f, s, o: mean_of(getattr(s, names[0]), getattr(s, total)), (total,),
+                f"mean of {self.what}, weighted by {by}",
+                f"sum {u}q {point} / {below}",
+                lambda f, s, o: mean_of(getattr(s, names[0]), getattr(s, total)),
+                (total,),
             ),
             Sum: (
-                f"sum of {self.what} in a unit of volume", f"sum {u}q {point}",
-                lambda f, s, o: getattr(s, names[0]), (),
+                f"sum of {self.what} in a unit of volume",
+                f"sum {u}q {point}",
+                lambda f, s, o: getattr(s, names[0]),
+                (),
             ),
             Variance: (
-                f"variance of {self.what}, weighted by {by}", f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
-                partial(_variance, names, rank), (),
+                f"variance of {self.what}, weighted by {by}",
+                f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
+                partial(_variance, names, rank),
+                (),
             ),
             _MeanError: (
-                f"standard error in one step of the mean of {self.what}", f"sqrt(var(q) sum ({u}{point})^2) / {below}",
-                partial(_mean_error, names, rank), (),
+                f"standard error in one step of the mean of {self.what}",
+                f"sqrt(var(q) sum ({u}{point})^2) / {below}",
+                partial(_mean_error, names, rank),
+                (),
             ),
             Flux: (
-                f"flux of {self.what} by fluctuations of the velocity", f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
-                partial(_flux, names, rank), ("mass", "momentum"),
+                f"flux of {self.what} by fluctuations of the velocity",
+                f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
+                partial(_flux, names, rank),
+                ("mass", "momentum"),
             ),
             Conduction: (
                 f"flux of {self.what} along contacts",
                 "sum_c q [(r_i - c) S_i + (c - r_j) S_j], S_i = int_0^1 Psi(r - c - s (r_i - c)) ds",
-                lambda f, s, o: getattr(s, names[0]), (),
+                lambda f, s, o: getattr(s, names[0]),
+                (),
             ),
-        }  # fmt: skip
+        }
         long_name, formula, compute, more = forms[kind]
         return Field(
-            rank=rank + (kind in (Flux, Conduction)), units=self.units, long_name=long_name,
-            formula=f"{formula}, q = {q}", compute=compute, fields=("_drift",) * (kind is Flux),
-            moments=(*names, *more), additive=kind in (Sum, Flux, Conduction),
+            rank=rank + (kind in (Flux, Conduction)),
+            units=self.units,
+            long_name=long_name,
+            formula=f"{formula}, q = {q}",
+            compute=compute,
+            fields=("_drift",) * (kind is Flux),
+            moments=(*names, *more),
+            additive=kind in (Sum, Flux, Conduction),
             weight=counts if kind in (Mean, Variance) else "",
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
-        )  # fmt: skip
+        )
 
 
 def row_of_result(field: xr.DataArray) -> Field | None:
@@ -199,7 +236,9 @@ def own_fields(
         if isinstance(one, registry.OwnRow):
             found[k] = one
             continue
-        quantity = read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
+        quantity = (
+            read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
+        )
         if quantity is None and one in scene.rows:
             quantity = Mean(str(one))
         if isinstance(quantity, Quantity):
@@ -208,7 +247,9 @@ def own_fields(
     for name in {own.name for own in quantities}:
         same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
         if len(same) > 1:
-            raise ValueError(f"{' and '.join(map(str, same))} would both be called {name!r}; pass name=")
+            raise ValueError(
+                f"{' and '.join(map(str, same))} would both be called {name!r}; pass name="
+            )
     return found
 
 
@@ -254,10 +295,14 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
             f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
         )
     return OwnField(
-        quantity, result, weight, rank, at_contacts,
+        quantity,
+        result,
+        weight,
+        rank,
+        at_contacts,
         units=_units(quantity, weight, found.units, scene.setup.unit_system),
         what=found.long_name or name.replace("_", " "),
-    )  # fmt: skip
+    )
 
 
 def check_turns(own: Iterable[Any]) -> None:
@@ -286,7 +331,9 @@ def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
     if "particle" in found.dims and expected[0] == "contact":
         return f"{msg}: names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
     if "time" not in found.dims:
-        return f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
+        return (
+            f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
+        )
     rows = expected[0]
     return (
         f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, or 'component' and 'direction' "
@@ -302,16 +349,22 @@ def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) ->
     if isinstance(quantity, Variance):
         return _times(unit, 2, "1")
     flux, along = isinstance(quantity, Flux), isinstance(quantity, Conduction)
-    return _times(unit, 1, units_in(units_of((length - 3 + flux + along, mass, -int(flux))), system))
+    return _times(
+        unit, 1, units_in(units_of((length - 3 + flux + along, mass, -int(flux))), system)
+    )
 
 
 def _times(unit: str, exponent: int, other: str) -> str:
     """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
     factors, others = factors_of_unit(unit), factors_of_unit(other) or {}
     if factors is None:  # another notation
-        return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
+        return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (
+            f" {other}" if other != "1" else ""
+        )
     names = [*factors, *(name for name in others if name not in factors)]
-    return product_of_units({name: exponent * factors.get(name, 0) + others.get(name, 0) for name in names})
+    return product_of_units(
+        {name: exponent * factors.get(name, 0) + others.get(name, 0) for name in names}
+    )
 
 
 # --- sums ------------------------------------------------------------------------------------------------
@@ -319,7 +372,11 @@ def _times(unit: str, exponent: int, other: str) -> str:
 # a component of a variable, numbered row by row; None for zeros
 _Number = tuple[str, int] | None
 # of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc; of errors also the weight's square
-_ABOUT = (loops.MASS, *(loops.MOMENTUM + k for k in range(3)), *(loops.KINETIC + k for k in range(6)))
+_ABOUT = (
+    loops.MASS,
+    *(loops.MOMENTUM + k for k in range(3)),
+    *(loops.KINETIC + k for k in range(6)),
+)
 _FIRST, _SQUARES, _PRODUCTS, _OF_WEIGHTS = 1, (4, 7, 9), (5, 6), 10
 
 
@@ -377,9 +434,15 @@ def _mean_error(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -
     found = []
     for name, k in product(names, range(3 if rank else 1)):
         sums = getattr(s, name)
-        weight, first, square = where_positive(sums[..., 0]), sums[..., _FIRST + k], sums[..., _OF_WEIGHTS]
+        weight, first, square = (
+            where_positive(sums[..., 0]),
+            sums[..., _FIRST + k],
+            sums[..., _OF_WEIGHTS],
+        )
         scatter = at_least_zero(sums[..., _SQUARES[k]] - first * first / weight)
-        found.append(np.sqrt(scatter * square / (where_positive(weight - square / weight) * weight * weight)))
+        found.append(
+            np.sqrt(scatter * square / (where_positive(weight - square / weight) * weight * weight))
+        )
     return _components(found, rank)
 
 

@@ -33,7 +33,11 @@ def axis_of(direction: NDArray) -> int | None:
 def frame_about(direction: NDArray) -> tuple[NDArray, NDArray]:
     """Two unit vectors that make a right-handed frame with `direction` as the third; x and y for z."""
     k = axis_of(direction)
-    first = np.eye(3)[(k + 1) % 3] if k is not None else np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first = (
+        np.eye(3)[(k + 1) % 3]
+        if k is not None
+        else np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    )
     first = first / np.linalg.norm(first)
     return first, np.cross(direction, first)
 
@@ -85,18 +89,27 @@ class Rotated:
     def __post_init__(self) -> None:
         given = self._chosen
         if len(given) not in (1, 2):
-            raise ValueError(f"{self}: expected one or two of the axes x, y, z; the others follow from right angles")
+            raise ValueError(
+                f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
+            )
         for name in given:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
         if len(given) == 2 and self._second(*given) is None:
-            raise ValueError(f"{self}: the axes {' and '.join(given)} are parallel: give two different directions")
+            raise ValueError(
+                f"{self}: the axes {' and '.join(given)} are parallel: give two different directions"
+            )
 
     @property
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
-        first, others = self._chosen[0], self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]]
-        second, beside = next((a, part) for a in others if (part := self._second(first, a)) is not None)
+        first, others = (
+            self._chosen[0],
+            self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]],
+        )
+        second, beside = next(
+            (a, part) for a in others if (part := self._second(first, a)) is not None
+        )
         found = {first: unit(self._given(first)), second: beside}
         (k,) = (k for k, a in enumerate(COMPONENTS) if a not in found)
         found[COMPONENTS[k]] = np.cross(found[COMPONENTS[k - 2]], found[COMPONENTS[k - 1]])
@@ -187,7 +200,9 @@ class Cylindrical:
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
     """Raise ValueError where a cylindrical frame has no meaning."""
     if is_cylindrical(ds):
-        raise ValueError(f"{call} needs Cartesian axes: take frame=xcg.Rotated(...), not xcg.Cylindrical(...)")
+        raise ValueError(
+            f"{call} needs Cartesian axes: take frame=xcg.Rotated(...), not xcg.Cylindrical(...)"
+        )
 
 
 def is_cylindrical(ds: xr.Dataset) -> bool:
@@ -208,10 +223,14 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     SceneError
         If the axes lead out of the plane of a scene of one layer, or some components of a variable are not there.
     """
-    axes = (frame if isinstance(frame, Rotated) else frame.rotated).axes  # in the scene's own, a row each
+    axes = (
+        frame if isinstance(frame, Rotated) else frame.rotated
+    ).axes  # in the scene's own, a row each
     origin = np.asarray(frame.origin, float)
     across = [k for k, a in enumerate(COMPONENTS) if a not in ds.attrs.get("plane", "xyz")]
-    plane = "".join(a for a, row in zip(COMPONENTS, axes, strict=True) if axis_of(row) not in across)
+    plane = "".join(
+        a for a, row in zip(COMPONENTS, axes, strict=True) if axis_of(row) not in across
+    )
     if across and len(plane) != len(COMPONENTS) - len(across):
         raise SceneError(
             f"the scene is a layer in the plane {ds.attrs['plane']!r}, and the axes {axes.tolist()} lead out of it: "
@@ -222,7 +241,11 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]
         if dims and name != "box":
             shift = origin if name in _PLACES else np.zeros(3)
-            turned = partial(_turned, axes=axes, origin=shift) if len(dims) == 1 else partial(_tensors, axes=axes)
+            turned = (
+                partial(_turned, axes=axes, origin=shift)
+                if len(dims) == 1
+                else partial(_tensors, axes=axes)
+            )
             found[name] = _mapped(turned, ds[name], dims).transpose(*ds[name].dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
@@ -234,20 +257,38 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         attrs["gravity"] = axes @ np.asarray(attrs["gravity"], float)
     out = out.drop_attrs(deep=False).assign_attrs(attrs)
     in_memory = isinstance(ds["position"].variable._data, np.ndarray)
-    if not in_memory and known_without_reading(ds, "position") and {"particle_lower", "particle_upper"} <= {*ds.attrs}:
-        extremes = (corners(ds.attrs["particle_lower"], ds.attrs["particle_upper"]) - origin) @ axes.T
-        out = out.assign_attrs(particle_lower=extremes.min(axis=0), particle_upper=extremes.max(axis=0))
+    if (
+        not in_memory
+        and known_without_reading(ds, "position")
+        and {"particle_lower", "particle_upper"} <= {*ds.attrs}
+    ):
+        extremes = (
+            corners(ds.attrs["particle_lower"], ds.attrs["particle_upper"]) - origin
+        ) @ axes.T
+        out = out.assign_attrs(
+            particle_lower=extremes.min(axis=0), particle_upper=extremes.max(axis=0)
+        )
         mark_measured(out, ["position"])
     return out
 
 
-def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str], out: Sequence[str] | None = None) -> xr.DataArray:
+def _mapped(
+    function: Any, values: xr.DataArray, dims: Sequence[str], out: Sequence[str] | None = None
+) -> xr.DataArray:
     """Apply a function along dimensions; `out` are those of what it returns, three long, by default the same."""
     return xr.apply_ufunc(
-        function, values, input_core_dims=[list(dims)], output_core_dims=[list(out or dims)], dask="parallelized",
-        keep_attrs=out is None, output_dtypes=[float],
-        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": dict.fromkeys(set(out or ()) - {*dims}, 3)},
-    )  # fmt: skip
+        function,
+        values,
+        input_core_dims=[list(dims)],
+        output_core_dims=[list(out or dims)],
+        dask="parallelized",
+        keep_attrs=out is None,
+        output_dtypes=[float],
+        dask_gufunc_kwargs={
+            "allow_rechunk": True,
+            "output_sizes": dict.fromkeys(set(out or ()) - {*dims}, 3),
+        },
+    )
 
 
 def _turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
@@ -268,7 +309,9 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         return ds
     own = [axis_of(row) for row in axes]
     others = [k for k in range(3) if k not in own]
-    rows = [others.pop(0) if k is None else k for k in own]  # which of its axes stands in the place of each new one
+    rows = [
+        others.pop(0) if k is None else k for k in own
+    ]  # which of its axes stands in the place of each new one
     periodic = str(ds.attrs.get("periodic", ""))
     loose = [k for k in range(3) if k not in own and COMPONENTS[k] in periodic]
     edges = partial(_edges, own=own, axes=axes, origin=origin)
@@ -276,10 +319,16 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
     if {"box_lower", "box_upper"} <= set(attrs):
         box = edges(np.stack([attrs["box_lower"], attrs["box_upper"]], axis=-1))
         attrs |= {"box_lower": box[:, 0], "box_upper": box[:, 1]}
-    attrs["periodic"] = "".join(a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic)
+    attrs["periodic"] = "".join(
+        a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic
+    )
     found = {"box": _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)}
     if "lattice" in ds:
-        found |= {n: ds[n].isel(vector=rows).assign_coords(vector=list(VECTORS)) for n in _LATTICE if n in ds}
+        found |= {
+            n: ds[n].isel(vector=rows).assign_coords(vector=list(VECTORS))
+            for n in _LATTICE
+            if n in ds
+        }
     elif loose:
         repeats = np.array([a in periodic for a in COMPONENTS])
         lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
@@ -294,7 +343,9 @@ def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArr
     out[...] = -np.inf, np.inf
     for j, k in enumerate(own):
         if k is not None:
-            out[..., j, :] = np.sort(np.sign(axes[j, k]) * (box[..., k, :] - origin[k]), axis=-1) + 0.0
+            out[..., j, :] = (
+                np.sort(np.sign(axes[j, k]) * (box[..., k, :] - origin[k]), axis=-1) + 0.0
+            )
     return out
 
 

@@ -32,20 +32,33 @@ def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
         if wrong := [a for a in given if a not in known]:
             layer = " (one layer, dimension=2)" if len(known) == 2 else ""
             example = "".join(known[:2])
-            how = f"; write names without commas or spaces, such as {example!r}" if {",", " "} & {*wrong} else ""
-            raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(known)}{layer}{how}")
+            how = (
+                f"; write names without commas or spaces, such as {example!r}"
+                if {",", " "} & {*wrong}
+                else ""
+            )
+            raise ValueError(
+                f"{name} names {wrong}: the axes of this scene are {', '.join(known)}{layer}{how}"
+            )
 
 
 def check_places(
-    axes: Sequence[str], at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], known: Sequence[str]
+    axes: Sequence[str],
+    at: Mapping[str, float],
+    bounds: Mapping[str, Sequence[float]],
+    known: Sequence[str],
 ) -> None:
     """Raise ValueError for unknown axes, axes both resolved and fixed, and bounds of axes that are not resolved."""
     check_axes(known, axes=axes, at=at, bounds=bounds)
     if both := [a for a in axes if a in at]:
-        raise ValueError(f"axes= and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
+        raise ValueError(
+            f"axes= and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
+        )
     for a, value in at.items():
         if not is_finite(value):
-            raise ValueError(f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several")
+            raise ValueError(
+                f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
+            )
     if loose := [a for a in bounds if a not in axes]:
         raise ValueError(
             f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
@@ -57,7 +70,9 @@ def labels_of(
     nodes: Mapping[str, NDArray], fixed: Mapping[str, float], note: str
 ) -> tuple[dict[str, xr.Variable], dict[str, str]]:
     """Coordinates of results, and where the nodes are in words, with a note about them."""
-    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {a: xr.Variable((), x) for a, x in fixed.items()}
+    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {
+        a: xr.Variable((), x) for a, x in fixed.items()
+    }
     text = {
         "nodes": (" x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one") + note,
         "fixed": ", ".join(f"{a} = {x:g}" for a, x in fixed.items()) or "none",
@@ -70,9 +85,15 @@ class MeshTooLargeError(ValueError):
 
 
 def nodes_along(
-    a: str, step: Any, axes: Iterable[str], bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float, cells: bool = False,
-) -> tuple[NDArray, float]:  # fmt: skip
+    a: str,
+    step: Any,
+    axes: Iterable[str],
+    bounds: Mapping[str, Sequence[float]],
+    automatic: Mapping[str, tuple[float, float]],
+    period: Mapping[str, float],
+    cutoff: float,
+    cells: bool = False,
+) -> tuple[NDArray, float]:
     """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
     if not (is_finite(step) and step > _FINEST * cutoff):
         raise ValueError(
@@ -158,7 +179,9 @@ def make_grid(
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
     nodes, taken = {}, {}
     for a in axes:
-        nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff, cells)
+        nodes[a], taken[a] = nodes_along(
+            a, steps.get(a), axes, bounds, automatic, period, cutoff, cells
+        )
     shape = {a: len(x) for a, x in nodes.items()}
     if math.prod(map(float, shape.values())) > MAX_NODES:
         raise MeshTooLargeError(
@@ -171,16 +194,25 @@ def make_grid(
     origin = np.array([nodes[a][0] if a in nodes else fixed.get(a, 0.0) for a in COMPONENTS])
     last = origin + [(shape.get(a, 1) - 1) * taken.get(a, 1.0) for a in COMPONENTS]
     return Grid(
-        dims=tuple(axes), sizes=tuple(shape.values()), coords=coords,
+        dims=tuple(axes),
+        sizes=tuple(shape.values()),
+        coords=coords,
         seen="".join(a for a in COMPONENTS if a in nodes or a in fixed),
         averaged="".join(a for a in plane if a not in nodes and a not in fixed),
-        origin=origin, lower=origin - half, upper=last + half, text=text,
-        cuts={a: (place, place) for a, place in fixed.items()}, spacing=taken,
-        fitted="".join(a for a in axes if a not in bounds and a not in period), half=half,
-    )  # fmt: skip
+        origin=origin,
+        lower=origin - half,
+        upper=last + half,
+        text=text,
+        cuts={a: (place, place) for a, place in fixed.items()},
+        spacing=taken,
+        fitted="".join(a for a in axes if a not in bounds and a not in period),
+        half=half,
+    )
 
 
-def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray, source: str) -> None:
+def check_mesh(
+    position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray, source: str
+) -> None:
     """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
 
     Parameters
@@ -200,8 +232,12 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
     if not len(position) or not axes or not grid.count:
         return
     first, last, x = grid.lower, grid.upper, position
-    if not np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0).any():
-        grains = ", ".join(f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes)
+    if not np.all(
+        [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0
+    ).any():
+        grains = ", ".join(
+            f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes
+        )
         nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
         warn_once(
             "reach",
@@ -214,7 +250,13 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray,
 
 
 def warn_beyond(
-    a: str, x: NDArray, first: float, last: float, source: str, room: float | NDArray = 0.0, what: str = "grains"
+    a: str,
+    x: NDArray,
+    first: float,
+    last: float,
+    source: str,
+    room: float | NDArray = 0.0,
+    what: str = "grains",
 ) -> None:
     """Warn where coordinates x (n,), and some room, reach beyond a mesh that was laid around two steps."""
     hair = 1e-9 * (last - first)
@@ -303,10 +345,15 @@ class PointBlock:
         place = self.position * share
         begin, end = self.lower * share, self.upper * share
         many = np.array(self.shape) > 1
-        size, per_size = np.where(many, self.size * share, 0.0), np.where(many, 1.0 / (self.size * share), 0.0)
+        size, per_size = (
+            np.where(many, self.size * share, 0.0),
+            np.where(many, 1.0 / (self.size * share), 0.0),
+        )
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
-        cells = PointCells(x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin)
+        cells = PointCells(
+            x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin
+        )
         return Nodes(triple(begin), triple(end), triple(active), triple(period), cells=cells)
 
     def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
@@ -343,7 +390,9 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
         column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
         if column.size and not -_FARTHEST < column.min() <= column.max() < _FARTHEST:
             lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
-            where = dict(zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True))
+            where = dict(
+                zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True)
+            )
             raise ValueError(
                 f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
             )
@@ -359,12 +408,23 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     cuts = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS) if a in arrays}
     spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in cuts.items())
     text = " x ".join(f"{size} {dim}" for dim, size in sizes.items())
-    coords = {str(name): c.variable for array in arrays.values() for name, c in array.coords.items()}
+    coords = {
+        str(name): c.variable for array in arrays.values() for name, c in array.coords.items()
+    }
     coords |= {a: array.variable for a, array in arrays.items()}
     return Grid(
-        tuple(sizes), shape, coords, "".join(arrays), "".join(a for a in plane if a not in arrays), origin,
-        lower, upper, {"nodes": f"{text}, points with {spans}", "fixed": "none"}, cuts, parts=parts,
-    )  # fmt: skip
+        tuple(sizes),
+        shape,
+        coords,
+        "".join(arrays),
+        "".join(a for a in plane if a not in arrays),
+        origin,
+        lower,
+        upper,
+        {"nodes": f"{text}, points with {spans}", "fixed": "none"},
+        cuts,
+        parts=parts,
+    )
 
 
 def _array(axis: str, value: Any) -> xr.DataArray:
@@ -378,7 +438,9 @@ def _array(axis: str, value: Any) -> xr.DataArray:
     if array.dtype.kind not in "fiu":
         raise ValueError(f"at[{axis!r}] holds {array.dtype}: expected coordinates (m)")
     stacked = [dim for dim in array.dims if isinstance(array.indexes.get(dim), pd.MultiIndex)]
-    array = array.reset_index(stacked).drop_vars([*COMPONENTS, *_OF_RESULTS, "step"], errors="ignore")
+    array = array.reset_index(stacked).drop_vars(
+        [*COMPONENTS, *_OF_RESULTS, "step"], errors="ignore"
+    )
     return array.copy(data=array.to_numpy().astype("float64"))
 
 
@@ -386,7 +448,11 @@ def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
     """Raise ValueError for arrays that do not belong together, or whose dimensions results have already."""
     for a, array in arrays.items():
         # a dimension may be named by the one axis that runs along it, as the nodes of a mesh are
-        taken = [d for d in array.dims if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))]
+        taken = [
+            d
+            for d in array.dims
+            if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))
+        ]
         taken += [d for d in array.dims if d in _OF_RESULTS]
         if taken:
             raise ValueError(

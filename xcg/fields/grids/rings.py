@@ -34,7 +34,10 @@ _TO_TURN = (  # moments in flow columns that are vectors and tensors, and the le
     (loops.SQUARED, "square_offset"),
     (loops.SQUARED, "square_spread"),
 )
-_FLOW = {name: MOMENTS[name].first + MOMENTS[name].columns for name in (*(n for _, n in _TO_TURN), "cubes")}
+_FLOW = {
+    name: MOMENTS[name].first + MOMENTS[name].columns
+    for name in (*(n for _, n in _TO_TURN), "cubes")
+}
 _SHIFTED = Flow(**{name: _FLOW[name] for name in Flow._fields})
 
 
@@ -78,8 +81,22 @@ class RingBlock:
                 common[id(given)] = self._reference(given, turns=layout.vector)
             reference, difference = common[id(given)]
             groups, _, columns = sums.shape
-            averaged, record, tensor = np.zeros((groups, len(self.places), columns)), np.empty(columns), np.empty(27)
-            ring_means(sums, self.rings, difference, _tensors(layout), layout.level, _SHIFTED, record, tensor, averaged)
+            averaged, record, tensor = (
+                np.zeros((groups, len(self.places), columns)),
+                np.empty(columns),
+                np.empty(27),
+            )
+            ring_means(
+                sums,
+                self.rings,
+                difference,
+                _tensors(layout),
+                layout.level,
+                _SHIFTED,
+                record,
+                tensor,
+                averaged,
+            )
             for squared in run.squared if self.is_mean else ():
                 self._square(layout, squared, averaged)
             filled.append(averaged)
@@ -102,13 +119,24 @@ class RingBlock:
             0.5 * (high[0] - low[0]) + cutoff
         )
         if seen_z:
-            near &= np.abs(position[:, 2] - 0.5 * (low[1] + high[1])) < 0.5 * (high[1] - low[1]) + cutoff
+            near &= (
+                np.abs(position[:, 2] - 0.5 * (low[1] + high[1]))
+                < 0.5 * (high[1] - low[1]) + cutoff
+            )
         row = row[near]
         grains = position[near], squared.grains.mass[row], squared.grains.phase[row]
         out = np.zeros((layout.groups, len(self.places), 10))
         scratch = np.zeros((5, int(np.diff(self.rings.start).max()) + ROOM))
         ring_squares(
-            grains, squared.weights, cutoff, self.rings, seen_z, self.dimension, scratch, np.zeros((4, 3)), out
+            grains,
+            squared.weights,
+            cutoff,
+            self.rings,
+            seen_z,
+            self.dimension,
+            scratch,
+            np.zeros((4, 3)),
+            out,
         )
         columns = SQUARES if layout.level >= loops.SQUARED else SQUARES[:1]
         for k, column in enumerate(columns):
@@ -122,7 +150,9 @@ def _tensors(layout: Layout) -> tuple[NDArray, NDArray]:
         parts.append(_FLOW["cubes"])
     parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
     columns = [np.resize(part, 27) for part in parts]
-    return np.array([part.ndim for part in parts], dtype=int), np.array(columns, dtype=int).reshape(-1, 27)
+    return np.array([part.ndim for part in parts], dtype=int), np.array(columns, dtype=int).reshape(
+        -1, 27
+    )
 
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
@@ -134,10 +164,18 @@ _BLOCKS = 4  # parts a thread
 
 
 def make_rings(
-    axes: str, at: Mapping[str, Any], bounds: Mapping[str, Sequence[float]],
-    spacing: float | Mapping[str, float], *, plane: str, kernel: Kernel, seen_all: int, error: float,
-    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float],
-) -> Grid:  # fmt: skip
+    axes: str,
+    at: Mapping[str, Any],
+    bounds: Mapping[str, Sequence[float]],
+    spacing: float | Mapping[str, float],
+    *,
+    plane: str,
+    kernel: Kernel,
+    seen_all: int,
+    error: float,
+    automatic: Mapping[str, tuple[float, float]],
+    period: Mapping[str, float],
+) -> Grid:
     """Lay the nodes of a cylinder.
 
     Parameters
@@ -163,15 +201,23 @@ def make_rings(
     letters = "rtz" if "z" in plane else "rt"
     known = [NAMES[a] for a in letters]
     if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)")
+        raise ValueError(
+            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
+        )
     resolved = [NAMES[a] for a in letters if a in axes]
     if any(np.ndim(x) for x in at.values()):
-        raise ValueError("at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated")
+        raise ValueError(
+            "at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated"
+        )
     # a part of the circle may be averaged
-    check_places(resolved, at, {a: ends for a, ends in bounds.items() if a != "theta" or a in at}, known)
+    check_places(
+        resolved, at, {a: ends for a, ends in bounds.items() if a != "theta" or a in at}, known
+    )
     fixed = {a: float(at[a]) for a in known if a in at}
     if "r" not in resolved and "r" not in fixed:
-        raise ValueError("a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it (at={'r': ...})")
+        raise ValueError(
+            "a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it (at={'r': ...})"
+        )
     if fixed.get("r", 0.0) < 0.0:
         raise ValueError(f"at={dict(at)!r}: expected no radius below zero")
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
@@ -180,20 +226,28 @@ def make_rings(
     if "r" in resolved:
         if "r" not in limits and "r" in automatic and steps.get("r"):
             limits["r"] = 0.0, math.ceil(automatic["r"][1] / steps["r"]) * steps["r"]
-        nodes["r"], _ = nodes_along("r", steps.get("r"), resolved, limits, automatic, {}, kernel.cutoff)
+        nodes["r"], _ = nodes_along(
+            "r", steps.get("r"), resolved, limits, automatic, {}, kernel.cutoff
+        )
         if nodes["r"][0] < 0.0:
             raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = map(float, bounds.get("theta", (0.0, _FULL)))
     if not 0.0 < high - low <= _FULL * (1 + 1e-12):
-        raise ValueError(f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), at most a circle apart")
+        raise ValueError(
+            f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), at most a circle apart"
+        )
     if "theta" in resolved:
         widest = max(float(radii.max()), kernel.cutoff)
         along = steps.get("theta", steps["r"] / widest if "r" in steps else None)
         around, once = {"theta": (0.0, _FULL)}, {"theta": _FULL}
-        nodes["theta"], _ = nodes_along("theta", along, resolved, bounds, around, once, kernel.cutoff / widest)
+        nodes["theta"], _ = nodes_along(
+            "theta", along, resolved, bounds, around, once, kernel.cutoff / widest
+        )
     if "z" in resolved:
-        nodes["z"], _ = nodes_along("z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff)
+        nodes["z"], _ = nodes_along(
+            "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
+        )
     averaged = "z" if "z" in plane and "z" not in resolved and "z" not in fixed else ""
     seen = seen_all - len(averaged)
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
@@ -220,9 +274,19 @@ def make_rings(
     mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
     coords, text = labels_of(nodes, fixed, mean)
     return Grid(
-        tuple(nodes), tuple(map(len, nodes.values())), coords, "xyz" if "z" in coords else "xy", averaged, origin,
-        lower, upper, text, parts=parts, undirected=on_axis, attrs={"theta_error": reached},
-    )  # fmt: skip
+        tuple(nodes),
+        tuple(map(len, nodes.values())),
+        coords,
+        "xyz" if "z" in coords else "xy",
+        averaged,
+        origin,
+        lower,
+        upper,
+        text,
+        parts=parts,
+        undirected=on_axis,
+        attrs={"theta_error": reached},
+    )
 
 
 def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
@@ -265,16 +329,23 @@ def _part(radius: float, step: float, low: float, high: float) -> tuple[NDArray,
 
 
 def _blocks(
-    radii: NDArray, rules: Sequence[Sequence[tuple[NDArray, NDArray]]], heights: NDArray, origin: NDArray,
-    cutoff: float, dimension: int, count: int,
-) -> Iterator[RingBlock]:  # fmt: skip
+    radii: NDArray,
+    rules: Sequence[Sequence[tuple[NDArray, NDArray]]],
+    heights: NDArray,
+    origin: NDArray,
+    cutoff: float,
+    dimension: int,
+    count: int,
+) -> Iterator[RingBlock]:
     """Divide the nodes into blocks of not too many places: slabs, and shells of these where there are few heights."""
     each, many = [rule for of_radius in rules for rule in of_radius], len(rules[0])
     size = np.array([len(angles) for angles, _ in each])
     parts = math.ceil(count / min(BLOCK_NODES, count // (_BLOCKS * THREADS) + 1))
     slabs = np.array_split(np.arange(len(heights)), min(parts, len(heights)))
     ends = np.concatenate([[0], np.cumsum(size)])
-    cuts = np.unique(np.searchsorted(ends, np.linspace(0, ends[-1], math.ceil(parts / len(slabs)) + 1)))
+    cuts = np.unique(
+        np.searchsorted(ends, np.linspace(0, ends[-1], math.ceil(parts / len(slabs)) + 1))
+    )
     for (first, last), slab in product(pairwise(cuts.tolist()), slabs):
         ring, row = np.repeat(np.arange(first, last), len(slab)), np.tile(slab, last - first)
         rows, height = ring * len(heights) + row, heights[row]

@@ -143,7 +143,9 @@ class Plane(Wall):
         unit_vector("normal", self.normal)
         if self.bounds is not None:
             if floats(self.bounds).shape != (2, 2):
-                raise ValueError(f"bounds={self.bounds!r}: expected two pairs, ((first, last), (first, last))")
+                raise ValueError(
+                    f"bounds={self.bounds!r}: expected two pairs, ((first, last), (first, last))"
+                )
             for k in range(2):
                 rising_pair(f"bounds[{k}]", self.bounds[k])
 
@@ -191,13 +193,24 @@ class Plane(Wall):
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
         k, reached = axis_of(self._frame[0]), self.coordinates(corners(lower, upper))
-        bounds = np.transpose([reached.min(0), reached.max(0)]) if self.bounds is None else floats(self.bounds)
+        bounds = (
+            np.transpose([reached.min(0), reached.max(0)])
+            if self.bounds is None
+            else floats(self.bounds)
+        )
         dims = ("u", "v") if k is None else tuple(a for a in COMPONENTS if a != COMPONENTS[k])
-        sides = [cell_centres(low, high, spacing, dim) for (low, high), dim in zip(bounds, dims, strict=True)]
+        sides = [
+            cell_centres(low, high, spacing, dim)
+            for (low, high), dim in zip(bounds, dims, strict=True)
+        ]
         first, second = (a.ravel() for a in np.meshgrid(*sides, indexing="ij"))
         centre = self._origin + first[:, None] * self._frame[1] + second[:, None] * self._frame[2]
-        size = math.prod((high - low) / len(side) for (low, high), side in zip(bounds, sides, strict=True))
-        coords = {dim: (side, f"position along {dim}") for dim, side in zip(dims, sides, strict=True)}
+        size = math.prod(
+            (high - low) / len(side) for (low, high), side in zip(bounds, sides, strict=True)
+        )
+        coords = {
+            dim: (side, f"position along {dim}") for dim, side in zip(dims, sides, strict=True)
+        }
         return SurfaceCells(coords, centre, np.full(len(centre), size), dims, bounds)
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
@@ -258,7 +271,13 @@ class Cylinder(Wall):
 
     def _from_axis(self, points: NDArray) -> NDArray:
         """Coordinates of points across and along the axis, (n, 3)."""
-        return np.stack([(points - vector("point", self.point)) @ e for e in (*self._frame[1:], self._frame[0])], 1)
+        return np.stack(
+            [
+                (points - vector("point", self.point)) @ e
+                for e in (*self._frame[1:], self._frame[0])
+            ],
+            1,
+        )
 
     def coordinates(self, points: NDArray) -> NDArray:
         """Coordinates along the surface."""
@@ -286,7 +305,9 @@ class Cylinder(Wall):
         c = (np.hypot(x, y) - self.radius) * (np.hypot(x, y) + self.radius)
         with np.errstate(divide="ignore", invalid="ignore"):
             root = np.sqrt(b * b - a * c[:, None])
-            far = -b - np.where(b < 0, -root, root)  # the root without cancellation, and the other from their product
+            far = -b - np.where(
+                b < 0, -root, root
+            )  # the root without cancellation, and the other from their product
             both = np.stack([far / a, c[:, None] / far], axis=-1)
         return np.where(both > 0, both, np.inf)
 
@@ -312,8 +333,13 @@ class Cylinder(Wall):
         radial = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
         centre = vector("point", self.point) + self.radius * radial + z[:, None] * axis
         size = 2 * np.pi * self.radius / len(theta) * (high - low) / len(along)
-        coords = {"theta": (theta, "angle about the axis"), "z": (along, "position along the axis, from its point")}
-        return SurfaceCells(coords, centre, np.full(len(centre), size), tuple(coords), [(low, high)])
+        coords = {
+            "theta": (theta, "angle about the axis"),
+            "z": (along, "position along the axis, from its point"),
+        }
+        return SurfaceCells(
+            coords, centre, np.full(len(centre), size), tuple(coords), [(low, high)]
+        )
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across the side, around it and along the axis."""
@@ -346,9 +372,13 @@ class Surface(Wall):
     """
 
     def __init__(
-        self, vertices: str | os.PathLike[str] | ArrayLike, triangles: ArrayLike | None = None, *, flip: bool = False,
+        self,
+        vertices: str | os.PathLike[str] | ArrayLike,
+        triangles: ArrayLike | None = None,
+        *,
+        flip: bool = False,
         scale: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         name = "vertices"
         if isinstance(vertices, str | os.PathLike):
             if triangles is not None:
@@ -362,15 +392,21 @@ class Surface(Wall):
         if points.shape[1:] != (3,) or not np.isfinite(points).all():
             raise ValueError(f"{name}: expected finite corners (n, 3), got an array {points.shape}")
         if rows.shape[1:] != (3,) or not len(rows) or rows.dtype.kind not in "iu":
-            raise ValueError(f"{name}: expected triangles, whole numbers (m, 3), got {rows.shape} of {rows.dtype}")
+            raise ValueError(
+                f"{name}: expected triangles, whole numbers (m, 3), got {rows.shape} of {rows.dtype}"
+            )
         if rows.min() < 0 or rows.max() >= len(points):
-            raise ValueError(f"{name}: triangles name corners {rows.min()} to {rows.max()}, there are {len(points)}")
+            raise ValueError(
+                f"{name}: triangles name corners {rows.min()} to {rows.max()}, there are {len(points)}"
+            )
         corners = points[rows[:, ::-1] if flip else rows]
         twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(twice, axis=1)
         if not (size > 0).any():
             raise ValueError(f"{name}: all triangles have no area")
-        self.corners = np.ascontiguousarray(corners[size > 0])  # slivers without an area have no normal
+        self.corners = np.ascontiguousarray(
+            corners[size > 0]
+        )  # slivers without an area have no normal
         self.area = size[size > 0] / 2
         self.normals = twice[size > 0] / size[size > 0, None]
         self.centre = self.corners.mean(axis=1)
@@ -383,7 +419,16 @@ class Surface(Wall):
         """Signed distance (n,), and the number of the nearest triangle (n,)."""
         distance, triangle = np.empty(len(points)), np.empty(len(points), "int64")
         points = np.ascontiguousarray(points, "float64")
-        loops.nearest(points, self.corners, self.normals, self.centre, self._radius, np.empty(3), distance, triangle)
+        loops.nearest(
+            points,
+            self.corners,
+            self.normals,
+            self.centre,
+            self._radius,
+            np.empty(3),
+            distance,
+            triangle,
+        )
         return distance, triangle
 
     def distance(self, points: NDArray) -> NDArray:
@@ -425,7 +470,9 @@ def _read(path: str) -> tuple[NDArray, NDArray]:
     """Corners and triangles of a file."""
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in _FILES:
-        raise ValueError(f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles")
+        raise ValueError(
+            f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles"
+        )
     mesh = read_mesh(path, empty=True)
 
     from vtkmodules.util.numpy_support import vtk_to_numpy  # VTK is slow to import

@@ -84,11 +84,20 @@ _NOT_FOLLOWED = {
 _GRADIENTS = ("velocity/grad", "strain/rate")
 # arguments that change none of its fields
 _WITHOUT_EFFECT = (
-    "pressure_dims", "shear_dims", "deviatoric", "size", "temperature", "fluid_viscosity", "errors", "for_averages",
-)  # fmt: skip
+    "pressure_dims",
+    "shear_dims",
+    "deviatoric",
+    "size",
+    "temperature",
+    "fluid_viscosity",
+    "errors",
+    "for_averages",
+)
 
 
-def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]) -> list[str]:
+def _choose(
+    asked: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]
+) -> list[str]:
     """Its names for a request, with or without ``/*`` and with "_" or "/"; all that `available` fields allow for None.
 
     Raises
@@ -109,7 +118,9 @@ def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: 
         if found is not None:
             msg = f"{word!r} is not followed by the preset 'lammps': {_NOT_FOLLOWED[found]}"
         elif known.get(whole) in ROWS and 0 < len(parts) <= 2 and set(parts) <= set(COMPONENTS):
-            labels = ", ".join(f"{dim}={a!r}" for dim, a in zip(("component", "direction"), parts, strict=False))
+            labels = ", ".join(
+                f"{dim}={a!r}" for dim, a in zip(("component", "direction"), parts, strict=False)
+            )
             msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({labels}) of it"
         else:
             msg = f"preset='lammps': {unknown('field', word, ROWS)}"
@@ -123,7 +134,11 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
     for name in names:
         row = ROWS[name]
         units = units_in(registry.FIELDS[row.ours].units, f.attrs["unit_system"])
-        attrs = {"units": units, "long_name": f"{name} of compute continuum/chunk", "formula": row.formula}
+        attrs = {
+            "units": units,
+            "long_name": f"{name} of compute continuum/chunk",
+            "formula": row.formula,
+        }
         out[name.replace("/", "_")] = row.compute(f[row.ours], axes).assign_attrs(attrs)
     return xr.Dataset(out | {"sample_count": f["sample_count"]}, attrs=f.attrs)
 
@@ -132,13 +147,21 @@ def _kernel(scene: Description, request: Request) -> Kernel:
     """Return the kernel in as many dimensions as there are axes, in a cylinder all."""
     setup = scene.setup
     axes = request.axes_of(setup.plane)
-    seen = setup.dimension if scene.cylindrical else len({*axes, *(request.at or {})}) or setup.dimension
+    seen = (
+        setup.dimension
+        if scene.cylindrical
+        else len({*axes, *(request.at or {})}) or setup.dimension
+    )
     if isinstance(request.width, Mapping):
-        raise ValueError("preset='lammps' has one kernel for all grains: give one width= instead of one for each group")
+        raise ValueError(
+            "preset='lammps' has one kernel for all grains: give one width= instead of one for each group"
+        )
     return kernel_of(request.kernel, request.width, scene.sizes, seen)
 
 
-def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(
+    scene: Description, request: Request
+) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
@@ -154,7 +177,9 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     require_scene(scene.columns, (), "coarse_grain")
     own = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
     names = _choose(request.fields, possible_fields(scene, own))
-    if scene.cylindrical or any(map(np.ndim, (request.at or {}).values())):  # which have no differences
+    if scene.cylindrical or any(
+        map(np.ndim, (request.at or {}).values())
+    ):  # which have no differences
         names = [name for name in names if request.fields is not None or name not in _GRADIENTS]
         if not set(names) & set(_GRADIENTS):
             own = replace(own, gradient="least_squares")
@@ -216,10 +241,14 @@ def lammps_mesh(
     edges, bounds, spacing = scene.edges, {}, {}
     for a in axes:
         if a not in edges:
-            raise ValueError(f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box")
+            raise ValueError(
+                f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
+            )
         step = sizes.get(a)
         if not is_positive(step):
-            raise ValueError(f"delta={delta!r}: expected a positive size of bins (m), or one for each of {axes!r}")
+            raise ValueError(
+                f"delta={delta!r}: expected a positive size of bins (m), or one for each of {axes!r}"
+            )
         first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]
         # a box of a whole number of bins has that many, whatever the rounding
         count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))

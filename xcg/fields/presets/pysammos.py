@@ -32,10 +32,14 @@ from xcg.scene.schema import COMPONENTS
 _RATE = "shear_rate_tensor"
 _SAME = ("d32", "d43", "coordination_number", "momentum_density", "velocity", "velocity_gradient")
 _RENAMED = {
-    "volume_fraction": "volume_fraction", "density_mixture": "density", "density_particle": "particle_density",
+    "volume_fraction": "volume_fraction",
+    "density_mixture": "density",
+    "density_particle": "particle_density",
     **{name: name for name in _SAME},
-    "kinetic_tensor": "kinetic_stress", "contact_tensor": "contact_stress", "fabric_tensor": "fabric",
-}  # fmt: skip
+    "kinetic_tensor": "kinetic_stress",
+    "contact_tensor": "contact_stress",
+    "fabric_tensor": "fabric",
+}
 
 
 @dataclass(frozen=True)
@@ -87,12 +91,16 @@ def _pressure(f: Any, axes: tuple[int, ...]) -> NDArray:
 
 def _temperature(f: Any, axes: tuple[int, ...]) -> NDArray:
     # divided by rho, without subtracting the degrees of freedom of the fit
-    return at_least_zero(algebra.mean_normal(f.fluctuation_stress, axes)) / where_positive(f.density)
+    return at_least_zero(algebra.mean_normal(f.fluctuation_stress, axes)) / where_positive(
+        f.density
+    )
 
 
 def _inertial(f: Any, plane: tuple[int, ...], axes: tuple[int, ...], size: str) -> NDArray:
     rate = algebra.rate_magnitude(_part(f, _RATE, plane, deviatoric=True))
-    return rate * getattr(f, size) * np.sqrt(f.particle_density / where_positive(_pressure(f, axes)))
+    return (
+        rate * getattr(f, size) * np.sqrt(f.particle_density / where_positive(_pressure(f, axes)))
+    )
 
 
 def _friction(f: Any, shear: tuple[int, ...], axes: tuple[int, ...], component: bool) -> NDArray:
@@ -114,18 +122,31 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     axes : str
         The axes of the scene, for ``xyz``: all three, or the two of a layer.
     """
-    index = {name: tuple(COMPONENTS.index(a) for a in dims) for name, dims in (("xyz", axes), (plane, plane))}
+    index = {
+        name: tuple(COMPONENTS.index(a) for a in dims)
+        for name, dims in (("xyz", axes), (plane, plane))
+    }
     index |= {a: (COMPONENTS.index(a),) for a in axes}
     table: dict[str, PysammosRow] = {}
 
     def add(
-        name: str, family: str, needs: Sequence[str], formula: str, compute: Callable[..., NDArray], *given: Any,
-        rank: int = 0, like: str = "",
-    ) -> None:  # fmt: skip
+        name: str,
+        family: str,
+        needs: Sequence[str],
+        formula: str,
+        compute: Callable[..., NDArray],
+        *given: Any,
+        rank: int = 0,
+        like: str = "",
+    ) -> None:
         row = Field(
-            rank=rank, units=registry.FIELDS[like].units if like else "1", long_name=name.replace("_", " "),
-            formula=formula, compute=Formula(compute, given), fields=tuple(needs),
-        )  # fmt: skip
+            rank=rank,
+            units=registry.FIELDS[like].units if like else "1",
+            long_name=name.replace("_", " "),
+            formula=formula,
+            compute=Formula(compute, given),
+            fields=tuple(needs),
+        )
         table[name] = PysammosRow(family, row)
 
     for name, ours in _RENAMED.items():
@@ -141,12 +162,32 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
             ):
                 name, given = f"{label}_{dims}{end}", (tensor, index[dims], deviatoric)
                 add(name, label, (tensor,), what, _part, *given, rank=2, like=tensor)
-                add(f"{name}_mag", label, (tensor,), formula, _magnitude_of_part, *given, size, like=tensor)
+                add(
+                    f"{name}_mag",
+                    label,
+                    (tensor,),
+                    formula,
+                    _magnitude_of_part,
+                    *given,
+                    size,
+                    like=tensor,
+                )
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
-        add(f"pressure_{dims}", "pressure", ("stress",), formula, _pressure, index[dims], like="stress")
+        add(
+            f"pressure_{dims}",
+            "pressure",
+            ("stress",),
+            formula,
+            _pressure,
+            index[dims],
+            like="stress",
+        )
     for dims in ("xyz", *axes):
-        family, formula = "granular_temperature", f"mean of fluctuation_stress_aa / density, a in {dims}"
+        family, formula = (
+            "granular_temperature",
+            f"mean of fluctuation_stress_aa / density, a in {dims}",
+        )
         needs = ("fluctuation_stress", "density")
         add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], like=family)
     pressures = ("xyz", plane, plane[1])
@@ -156,18 +197,32 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
             made_of = (_RATE, "particle_density", diameter, "stress")
             name = f"inertial_number_S{plane}_P{dims}_{diameter}"
             formula = f"shear_rate_tensor_{plane}_dev_mag {diameter} {root}"
-            add(name, "inertial_number", made_of, formula, _inertial, index[plane], index[dims], diameter)
+            add(
+                name,
+                "inertial_number",
+                made_of,
+                formula,
+                _inertial,
+                index[plane],
+                index[dims],
+                diameter,
+            )
     for kind, shear in (("Dxyz", "xyz"), (f"D{plane}", plane), ("01", plane)):
         for dims in pressures:
             top = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{shear}_dev_mag"
-            name, formula = f"frictional_coefficient_{kind}_P{dims}", f"{top} / pressure_{dims}, pressure > 0"
+            name, formula = (
+                f"frictional_coefficient_{kind}_P{dims}",
+                f"{top} / pressure_{dims}, pressure > 0",
+            )
             ways = (index[shear], index[dims], kind == "01")
             add(name, "frictional_coefficient", ("stress",), formula, _friction, *ways)
     return table
 
 
 def choose(
-    asked: str | Quantity | Sequence[str | Quantity] | None, table: Mapping[str, PysammosRow], available: Sequence[str]
+    asked: str | Quantity | Sequence[str | Quantity] | None,
+    table: Mapping[str, PysammosRow],
+    available: Sequence[str],
 ) -> list[str]:
     """Names for a request: names, keys of ``fields_to_export``, or None for all that `available` fields of xcg allow.
 
@@ -180,7 +235,9 @@ def choose(
         return [name for name, row in table.items() if set(row.field.fields) <= set(available)]
     names: list[str] = []
     for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
-        found = [word] if word in table else [name for name, row in table.items() if row.family == word]
+        found = (
+            [word] if word in table else [name for name, row in table.items() if row.family == word]
+        )
         if not found:
             listed = "the documentation lists them on the page on Pysammos"
             raise ValueError(f"preset='pysammos': {unknown('field', word, table, listed)}")
@@ -199,7 +256,9 @@ def plane_of(scene: Description, shear_dims: str | None) -> tuple[str, str]:
     axes = scene.setup.plane
     plane = shear_dims or ("xy" if len(axes) == 3 else axes)
     if len(set(plane)) != 2 or len(plane) != 2 or set(plane) - set(axes):
-        raise ValueError(f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}")
+        raise ValueError(
+            f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}"
+        )
     return plane, axes
 
 
@@ -210,7 +269,9 @@ def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
     return f
 
 
-def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(
+    scene: Description, request: Request
+) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
@@ -234,7 +295,10 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     require_scene(scene.columns, (), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
     own = replace(request, preset=None, shear_dims=None)
-    chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(scene, own))}
+    chosen = {
+        name: table[name].field
+        for name in choose(request.fields, table, possible_fields(scene, own))
+    }
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
     asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
     own = replace(own, fields=cast(Any, [*asked, "sample_count"]))
@@ -287,7 +351,9 @@ def pysammos_mesh(
     """
     scene = describe(ds)
     if scene.corners is None or "dmax" not in scene.sizes:
-        raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
+        raise ValueError(
+            "pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first"
+        )
     setup = scene.setup
     check_axes(COMPONENTS, axes=axes, bounds=bounds or {}, at=at or {})
     chosen = kernel_of(kernel, width, scene.sizes, setup.dimension)

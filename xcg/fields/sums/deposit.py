@@ -26,7 +26,11 @@ from xcg.scene.schema import VARIABLES, Frame
 def grains(step: StepRows) -> list[Pass]:
     """Flow columns come first, then columns of constants that differ between grains, then the number of grains."""
     spec, at, single, rest = step.spec, step.grains, dict[str, NDArray](), dict[str, Moment]()
-    moments, same, first = dict[str, tuple[NDArray, float | NDArray]](), dict[str, float](), spec.level
+    moments, same, first = (
+        dict[str, tuple[NDArray, float | NDArray]](),
+        dict[str, float](),
+        spec.level,
+    )
     for name, row in spec.of_grains.items():
         if row.level:
             power = CUTOFF_POWERS.get(name, 0)
@@ -43,9 +47,13 @@ def grains(step: StepRows) -> list[Pass]:
         first += row.width
     number = first + MOMENTS["number"].columns
     moments |= {name: (number, value) for name, value in same.items()}
-    layout = Layout(spec.phases, -(-(first + bool(same)) // 4) * 4, moments, spec.level)  # the loop adds four at a time
+    layout = Layout(
+        spec.phases, -(-(first + bool(same)) // 4) * 4, moments, spec.level
+    )  # the loop adds four at a time
     # what is wide is made when it is written beside the others
-    columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
+    columns = (
+        single.pop(name) if name in single else step.column(row, at) for name, row in rest.items()
+    )
     ones = [np.ones((len(at.position), 1))] if same else []
     return [_pass(step, layout, at, *step.flow, step.phase[at.row], chain(columns, ones))]
 
@@ -58,7 +66,9 @@ def slopes(step: StepRows) -> list[Pass]:
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
     }
     layout = Layout(spec.phases, loops.LINEAR, moments, loops.LINEAR)
-    return [_pass(step, layout, step.grains, *step.flow, step.phase[step.grains.row], by_gradient=True)]
+    return [
+        _pass(step, layout, step.grains, *step.flow, step.phase[step.grains.row], by_gradient=True)
+    ]
 
 
 def relative(step: StepRows) -> list[Pass]:
@@ -76,7 +86,9 @@ def relative(step: StepRows) -> list[Pass]:
             values = step.column(row, images)
         weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
         moments = {name: (row.first + row.columns, 1.0)}
-        layout = Layout(step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector)
+        layout = Layout(
+            step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector
+        )
         passes.append(_pass(step, layout, images, numbers, weight, phase))
     return passes
 
@@ -92,12 +104,17 @@ def at_contacts(step: StepRows) -> list[Pass]:
 def between_phases(step: StepRows) -> list[Pass]:
     """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
     c = step.contacts
-    phase, others = np.append(step.phase, step.spec.phases), step.spec.others  # row -1 is that of a wall
+    phase, others = (
+        np.append(step.phase, step.spec.phases),
+        step.spec.others,
+    )  # row -1 is that of a wall
     sides = []
     for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
         # inside a phase both sides add up to nothing
         at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
-        sides.append((c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at]))
+        sides.append(
+            (c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at])
+        )
     point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
     return [_constants(step, moment, images, pair[images.row], [force[images.row]], others)]
@@ -111,20 +128,40 @@ def at_walls(step: StepRows) -> list[Pass]:
 
 
 def _constants(
-    step: StepRows, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
+    step: StepRows,
+    rows: Mapping[str, Moment],
+    images: Images,
+    phase: NDArray,
+    columns: Sequence[NDArray],
     others: int = 1,
-) -> Pass:  # fmt: skip
+) -> Pass:
     """Prepare places with columns of constants alone, moment after moment."""
     firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
-    moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
-    layout, count = Layout(step.spec.phases * others, -(-firsts[-1] // 4) * 4, moments), len(images.position)
-    return _pass(step, layout, images, np.zeros((count, 3)), np.zeros(count), phase, columns, others)
+    moments = {
+        name: (first + row.columns, 1.0)
+        for first, (name, row) in zip(firsts, rows.items(), strict=False)
+    }
+    layout, count = (
+        Layout(step.spec.phases * others, -(-firsts[-1] // 4) * 4, moments),
+        len(images.position),
+    )
+    return _pass(
+        step, layout, images, np.zeros((count, 3)), np.zeros(count), phase, columns, others
+    )
 
 
 def _pass(
-    step: StepRows, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
-    constants: Iterable[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
-) -> Pass:  # fmt: skip
+    step: StepRows,
+    layout: Layout,
+    images: Images,
+    velocity: NDArray,
+    mass: NDArray,
+    phase: NDArray,
+    constants: Iterable[NDArray] = (),
+    others: int = 1,
+    *,
+    by_gradient: bool | None = None,
+) -> Pass:
     """Prepare grains, or other points, with their flow columns and columns of constants.
 
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
@@ -138,7 +175,9 @@ def _pass(
     beyond = step.lattice if step.lattice.vectors is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
     kept = {column for column in loops.SQUARES if column < level}
-    squares = any(not kept.isdisjoint(columns.ravel().tolist()) for columns, _ in layout.moments.values())
+    squares = any(
+        not kept.isdisjoint(columns.ravel().tolist()) for columns, _ in layout.moments.values()
+    )
     for cutoff in spec.distinct if len(position) or squares else ():
         rows, groups = images.order, None
         if len(spec.distinct) > 1:
@@ -146,7 +185,9 @@ def _pass(
             rows = rows[groups[phase[rows]]]
         meet = step.translations(cutoff) if squares else None
         batches = (batches_of(position, rows) - spec.origin) / cutoff
-        grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
+        grains = loops.Grains(
+            rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff
+        )
         mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
         fill.append(partial(_fill, grains, mesh, weights, (level, meet, by_gradient)))
         if squares:
@@ -156,9 +197,14 @@ def _pass(
 
 
 def _fill(
-    grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, NDArray | None, bool | None],
-    block: NodeBlock, sums: NDArray, reference: NDArray,
-) -> None:  # fmt: skip
+    grains: loops.Grains,
+    mesh: Mesh,
+    weights: AnyKernel,
+    flags: tuple[int, NDArray | None, bool | None],
+    block: NodeBlock,
+    sums: NDArray,
+    reference: NDArray,
+) -> None:
     nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
     records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
     scratch = loops.Scratch(block.lists(nodes, mesh.reach.tolist()), records)
@@ -187,12 +233,16 @@ class BlockSums:
         reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
         found = {"reference": np.ascontiguousarray(reference.T).T}
         nodes, phases = len(reference), self.of.spec.phases
-        turned = (run.layout.turned(sums) for run, sums in zip(self.of.passes, self.filled, strict=True))
+        turned = (
+            run.layout.turned(sums) for run, sums in zip(self.of.passes, self.filled, strict=True)
+        )
         for name, part in chain.from_iterable(turned):
             if part.shape[-2] > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
             if self.of.spec.by is not None:
-                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
+                bulk = sum(
+                    part[..., [k], :] for k in range(phases)
+                )  # in this order whatever the number of nodes
                 part = np.concatenate([bulk, part], axis=-2)
             found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
         return found
@@ -222,7 +272,9 @@ class Sums:
         return block.averages(found) if block.inner else found
 
 
-def sums_of_frame(frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str, threads: int) -> Sums:
+def sums_of_frame(
+    frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str, threads: int
+) -> Sums:
     """Prepare the sums of one frame.
 
     Parameters

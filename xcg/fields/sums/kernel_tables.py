@@ -27,7 +27,10 @@ _Q = Polynomial([0.0, 1.0])
 _INTERVALS = 64
 _PLACES = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
 _MOST_ERROR = 1e-10  # of values at points, relative to the largest
-_MOST_LINE_ERROR, _PANELS = 1e-7, 2000  # of quadratures along chords; and parts of these that tell it
+_MOST_LINE_ERROR, _PANELS = (
+    1e-7,
+    2000,
+)  # of quadratures along chords; and parts of these that tell it
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
@@ -68,7 +71,9 @@ def profile_integral(profile: Profile, dimension: int) -> float:
     sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
     shells = _shells(profile)
     if shells:
-        return sphere * sum((shell * _Q ** (dimension - 1)).integ()(radius) for radius, shell in shells)
+        return sphere * sum(
+            (shell * _Q ** (dimension - 1)).integ()(radius) for radius, shell in shells
+        )
     return sphere * _integral(lambda q: _value(profile, q) * q ** (dimension - 1), 0.0, 1.0)
 
 
@@ -80,11 +85,15 @@ def check_table(name: str, profile: Profile) -> None:
     exact = _values(profile, _PLACES)
     if not np.isfinite(exact).all():
         wrong = _PLACES[~np.isfinite(exact)][0]
-        raise ValueError(f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}")
+        raise ValueError(
+            f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}"
+        )
     if not profile_integral(profile, 3) > 0:
         raise ValueError(f"the profile of kernel {name!r} must have a positive integral")
     largest = _largest(profile)
-    error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact)
+    error = np.abs(
+        codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact
+    )
     if error.max() > _MOST_ERROR * largest:
         warn_user(
             f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "
@@ -124,7 +133,9 @@ def _line_error(profile: Profile) -> float:
 def jumps_of(profile: Profile) -> list[float]:
     """Radii at which a profile jumps, the cutoff among them; without shells no others are known."""
     # each shell ends with the jump of the profile
-    ends = [(radius, float(shell(radius))) for radius, shell in _shells(profile)] or [(1.0, _value(profile, _AT_END))]
+    ends = [(radius, float(shell(radius))) for radius, shell in _shells(profile)] or [
+        (1.0, _value(profile, _AT_END))
+    ]
     return [radius for radius, jump in ends if abs(jump) > _JUMP * _largest(profile)]
 
 
@@ -145,15 +156,21 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     value = np.vectorize(_integrated(profile, codimension))
     pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
     for k, (domain, series) in enumerate(zip(domains, pieces, strict=True)):
-        q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
+        q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(
+            codes.PIECE
+        )
         slope = series.deriv()(q) / q
-        if codimension == 1:  # with the slope of the chord; what a jump at the cutoff adds is left out
+        if (
+            codimension == 1
+        ):  # with the slope of the chord; what a jump at the cutoff adds is left out
             slope -= (series(q) - pieces[-1](1.0)) / (1.0 - q * q)
         for row, values in enumerate((series, Chebyshev.fit(q, slope, degree, domain))):
             powers = np.polynomial.chebyshev.cheb2poly(values.coef)
             table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
     shells = _shells(profile)
-    table[codes.SHELLS] = _columns((shells, _beyond(shells, 1.0), _beyond(shells, 2.0 * math.pi))[codimension])
+    table[codes.SHELLS] = _columns(
+        (shells, _beyond(shells, 1.0), _beyond(shells, 2.0 * math.pi))[codimension]
+    )
     return table
 
 
@@ -164,7 +181,9 @@ def _integrated(profile: Profile, codimension: int) -> Callable[[float], float]:
         columns = _columns(shells)
         return lambda q: along_shells(columns, q * q, -_half(q), _half(q)) / _half(q)
     if codimension == 1:
-        return lambda q: 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, _half(q)) / _half(q)
+        return lambda q: (
+            2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, _half(q)) / _half(q)
+        )
     if codimension == 2 and shells:
         planes = _beyond(shells, 2.0 * math.pi)
         return lambda q: sum(plane(q) for radius, plane in planes if q < radius)
@@ -202,7 +221,9 @@ def _shells(profile: Profile) -> Shells:
     """Shells of a profile; none where too many are needed."""
     pieces = _pieces(profile)
     outer = [piece for _, piece in pieces[1:]] + [Polynomial([0.0])]
-    shells = [(radius, piece - beyond) for (radius, piece), beyond in zip(pieces, outer, strict=False)]
+    shells = [
+        (radius, piece - beyond) for (radius, piece), beyond in zip(pieces, outer, strict=False)
+    ]
     return [(radius, shell) for radius, shell in shells if shell.coef.any()]
 
 
@@ -216,7 +237,9 @@ def _pieces(profile: Profile) -> Shells:
         end, piece = _farthest(fits, begin, _DEGREES)
         # nearly as far with the fewest powers: what lies beyond a kink takes many
         nearly = begin + _NEARLY * (end - begin)
-        lowest = next((degree for degree in _DEGREES if piece and fits(nearly, (degree,))), _DEGREES[-1])
+        lowest = next(
+            (degree for degree in _DEGREES if piece and fits(nearly, (degree,))), _DEGREES[-1]
+        )
         fewest = _farthest(fits, begin, (lowest,))
         end, piece = fewest if fewest[1] else (end, piece)
         if piece is None:
@@ -227,7 +250,9 @@ def _pieces(profile: Profile) -> Shells:
 
 
 def _farthest(
-    fits: Callable[[float, tuple[int, ...]], Polynomial | None], begin: float, degrees: tuple[int, ...]
+    fits: Callable[[float, tuple[int, ...]], Polynomial | None],
+    begin: float,
+    degrees: tuple[int, ...],
 ) -> tuple[float, Polynomial | None]:
     """Largest radius up to which there is a polynomial of one of these degrees, and that polynomial."""
     piece, end, failed = fits(1.0, degrees), begin, 1.0
@@ -243,10 +268,14 @@ def _farthest(
     return end, piece
 
 
-def _fit(profile: Profile, largest: float, begin: float, end: float, degrees: tuple[int, ...]) -> Polynomial | None:
+def _fit(
+    profile: Profile, largest: float, begin: float, end: float, degrees: tuple[int, ...]
+) -> Polynomial | None:
     """Polynomial of the lowest of these degrees that is as good as shells must be between two radii, or None."""
     inside = np.linspace(begin, end, 8 + math.ceil(11 * _INTERVALS * (end - begin)), endpoint=False)
-    near_ends = 0.5 * (begin + end) + 0.5 * (end - begin) * np.polynomial.chebyshev.chebpts1(4 * _DEGREES[-1])
+    near_ends = 0.5 * (begin + end) + 0.5 * (end - begin) * np.polynomial.chebyshev.chebpts1(
+        4 * _DEGREES[-1]
+    )
     places = np.concatenate([inside, near_ends, [end * (1.0 - 1e-14)]])
     exact = _values(profile, places)
     for degree in degrees:
@@ -255,5 +284,9 @@ def _fit(profile: Profile, largest: float, begin: float, end: float, degrees: tu
             polynomial = series.convert(kind=Polynomial)
             error = np.abs(polynomial(places) - exact).max()  # with the rounding of its terms
             terms = np.abs(polynomial.coef) @ end ** np.arange(len(polynomial.coef))
-            return polynomial if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest else None
+            return (
+                polynomial
+                if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest
+                else None
+            )
     return None

@@ -51,12 +51,20 @@ class Kernel:
     ratio = 1.0  # cutoff / width
     _any_ratio = False  # whether another one may be given
     smoothness = -1  # continuous derivatives
-    _norms: tuple[float, ...] = ()  # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
+    _norms: tuple[
+        float, ...
+    ] = ()  # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
     _table: NDArray | None = PLAIN  # as loops take it
-    _rims: Sequence[float] = (1.0,)  # radii over the cutoff where the profile is not smooth, the last of the support
+    _rims: Sequence[float] = (
+        1.0,
+    )  # radii over the cutoff where the profile is not smooth, the last of the support
 
     def __init__(
-        self, width: float | None = None, *, cutoff: float | None = None, dimension: int | None = None
+        self,
+        width: float | None = None,
+        *,
+        cutoff: float | None = None,
+        dimension: int | None = None,
     ) -> None:
         if width is None and cutoff is None:
             raise ValueError(f"{type(self).__name__} needs width= or cutoff= (in metres)")
@@ -71,7 +79,9 @@ class Kernel:
         self.width = float(width if width is not None else cutoff / self.ratio)  # type: ignore[operator]
         self.cutoff = float(cutoff if cutoff is not None else self.ratio * self.width)
         self.dimension, self.spread = dimension, self.width / self.cutoff
-        if not self._any_ratio and not math.isclose(self.cutoff, self.ratio * self.width, rel_tol=1e-9):
+        if not self._any_ratio and not math.isclose(
+            self.cutoff, self.ratio * self.width, rel_tol=1e-9
+        ):
             raise ValueError(
                 f"width={self.width} and cutoff={self.cutoff} contradict each other: the {self.name} kernel has "
                 f"cutoff = {self.ratio:g} width; give one of them"
@@ -111,11 +121,17 @@ class Kernel:
             )
         code = self.code + codimension
         kind = LUCY_FULL if code == codes.LUCY else code
-        return KernelCode(kind, self.spread, self._table, self._unit_norm(dimension) / self.cutoff**seen)
+        return KernelCode(
+            kind, self.spread, self._table, self._unit_norm(dimension) / self.cutoff**seen
+        )
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
-        return CellKernel(*self.weights(seen), np.array(self._rims), *(self.weights(max(1, seen - k)) for k in (1, 2)))
+        return CellKernel(
+            *self.weights(seen),
+            np.array(self._rims),
+            *(self.weights(max(1, seen - k)) for k in (1, 2)),
+        )
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
@@ -131,7 +147,9 @@ class Kernel:
         """Return dPsi/dr, of the kernel or of its marginal in `seen` dimensions; jumps at the cutoff are left out."""
         return self._sample(r, seen, derivative=True)
 
-    def segment(self, points: ArrayLike, start: ArrayLike, end: ArrayLike, order: int = 0) -> NDArray:
+    def segment(
+        self, points: ArrayLike, start: ArrayLike, end: ArrayLike, order: int = 0
+    ) -> NDArray:
         """Mean of Psi(r - s) over the points s of a segment: ``int_0^1 Psi(r - start + u (start - end)) du``.
 
         Parameters
@@ -149,7 +167,9 @@ class Kernel:
             If `order` is not a whole number from 0 on.
         """
         if not isinstance(order, int | np.integer) or order < 0:
-            raise ValueError(f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form")
+            raise ValueError(
+                f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form"
+            )
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
         start, end = np.asarray(start, float), np.asarray(end, float)
@@ -231,8 +251,12 @@ class Gaussian(Kernel):
             ball = {1: 2.0, 2: math.pi, 3: 4 * math.pi / 3}[dimension]
             y = 0.5 / s**2
             integral -= ball * tail
-            if y < 1:  # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
-                terms = accumulate((2 * y / (dimension + 2 * n) for n in range(1, 25)), operator.mul)
+            if (
+                y < 1
+            ):  # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
+                terms = accumulate(
+                    (2 * y / (dimension + 2 * n) for n in range(1, 25)), operator.mul
+                )
                 integral = ball * tail * sum(terms)
         return 1 / integral
 
@@ -321,7 +345,9 @@ def register_kernel(
         finite from 0 on, below 1, or has no positive integral.
     """
     _check_registration(name, profile, ratio, smoothness)
-    profile = partial(profile)  # an object for each registration, as what is kept of profiles goes by them
+    profile = partial(
+        profile
+    )  # an object for each registration, as what is kept of profiles goes by them
     check_table(name, profile)
     jumps = jumps_of(profile)
     if jumps and smoothness >= 0:
@@ -331,7 +357,12 @@ def register_kernel(
         )
         smoothness = -1
 
-    members: dict[str, Any] = {"name": name, "profile": staticmethod(profile), "ratio": ratio, "smoothness": smoothness}
+    members: dict[str, Any] = {
+        "name": name,
+        "profile": staticmethod(profile),
+        "ratio": ratio,
+        "smoothness": smoothness,
+    }
     members |= {"_rims": rims_of(profile), "__doc__": f"The kernel registered as {name!r}."}
     kind = _NAMED[name.lower()] = type(name.title(), (_Registered,), members)
     return kind
@@ -342,13 +373,17 @@ def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) ->
     if not isinstance(name, str) or not name.strip():
         raise ValueError(f"register_kernel({name!r}): expected a name, such as 'tent'")
     if name.lower() in _OF_THE_PACKAGE:
-        raise ValueError(f"register_kernel({name!r}): the name is that of a kernel of xcg; choose another")
+        raise ValueError(
+            f"register_kernel({name!r}): the name is that of a kernel of xcg; choose another"
+        )
     if not callable(profile):
         raise ValueError(
             f"register_kernel({name!r}): profile={profile!r}, expected a function P(q) of q = r / c in [0, 1)"
         )
     if not is_positive(ratio):
-        raise ValueError(f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width")
+        raise ValueError(
+            f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width"
+        )
     if not is_whole(smoothness, -1):
         raise ValueError(
             f"register_kernel({name!r}): smoothness={smoothness!r}, expected the number of continuous derivatives, or "
@@ -356,7 +391,9 @@ def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) ->
         )
 
 
-def kernel_of(kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int) -> Kernel:
+def kernel_of(
+    kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int
+) -> Kernel:
     """Return the kernel of a call: an object with its own width, or one of a name and a width, see `resolve_width`.
 
     Raises
@@ -405,5 +442,7 @@ def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
             )
         width = multiple * float(attrs[size])
     if not is_positive(width):
-        raise ValueError(f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters")
+        raise ValueError(
+            f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
+        )
     return float(width)

@@ -58,7 +58,9 @@ def sliding_contacts(friction: float | None, frame: Frame, contacts: Contacts) -
     if friction is None:
         return np.zeros(len(frame["contact_i"]))
     tangential = np.linalg.norm(contacts.tangential_force, axis=1)
-    slides = (contacts.normal_force > 0) & (tangential >= AT_LIMIT * friction * contacts.normal_force)
+    slides = (contacts.normal_force > 0) & (
+        tangential >= AT_LIMIT * friction * contacts.normal_force
+    )
     return (slides & contacts.between_bearing).astype(float)
 
 
@@ -88,7 +90,9 @@ def strong_forces(frame: Frame, contacts: Contacts) -> NDArray:
 WALL_VELOCITY = "contact_wall_velocity"
 
 
-def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
+def surface_velocities(
+    frame: Frame, contacts: Contacts, *, of_images: bool = False
+) -> tuple[NDArray, NDArray]:
     """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
 
     Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the particles as
@@ -101,7 +105,9 @@ def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = Fa
         if "angular_velocity" in frame:
             u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
         if of_images:
-            u[there] += contacts.lattice.drift((contacts.point + branch)[there] - frame["position"][row[there]])
+            u[there] += contacts.lattice.drift(
+                (contacts.point + branch)[there] - frame["position"][row[there]]
+            )
         found.append(u)
     return found[0], found[1]
 
@@ -244,7 +250,11 @@ class Moment:
     @cached_property
     def columns(self) -> NDArray:
         """Columns of the components, counted from the first: an array of the moment's shape, read-only."""
-        found = np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
+        found = (
+            np.array(self.layout)
+            if self.layout
+            else np.arange(math.prod(self.shape)).reshape(self.shape)
+        )
         found.flags.writeable = False
         return found
 
@@ -273,7 +283,9 @@ def _fabric(frame: Frame, contacts: Contacts) -> NDArray:
 def _director_dyads(frame: Frame, _: Contacts) -> NDArray:
     n = frame["director"]
     n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    return np.stack([n[:, i] * n[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=1)
+    return np.stack(
+        [n[:, i] * n[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=1
+    )
 
 
 def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
@@ -282,11 +294,22 @@ def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
 
 
 def _at_contacts(
-    variables: tuple[str, ...], formula: str, column: Column, shape: tuple[int, ...] = (),
-    layout: tuple[Any, ...] = (), optional: tuple[str, ...] = (),
-) -> Moment:  # fmt: skip
+    variables: tuple[str, ...],
+    formula: str,
+    column: Column,
+    shape: tuple[int, ...] = (),
+    layout: tuple[Any, ...] = (),
+    optional: tuple[str, ...] = (),
+) -> Moment:
     return Moment(
-        variables, formula, shape, column=column, contacts=True, at_contacts=True, layout=layout, optional=optional
+        variables,
+        formula,
+        shape,
+        column=column,
+        contacts=True,
+        at_contacts=True,
+        layout=layout,
+        optional=optional,
     )
 
 
@@ -299,7 +322,9 @@ _FORCE = ("contact_force",)
 _NORMAL_FORCE = partial(of_contacts, "normal_force")
 _ABOUT = tuple(range(loops.COUNT)) + tuple(range(loops.KINETIC, loops.SQUARE + 1))
 _I_OMEGA = ("moment_of_inertia", "angular_velocity")
-_power_moment = partial(Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY))
+_power_moment = partial(
+    Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY)
+)
 _along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U

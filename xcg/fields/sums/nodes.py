@@ -100,14 +100,20 @@ class MeshBlock:
         """Indices of the nodes among all nodes of the mesh, numbered row by row."""
         if self.count == math.prod(self.shape):
             return np.arange(self.count, dtype="uint64")
-        x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(self.low, self.high, strict=True))
+        x, y, z = (
+            np.arange(low, high, dtype="uint64")
+            for low, high in zip(self.low, self.high, strict=True)
+        )
         return ((x[:, None, None] * self.shape[1] + y[:, None]) * self.shape[2] + z).ravel()
 
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
         half = [length / unit for length in self.half.tolist()]
         # the step of one node means nothing
-        steps = [step / unit if n > 1 else 1.0 for n, step in zip(self.shape, self.steps.tolist(), strict=True)]
+        steps = [
+            step / unit if n > 1 else 1.0
+            for n, step in zip(self.shape, self.steps.tolist(), strict=True)
+        ]
         begin = [low * step - h for low, step, h in zip(self.low, steps, half, strict=True)]
         end = [(high - 1) * step + h for high, step, h in zip(self.high, steps, half, strict=True)]
         rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
@@ -183,7 +189,9 @@ class Grid:
         length = dict(zip(self.dims, self.sizes, strict=True))
         along = [length.get(a, 1) for a in COMPONENTS]
         self.shape = triple(along if self.parts is None else [self.count, 1, 1])
-        self.steps = np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
+        self.steps = np.array(
+            [self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS]
+        )
 
     @property
     def axes(self) -> str:
@@ -195,7 +203,9 @@ class Grid:
         if self.parts is None:
             return float(np.clip(extent / self.steps, 1.0, self.shape)[self.active].prod())
         places = sum(part.inner.count if part.inner else len(part.places) for part in self.parts)
-        return max(1.0, places * float((extent / (self.upper - self.lower + extent))[self.active].prod()))
+        return max(
+            1.0, places * float((extent / (self.upper - self.lower + extent))[self.active].prod())
+        )
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
@@ -214,10 +224,15 @@ class Grid:
         while parts.prod() < min(wanted, self.count):
             # rows of nodes run along the last axis: cut them later
             parts[np.argmax(np.where(parts < shape, shape / parts / (1, 1, 2), 0.0))] += 1
-        edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
+        edges = [
+            np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)
+        ]
         x, y, z = (list(pairwise(ends)) for ends in edges)
         of_mesh = self.shape, self.steps, self.half
-        return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), *of_mesh) for i, j, k in product(x, y, z)]
+        return [
+            MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), *of_mesh)
+            for i, j, k in product(x, y, z)
+        ]
 
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
@@ -271,13 +286,23 @@ class Mesh:
     """
 
     def __init__(self, grid: Grid, period: NDArray, cutoff: float) -> None:
-        self.origin, self.active, self.nodes, self.cutoff = grid.origin, grid.active, grid.count, cutoff
+        self.origin, self.active, self.nodes, self.cutoff = (
+            grid.origin,
+            grid.active,
+            grid.count,
+            cutoff,
+        )
         self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
         self.half, self.reach = grid.half / cutoff, 2.0 + 2.0 * grid.half / cutoff
-        self.lower, self.upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
+        self.lower, self.upper = (
+            (grid.lower - grid.origin) / cutoff,
+            (grid.upper - grid.origin) / cutoff,
+        )
         self.period = np.where(grid.active, period, np.inf) / cutoff
         numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
-        self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]  # extent, spacing and period
+        self._along_active = [
+            (k, numbers[k]) for k in range(3) if self.active[k]
+        ]  # extent, spacing and period
 
     def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
         """Raise SceneError for places (3,) not finite or too far away to be numbered; damaged files hold them.
@@ -306,7 +331,10 @@ class Mesh:
                     f"with nodes {step * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
-            images[k], over_mesh[k] = float(reach[k]) / period + 1.0, (float(reach[k]) + extent) / period + 1.0
+            images[k], over_mesh[k] = (
+                float(reach[k]) / period + 1.0,
+                (float(reach[k]) + extent) / period + 1.0,
+            )
         one, all_nodes = math.prod(images), math.prod(over_mesh)
         if not (one <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * one):
             k = int(np.argmax(over_mesh))
@@ -360,7 +388,9 @@ class Mesh:
         segments[long, _BRANCHES] = np.where(open_axes, first - last, part * branch)
         segments[long[part[:, 0] == 0.0], GROUP] = -1.0
         sizes = np.abs(segments[used[segments[used, GROUP] >= 0.0], _BRANCHES])
-        longest = np.array([*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))])
+        longest = np.array(
+            [*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))]
+        )
         if not longest[:3][self.active].max() < _TOO_LONG:
             raise SceneError(
                 f"{source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
@@ -369,7 +399,9 @@ class Mesh:
             )
         return longest
 
-    def _part_near(self, start: NDArray, end: NDArray, axes: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def _part_near(
+        self, start: NDArray, end: NDArray, axes: NDArray
+    ) -> tuple[NDArray, NDArray, NDArray]:
         """First and last point, (n, 3) each, of the part of lines that is near the mesh, and its share (n, 1).
 
         Points are counted from the end that is nearer to the mesh, so that none of its digits are lost.
@@ -377,15 +409,21 @@ class Mesh:
         lower, upper = self.lower - _MARGIN, self.upper + _MARGIN
 
         def distance(point: NDArray) -> NDArray:
-            return (np.maximum(np.maximum(lower - point, point - upper), 0.0) * axes).max(axis=1, keepdims=True)
+            return (np.maximum(np.maximum(lower - point, point - upper), 0.0) * axes).max(
+                axis=1, keepdims=True
+            )
 
         turned = distance(start) < distance(end)
         near, far = np.where(turned, start, end), np.where(turned, end, start)
         along = np.where(axes, far - near, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = np.array([lower - near, upper - near]) / along  # not a number: within, or on a face
+            crossings = (
+                np.array([lower - near, upper - near]) / along
+            )  # not a number: within, or on a face
         within = (lower <= near) & (near <= upper) | ~axes
-        enters = np.where(along != 0.0, crossings.min(axis=0), np.where(within, -np.inf, np.inf)).max(axis=1)
+        enters = np.where(
+            along != 0.0, crossings.min(axis=0), np.where(within, -np.inf, np.inf)
+        ).max(axis=1)
         leaves = np.where(along != 0.0, crossings.max(axis=0), np.inf).min(axis=1)
         begin = np.clip(enters, 0.0, 1.0)[:, None]
         finish = np.maximum(begin, np.clip(leaves, 0.0, 1.0)[:, None])

@@ -37,7 +37,9 @@ from xcg.scene.schema import Frame
 SINGLE = 1e-4
 
 
-def _quicker(kind: int | None, spread: float | None, table: NDArray | None, rtol: float) -> tuple[int, ...]:
+def _quicker(
+    kind: int | None, spread: float | None, table: NDArray | None, rtol: float
+) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
@@ -50,7 +52,12 @@ def _quicker(kind: int | None, spread: float | None, table: NDArray | None, rtol
 
 @lru_cache(maxsize=64)
 def _limits(
-    kind: int | None, spread: float | None, table: bytes | None, table_shape: tuple[int, ...], seen: int, rtol: float
+    kind: int | None,
+    spread: float | None,
+    table: bytes | None,
+    table_shape: tuple[int, ...],
+    seen: int,
+    rtol: float,
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
@@ -99,7 +106,7 @@ _TOGETHER = 256
 # the first arguments of `list_segments`, up to the origin
 Listing: TypeAlias = tuple[
     ContactRows, NDArray | None, bool, int, NDArray, float, tuple[float, float, float]
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +137,9 @@ class ListedAnew:
         for first in range(0, len(runs), _TOGETHER):
             some = runs[first : first + _TOGETHER]
             places = (RUN * some[:, None] + np.arange(RUN)).ravel()
-            contacts = self.contacts[places[places < len(self.contacts)]]  # the last run may be shorter
+            contacts = self.contacts[
+                places[places < len(self.contacts)]
+            ]  # the last run may be shorter
             records, _, _ = list_some(self.listing, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
@@ -150,7 +159,11 @@ def along_branches(step: StepRows) -> list[Pass]:
     """Prepare a pass for each moment that is smeared along branches."""
     order = step.grains.order if step.lattice.vectors is None else step.in_space(step.position)
     contacts = step.contacts.in_order_of(order)
-    return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]
+    return [
+        _branches(step, name, row, contacts)
+        for name, row in step.spec.rows.items()
+        if row.along_branches
+    ]
 
 
 def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass:
@@ -161,7 +174,9 @@ def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass
     for cutoff in spec.distinct:
         mesh = step.meshes[cutoff]
         for second in (False, True):
-            segments, longest, more = _segments(step, row, *carried, contacts, second, others, cutoff)
+            segments, longest, more = _segments(
+                step, row, *carried, contacts, second, others, cutoff
+            )
             reach = mesh.reach + longest[:3]
             mesh.check_reach(reach, step.source)
             for real, closed, rest in _rules(step, longest[3], cutoff):
@@ -182,9 +197,15 @@ def _carried(step: StepRows, row: Moment, frame: Frame) -> tuple[NDArray, NDArra
 
 
 def _segments(
-    step: StepRows, moment: Moment, on_i: NDArray, on_j: NDArray | None, contacts: NDArray, second: bool, others: int,
+    step: StepRows,
+    moment: Moment,
+    on_i: NDArray,
+    on_j: NDArray | None,
+    contacts: NDArray,
+    second: bool,
+    others: int,
     cutoff: float,
-) -> tuple[Branches, NDArray, bool]:  # fmt: skip
+) -> tuple[Branches, NDArray, bool]:
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
     mesh, tilted, limits = step.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
@@ -206,7 +227,9 @@ def _segments(
         segments, contacts = segments[used[image]], contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
-            moved = step.frame | {"velocity": step.frame["velocity"] + drift}  # as seen in images that drift
+            moved = step.frame | {
+                "velocity": step.frame["velocity"] + drift
+            }  # as seen in images that drift
             on_i, on_j = _carried(step, moment, moved)
             moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
@@ -219,16 +242,30 @@ def _segments(
 
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
     """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-    if step.spec.grid.half.any() or not step.spec.coarse or not step.meshes[cutoff].fits_single(step.spec.limits.max()):
+    if (
+        step.spec.grid.half.any()
+        or not step.spec.coarse
+        or not step.meshes[cutoff].fits_single(step.spec.limits.max())
+    ):
         return [("float64", True, False)]
     by_points = ("float32", False, False)
-    return [by_points] if longest <= step.spec.limits.max() else [by_points, ("float64", True, True)]
+    return (
+        [by_points] if longest <= step.spec.limits.max() else [by_points, ("float64", True, True)]
+    )
 
 
 def _fill_segments(
-    segments: Branches, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
-    block: NodeBlock, sums: NDArray, _: NDArray,
-) -> None:  # fmt: skip
+    segments: Branches,
+    mesh: Mesh,
+    weights: AnyKernel,
+    reach: Sequence[float],
+    real: str,
+    closed: bool,
+    rest: bool,
+    block: NodeBlock,
+    sums: NDArray,
+    _: NDArray,
+) -> None:
     nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
     lists = block.lists(nodes, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None

@@ -70,9 +70,13 @@ class DepositSpec:
         self.by_phase = np.resize(self.cutoffs, self.phases)
         self.distinct = sorted(set(self.cutoffs))
         self.origin = triple(self.grid.origin)
-        elsewhere = {name for name, row in self.rows.items() if row.at_contacts or row.along_branches}
+        elsewhere = {
+            name for name, row in self.rows.items() if row.at_contacts or row.along_branches
+        }
         here = {name: row for name, row in self.rows.items() if name not in elsewhere}
-        self.of_grains = {name: row for name, row in here.items() if bool(row.level) != bool(row.column)}
+        self.of_grains = {
+            name: row for name, row in here.items() if bool(row.level) != bool(row.column)
+        }
         self.level = max((row.level for row in self.of_grains.values()), default=NONE)
 
 
@@ -142,7 +146,10 @@ class Layout:
     def _rows(self) -> tuple[NDArray, NDArray]:
         """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
         columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
-        factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
+        factors = [
+            np.broadcast_to(factor, (columns.size, self.groups))
+            for columns, factor in self.moments.values()
+        ]
         return columns, np.concatenate(factors)
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
@@ -224,10 +231,14 @@ class StepRows:
         If the box is too small, or has no images as seen along some axes.
     """
 
-    def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:
+    def __init__(
+        self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str
+    ) -> None:
         self.frame = without_frozen(frame)
         if not len(self.frame["position"]):
-            frame = self.frame = {name: values[:0] for name, values in self.frame.items()}  # nor contacts of theirs
+            frame = self.frame = {
+                name: values[:0] for name, values in self.frame.items()
+            }  # nor contacts of theirs
         self.spec, self.source = spec, source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
@@ -238,14 +249,22 @@ class StepRows:
         if self.contacts and moving and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
         velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
-        self.velocity = np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
+        self.velocity = (
+            np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
+        )
         self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
-        self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)  # which are a part of the scene
-        self.meshes = {cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct}
+        self.lattice = replace(
+            lattice.seen(spec.grid.active, source), edges=None
+        )  # which are a part of the scene
+        self.meshes = {
+            cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
+        }
         self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
         for cutoff, mesh in self.meshes.items():
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
-                mesh.check_reach(mesh.reach, source, paired=any(name.startswith("square") for name in spec.rows))
+                mesh.check_reach(
+                    mesh.reach, source, paired=any(name.startswith("square") for name in spec.rows)
+                )
             norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
             weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
             if isinstance(weights, CellKernel):
@@ -267,9 +286,15 @@ class StepRows:
         if gradient is None:
             return self.frame
         rows = self.spec.rows.items()
-        names = [name for name, row in rows if row.contacts and "velocity" in row.variables and name != _AT_ONE_PLACE]
+        names = [
+            name
+            for name, row in rows
+            if row.contacts and "velocity" in row.variables and name != _AT_ONE_PLACE
+        ]
         if names:
-            warn_once("hidden shear", f"{self.source}: {_HIDDEN_SHEAR.format(names=', '.join(names))}")
+            warn_once(
+                "hidden shear", f"{self.source}: {_HIDDEN_SHEAR.format(names=', '.join(names))}"
+            )
         self.velocity = self.velocity - (self.position - lattice.middle) @ gradient.T
         of_box = np.broadcast_to(gradient, (self.count, 3, 3))
         return {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
@@ -305,7 +330,9 @@ class StepRows:
         if at.drift is not None and "velocity" in row.variables:
             # images that move alike take one call, as a grain's value may be a sum over its contacts
             for drift, here in alike(at.drift):
-                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)[which]
+                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)[
+                    which
+                ]
                 values[here] = found[here].reshape(-1, values.shape[1])
         return values
 
@@ -327,11 +354,18 @@ class StepRows:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
             return np.zeros(0, "int32")  # as of others, so that nothing is compiled for it
-        lower, upper = ([float(found(x)) for x in position.T] for found in (np.min, np.max))  # axis=0 is slow
-        farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
+        lower, upper = (
+            [float(found(x)) for x in position.T] for found in (np.min, np.max)
+        )  # axis=0 is slow
+        farthest = [
+            max(abs(a - o), abs(b - o))
+            for a, b, o in zip(lower, upper, self.spec.origin, strict=True)
+        ]
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
             self.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
-        return spatial_order(position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist())
+        return spatial_order(
+            position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist()
+        )
 
 
 def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:

@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _PLACES = {"{time}": r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)", "{step}": r"(\d+)"}
-_PACKED, _SLACK = 1 << 15, 1 << 26  # times that compressed bytes may grow, and bytes that any dataset may have
+_PACKED, _SLACK = (
+    1 << 15,
+    1 << 26,
+)  # times that compressed bytes may grow, and bytes that any dataset may have
 _ONE = ("position", "contact_i")  # of each kind, what tells the steps
 _STACKED = "stacked"  # steps along the first dimension; else `kind` of a step is what stands in the name of its group
 
@@ -48,7 +51,9 @@ class Hdf5(Columnar):
         with open(path, "rb") as file:
             return file.read(len(_MAGIC)) == _MAGIC
 
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps of particles, or of contacts, in the same files or others."""
         places = _mapping(options)
         time = places.pop("time", None)
@@ -76,7 +81,9 @@ class Hdf5(Columnar):
         """Find the columns that particles are read from: all of them."""
         return super().particle_columns(ref, _by_themselves(ref, options))
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
+    def contact_columns(
+        self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None
+    ) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
 
@@ -89,7 +96,9 @@ def _by_themselves(ref: StepRef, options: ReadOptions) -> ReadOptions:
 
 
 def _of_contacts(name: str) -> bool:
-    return name.startswith("contact_") or (name in columns.CONTACT_SLOTS or f"{name}_x" in columns.CONTACT_SLOTS)
+    return name.startswith("contact_") or (
+        name in columns.CONTACT_SLOTS or f"{name}_x" in columns.CONTACT_SLOTS
+    )
 
 
 def _mapping(options: ReadOptions) -> dict[str, str]:
@@ -97,7 +106,9 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
     given = options.extra.get("mapping")
     example = "mapping={'position': '/Step{time}/Particles/Position', ...}"
     if not isinstance(given, Mapping) or not given:
-        raise SceneError(f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists a file")
+        raise SceneError(
+            f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists a file"
+        )
     slots = {**columns.PARTICLE_SLOTS, **columns.CONTACT_SLOTS}
     known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
     for name, path in given.items():
@@ -107,7 +118,9 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
             )
         likely = "" if name in known else did_you_mean(name, known, 0.85)
         if likely:
-            raise SceneError(f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}")
+            raise SceneError(
+                f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}"
+            )
     return dict(given)
 
 
@@ -157,7 +170,9 @@ def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str
             continue
     if not numbers:
         there = ", ".join(list(parent)[:5]) or "nothing"
-        raise SceneError(f"{file.filename}: no name like {parts[at]!r} in {parent.name!r}, which holds {there}")
+        raise SceneError(
+            f"{file.filename}: no name like {parts[at]!r} in {parent.name!r}, which holds {there}"
+        )
     return sorted(numbers, key=lambda entry: entry[1])
 
 
@@ -167,14 +182,19 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
     rows: dict[str, int] = {}
     for name, path in mine.items():
         whole, stacked = _dataset(file, _filled(path, ref)).shape, ref.kind == _STACKED
-        shape, scalar = whole[stacked:], name in columns.PARTICLE_SLOTS or name in columns.CONTACT_SLOTS
+        shape, scalar = (
+            whole[stacked:],
+            name in columns.PARTICLE_SLOTS or name in columns.CONTACT_SLOTS,
+        )
         if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3) and not scalar)):
             n = "(steps, n" if stacked else "(n"
             expected = f"{n})" if scalar else f"{n}), {n}, 2) or {n}, 3)"
             raise SceneError(
                 f"{source_of(ref)}: {_filled(path, ref)!r} has the shape {whole}, expected {expected} for {name!r}"
             )
-        names += [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
+        names += (
+            [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
+        )
         rows[_filled(path, ref)] = shape[0]
     if len(set(rows.values())) > 1:
         raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
@@ -186,11 +206,15 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
     if path is None:
         return None
     filled, _, attribute = _filled(path, ref).partition("@")
-    value = np.ravel(file[filled or "/"].attrs[attribute] if attribute else _dataset(file, filled)[()])
+    value = np.ravel(
+        file[filled or "/"].attrs[attribute] if attribute else _dataset(file, filled)[()]
+    )
     place = ref.offset if ref.kind == _STACKED and len(value) > 1 else 0
     number = float(value[place]) if place < len(value) and value.dtype.kind in "fiu" else np.nan
     if not np.isfinite(number):
-        raise SceneError(f"{source_of(ref)}: {_filled(path, ref)!r} does not hold the time of this step")
+        raise SceneError(
+            f"{source_of(ref)}: {_filled(path, ref)!r} does not hold the time of this step"
+        )
     return number
 
 
@@ -225,7 +249,9 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
             parent = parent.rpartition("/")[0]
         group = file[parent or "/"]
         there = ", ".join(list(group)[:8]) if isinstance(group, h5py.Group) else ""
-        raise SceneError(f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {there or 'no others'}")
+        raise SceneError(
+            f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {there or 'no others'}"
+        )
     if found.dtype.kind not in "fiub":
         raise SceneError(f"{file.filename}: {path!r} holds {found.dtype}, expected numbers")
     if found.nbytes > _PACKED * found.id.get_storage_size() + _SLACK:
@@ -238,8 +264,14 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
 def _values(file: h5py.File, path: str, ref: StepRef, part: int | None) -> NDArray:
     """Numbers of a step, of one component of a vector."""
     data = _dataset(file, path)
-    selection = (*((ref.offset,) if ref.kind == _STACKED else ()), slice(None), *(() if part is None else (part,)))
+    selection = (
+        *((ref.offset,) if ref.kind == _STACKED else ()),
+        slice(None),
+        *(() if part is None else (part,)),
+    )
     values = np.asarray(data[selection], "float64")
     if values.shape != (ref.rows,):
-        raise SceneError(f"{source_of(ref)}: {path!r} has the shape {data.shape}, and {ref.rows} rows were promised")
+        raise SceneError(
+            f"{source_of(ref)}: {path!r} has the shape {data.shape}, and {ref.rows} rows were promised"
+        )
     return values

@@ -42,14 +42,18 @@ class Dumps(Columnar):
 
     OPTIONS = ("timestep",)
 
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps of ``dump custom`` files, or of local dumps with contacts.
 
         A file is read through only where it may hold several steps: not where its name holds the number of its
         first step and its size is that of one step.
         """
         atoms = not contacts
-        return index_steps(paths, f"dump {atoms=}", partial(_steps, atoms=atoms), options.extra.get("timestep"))
+        return index_steps(
+            paths, f"dump {atoms=}", partial(_steps, atoms=atoms), options.extra.get("timestep")
+        )
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
         """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
@@ -62,7 +66,11 @@ class Dumps(Columnar):
     ) -> dict[str, NDArray]:
         """Read columns of one step, in whatever form it is written."""
         form = form_of(ref.path)
-        return form.read_columns(ref, wanted) if form else super().read_columns(ref, wanted, rows, options)
+        return (
+            form.read_columns(ref, wanted)
+            if form
+            else super().read_columns(ref, wanted, rows, options)
+        )
 
 
 class Lammps(Dumps):
@@ -73,7 +81,9 @@ class Lammps(Dumps):
     def recognises(self, path: str) -> bool:
         """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
         found = body_columns(path)
-        return bool(form_of(path)) or (found is not None and ".liggghts" not in path and not is_numbered(found[1]))
+        return bool(form_of(path)) or (
+            found is not None and ".liggghts" not in path and not is_numbered(found[1])
+        )
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``dump local`` files."""
@@ -92,7 +102,11 @@ class Lammps(Dumps):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
-        return list(columns.WALL_CONTACTS) if ref.kind == _WALLS else super().contact_variables(ref, options)
+        return (
+            list(columns.WALL_CONTACTS)
+            if ref.kind == _WALLS
+            else super().contact_variables(ref, options)
+        )
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
@@ -100,12 +114,18 @@ class Lammps(Dumps):
             return columns.wall_contacts_from(ref, options, self)
         return super().read_contacts(ref, options)
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
         """Columns of a step that are not read."""
         if ref.kind == _WALLS:
             return []
         walls = set() if contacts else {*chain(*columns.columns_of_walls(options).values())}
-        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in walls]
+        return [
+            name
+            for name in super().ignored_columns(ref, options, contacts=contacts)
+            if name not in walls
+        ]
 
 
 def _vector(slot: str, first: int) -> dict[str, int]:
@@ -171,17 +191,29 @@ class Liggghts(Dumps):
         if not is_numbered(ref.columns):
             return self.CONTACT_SLOTS
         layout = _WALL if ref.kind == "wall" else _PAIR
-        return {slot: ref.columns[layout[slot] :][:1] if slot in layout else () for slot in self.CONTACT_SLOTS}
+        return {
+            slot: ref.columns[layout[slot] :][:1] if slot in layout else ()
+            for slot in self.CONTACT_SLOTS
+        }
 
 
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------
 
 _FORMS = (lammps_binary, lammps_netcdf)
-_NO_BODY = ("UNITS", "TIME", "TIMESTEP", "NUMBER OF", "BOX BOUNDS")  # how the other items of a header begin
+_NO_BODY = (
+    "UNITS",
+    "TIME",
+    "TIMESTEP",
+    "NUMBER OF",
+    "BOX BOUNDS",
+)  # how the other items of a header begin
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
-_SAMPLE, _TAIL = 1 << 14, 1 << 16  # bytes of a body and of its end, by which it is seen whether more follows
+_SAMPLE, _TAIL = (
+    1 << 14,
+    1 << 16,
+)  # bytes of a body and of its end, by which it is seen whether more follows
 
 
 def form_of(path: str) -> ModuleType | None:
@@ -204,7 +236,9 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
 
 def is_numbered(names: Sequence[str]) -> bool:
     """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
-    return len(names) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1))
+    return len(names) in (12, 13) and all(
+        re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1)
+    )
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
@@ -261,7 +295,11 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
             begin, end = (block.find(b"\n") + 1 if place else 0), block.rfind(b"\n") + 1
             lines, length = lines + block.count(b"\n", begin, end), length + end - begin
         file.seek(ref.offset + max(0, rest - max(_TAIL, rest // 32)))
-        return lines > 0 and rest < 1.03 * ref.rows * length / lines + _SAMPLE and b"\nITEM:" not in file.read()
+        return (
+            lines > 0
+            and rest < 1.03 * ref.rows * length / lines + _SAMPLE
+            and b"\nITEM:" not in file.read()
+        )
 
 
 def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
@@ -273,7 +311,9 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
             continue
         if not line.startswith("ITEM:"):
             before = f"before byte {scanner.offset}"
-            raise SceneError(f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}")
+            raise SceneError(
+                f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}"
+            )
         if scanner.offset - start > _LONGEST_HEADER:
             raise SceneError(
                 f"{path}: the header that begins at byte {start} has no end in {_LONGEST_HEADER} bytes; it is damaged"
@@ -282,10 +322,16 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
         if not item.startswith(_NO_BODY):
             _check_header(ref, item.split(), atoms=atoms)
             return replace(ref, columns=tuple(item.split()[1:]), offset=scanner.offset)
-        ref = _box(ref, scanner, item) if item.startswith("BOX BOUNDS") else _value(ref, scanner, item)
+        ref = (
+            _box(ref, scanner, item)
+            if item.startswith("BOX BOUNDS")
+            else _value(ref, scanner, item)
+        )
     if ref is empty:
         return None
-    raise SceneError(f"{path}: the header of step {ref.step} is cut off; leave out the step or the file")
+    raise SceneError(
+        f"{path}: the header of step {ref.step} is cut off; leave out the step or the file"
+    )
 
 
 def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
@@ -298,7 +344,9 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         if not abs(number) < _LARGEST:  # NaN is not
             raise ValueError
     except ValueError:
-        raise SceneError(f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number") from None
+        raise SceneError(
+            f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number"
+        ) from None
     return replace(ref, **{{"TIME": "time", "TIMESTEP": "step"}.get(item, "rows"): number})
 
 
@@ -329,7 +377,10 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
             f"{ref.path}: the box is written by vectors in any direction ('{item}'); write it by tilts, which LAMMPS "
             "does after 'dump_modify ... triclinic/general no'"
         )
-    tilted, flags = flags[:3] == ["xy", "xz", "yz"], [flag for flag in flags if flag not in ("xy", "xz", "yz")]
+    tilted, flags = (
+        flags[:3] == ["xy", "xz", "yz"],
+        [flag for flag in flags if flag not in ("xy", "xz", "yz")],
+    )
     try:
         low, high, *tilts = numbers = np.array([[float(word) for word in line] for line in lines]).T
         if len(tilts) != tilted or not np.isfinite(numbers).all():

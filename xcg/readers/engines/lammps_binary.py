@@ -18,7 +18,9 @@ from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS
 
 
-def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None) -> StepRef:
+def with_bounds(
+    ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None
+) -> StepRef:
     """Add the box of a step from lower and upper bounds (3,), which bound the tilted box, and xy, xz, yz.
 
     Raises
@@ -40,7 +42,11 @@ def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[f
 
 
 # how a file begins, and its order of bytes
-MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}
+MARKS = {
+    struct.pack(f"{order}q", -len(word)) + word: order
+    for order in "<>"
+    for word in (b"DUMPCUSTOM", b"DUMPATOM")
+}
 _MOST_COLUMNS = 1000
 _LONGEST_TEXT = 1 << 16  # bytes of the names of columns
 _NEWEST = 2  # revision
@@ -103,7 +109,9 @@ def _read_header(header: _Header) -> StepRef:
     if one != 1 or not 1 <= revision <= _NEWEST:
         header.refuse(f"is of revision {revision}, expected 1 to {_NEWEST}")
     if triclinic not in (0, 1):
-        header.refuse("has a box of vectors in any direction; write 'dump_modify ... triclinic/general no'")
+        header.refuse(
+            "has a box of vectors in any direction; write 'dump_modify ... triclinic/general no'"
+        )
     bounds = header.numbers("6d")
     tilts = header.numbers("3d") if triclinic else None
     (columns,) = header.numbers("i")
@@ -111,7 +119,9 @@ def _read_header(header: _Header) -> StepRef:
     time = header.numbers("d")[0] if header.numbers("?")[0] else None
     names = tuple(header.text().split())
     if not 0 < columns == len(names) == len(set(names)) <= _MOST_COLUMNS or rows < 0:
-        header.refuse(f"promises {rows} rows of {columns} columns, and names {' '.join(names[:50]) or 'none'}")
+        header.refuse(
+            f"promises {rows} rows of {columns} columns, and names {' '.join(names[:50]) or 'none'}"
+        )
     if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
         header.refuse("has a time or box that is not finite")
     periodic = "".join(a for k, a in enumerate(COMPONENTS) if walls[2 * k] == walls[2 * k + 1] == 0)
@@ -140,7 +150,9 @@ def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
         (count,) = header.numbers("i")
         end = file.tell() + 8 * count
         if count < 0 or count % wide or end > size:
-            header.refuse(f"is followed by a block of {count} values, expected rows of {wide} within the file")
+            header.refuse(
+                f"is followed by a block of {count} values, expected rows of {wide} within the file"
+            )
         values += count
         file.seek(end)
     if values != ref.rows * wide:
@@ -174,7 +186,9 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     while at < len(body):
         count = struct.unpack_from(f"{order}i", body, at)[0] if at + 4 <= len(body) else -1
         if count < 0 or count % wide or at + 4 + 8 * count > len(body):
-            raise SceneError(f"{source_of(ref)}: the file changed after the scene was opened; open it again")
+            raise SceneError(
+                f"{source_of(ref)}: the file changed after the scene was opened; open it again"
+            )
         blocks.append(np.frombuffer(body, f"{order}f8", count, at + 4).reshape(-1, wide))
         at += 4 + 8 * count
     rows = np.concatenate(blocks) if blocks else np.empty((0, wide))

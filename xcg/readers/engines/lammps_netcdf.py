@@ -30,7 +30,13 @@ _VECTORS = {
     "forces": "f{}",
     "mu": "mu{}",
 }
-_UNITS = {"meter": "si", "centimeter": "cgs", "micrometers": "micro", "nanometers": "nano", "lj": "lj"}
+_UNITS = {
+    "meter": "si",
+    "centimeter": "cgs",
+    "micrometers": "micro",
+    "nanometers": "nano",
+    "lj": "lj",
+}
 _LOST = -(2**31) + 1  # the fill value of ids
 
 
@@ -45,9 +51,13 @@ def steps_of(path: str) -> Iterator[StepRef]:
     file = ClassicFile(path)
     needed = {"time": (), "cell_origin": (3,), "cell_lengths": (3,), "cell_angles": (3,)}
     names = tuple(_places(file))
-    lacking = [name for name, shape in needed.items()
-               if name not in file.variables or not file.variables[name].recorded
-               or file.variables[name].shape != shape]  # fmt: skip
+    lacking = [
+        name
+        for name, shape in needed.items()
+        if name not in file.variables
+        or not file.variables[name].recorded
+        or file.variables[name].shape != shape
+    ]
     lacking += [] if names else ["columns of atoms"]
     if lacking:
         file.refuse(f"lacks {', '.join(lacking)}, and was not written by 'dump netcdf'")
@@ -59,31 +69,51 @@ def steps_of(path: str) -> Iterator[StepRef]:
             file.refuse(f"has the time {number} in record {k}, and is damaged")
         time = number * float(scale[0]) if len(scale) == 1 and np.isfinite(scale[0]) else None
         yield StepRef(
-            path, file.dims["atom"], time=time, step=round(number), columns=names, offset=k,
-            units=_UNITS.get(str(length), str(length)) if length else None, **_box(file, k),
-        )  # fmt: skip
+            path,
+            file.dims["atom"],
+            time=time,
+            step=round(number),
+            columns=names,
+            offset=k,
+            units=_UNITS.get(str(length), str(length)) if length else None,
+            **_box(file, k),
+        )
 
 
 def _box(file: ClassicFile, record: int) -> dict[str, Any]:
     """Edges, tilt and periodic axes of a step."""
-    low, lengths, angles = (file.read(f"cell_{what}", record).astype(float) for what in ("origin", "lengths", "angles"))
-    if not np.isfinite([low, lengths, angles]).all() or (lengths < 0).any() or (np.abs(angles - 90) >= 90).any():
-        file.refuse(f"has a box of lengths {lengths} and angles {angles} in record {record}, and is damaged")
+    low, lengths, angles = (
+        file.read(f"cell_{what}", record).astype(float) for what in ("origin", "lengths", "angles")
+    )
+    if (
+        not np.isfinite([low, lengths, angles]).all()
+        or (lengths < 0).any()
+        or (np.abs(angles - 90) >= 90).any()
+    ):
+        file.refuse(
+            f"has a box of lengths {lengths} and angles {angles} in record {record}, and is damaged"
+        )
     periodic = lengths > 0
     told = {"periodic": "".join(a for a, there in zip(COMPONENTS, periodic, strict=True) if there)}
     if (np.abs(angles - 90) < 1e-4).all():  # angles in single precision
         high = [a + b if b else math.inf for a, b in zip(low, lengths, strict=True)]
-        edges = [(a if b else -math.inf, c) for a, b, c in zip(low.tolist(), lengths, high, strict=True)]
+        edges = [
+            (a if b else -math.inf, c) for a, b, c in zip(low.tolist(), lengths, high, strict=True)
+        ]
         return told | {"box": tuple(edges)}
     if not periodic.all():
-        file.refuse("has a tilted box that is not periodic along all axes, whose tilts are not told; dump text")
+        file.refuse(
+            "has a tilted box that is not periodic along all axes, whose tilts are not told; dump text"
+        )
     alpha, beta, gamma = np.cos(np.radians(angles))
     a, b, c = lengths
     xy, xz = b * gamma, c * beta
     y = math.sqrt(max(b**2 - xy**2, 0.0))
     yz = (b * c * alpha - xy * xz) / y
     z = math.sqrt(max(c**2 - xz**2 - yz**2, 0.0))
-    edges = [(float(start), float(start + size)) for start, size in zip(low, (a, y, z), strict=True)]
+    edges = [
+        (float(start), float(start + size)) for start, size in zip(low, (a, y, z), strict=True)
+    ]
     lattice = ((float(a), 0.0, 0.0), (float(xy), float(y), 0.0), (float(xz), float(yz), float(z)))
     return told | {"box": tuple(edges), "lattice": lattice}
 
@@ -92,7 +122,11 @@ def _places(file: ClassicFile) -> dict[str, tuple[str, int | None]]:
     """Variable and component of each column, named as in dumps of text."""
     found: dict[str, tuple[str, int | None]] = {}
     for name, variable in file.variables.items():
-        of_atoms = variable.recorded and variable.dims[:2] == ("frame", "atom") and variable.dtype.kind != "S"
+        of_atoms = (
+            variable.recorded
+            and variable.dims[:2] == ("frame", "atom")
+            and variable.dtype.kind != "S"
+        )
         if not of_atoms or len(variable.dims) > 3:
             continue
         if len(variable.dims) == 2:
@@ -109,9 +143,12 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     file = ClassicFile(ref.path)
     places = _places(file)
     if tuple(places) != ref.columns or ref.offset >= file.records:
-        raise SceneError(f"{source_of(ref)}: the file changed after the scene was opened; open it again")
+        raise SceneError(
+            f"{source_of(ref)}: the file changed after the scene was opened; open it again"
+        )
     arrays = {
-        name: file.read(name, ref.offset) for name in {places[column][0] for column in wanted} | {"id"} & {*places}
+        name: file.read(name, ref.offset)
+        for name in {places[column][0] for column in wanted} | {"id"} & {*places}
     }
     there = arrays["id"] != _LOST if "id" in arrays else slice(None)
     return {
@@ -128,7 +165,9 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
 
 
 MARKS = (b"CDF\x01", b"CDF\x02", b"CDF\x05")  # how a file begins
-_TYPES = dict(enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1))
+_TYPES = dict(
+    enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1)
+)
 _FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
 _MOST = 10_000  # dimensions, variables, or attributes of one of them
 _LONGEST = 1 << 20  # bytes of a name or an attribute
@@ -180,25 +219,35 @@ class ClassicFile:
             told = self._count(most=None)
             pairs = [(self._name(), self._count(most=None)) for _ in range(self._list(_DIMENSIONS))]
             self.dims, self.attrs = dict(pairs), self._attributes()
-            found = [self._variable([name for name, _ in pairs]) for _ in range(self._list(_VARIABLES))]
+            found = [
+                self._variable([name for name, _ in pairs]) for _ in range(self._list(_VARIABLES))
+            ]
         self.variables = {variable.name: variable for variable in found}
         recorded = [variable for variable in found if variable.recorded]
         alone = len(recorded) == 1
         self._record = (
-            sum(math.prod(v.shape) * v.dtype.itemsize if alone else v.length for v in recorded) if recorded else 0
+            sum(math.prod(v.shape) * v.dtype.itemsize if alone else v.length for v in recorded)
+            if recorded
+            else 0
         )
         first = min((v.begin for v in recorded), default=self._size)
-        room = (self._size - first + 3) // self._record if self._record else 0  # the last one may lack its padding
+        room = (
+            (self._size - first + 3) // self._record if self._record else 0
+        )  # the last one may lack its padding
         self.records = room if told == (1 << (64 if self._wide else 32)) - 1 else told
         if self._record and self.records > room:
-            self.refuse(f"promises {self.records} records, and has room for {room}; it was cut short")
+            self.refuse(
+                f"promises {self.records} records, and has room for {room}; it was cut short"
+            )
         for v in found:
             if not v.recorded and v.begin + math.prod(v.shape) * v.dtype.itemsize > self._size:
                 self.refuse(f"ends before its variable '{v.name}' does; it was cut short")
 
     def refuse(self, problem: str) -> NoReturn:
         """Raise an error that names the file."""
-        raise SceneError(f"{self.path}: the file {problem}. Leave it out, or write it again") from None
+        raise SceneError(
+            f"{self.path}: the file {problem}. Leave it out, or write it again"
+        ) from None
 
     def _bytes(self, count: int) -> bytes:
         found = self._file.read(count)
@@ -210,7 +259,9 @@ class ClassicFile:
         return int(struct.unpack(">i", self._bytes(4))[0])
 
     def _count(self, most: int | None = _MOST) -> int:
-        number = int(struct.unpack(">Q" if self._wide else ">I", self._bytes(8 if self._wide else 4))[0])
+        number = int(
+            struct.unpack(">Q" if self._wide else ">I", self._bytes(8 if self._wide else 4))[0]
+        )
         if most is not None and number > most:
             self.refuse(f"has a count of {number} in its header, and is damaged")
         return number
@@ -224,7 +275,9 @@ class ClassicFile:
     def _list(self, expected: int) -> int:
         tag, count = self._int(), self._count()
         if tag not in (0, expected) or (tag == 0 and count):
-            self.refuse(f"has a list of kind {tag} in its header, expected {expected}, and is damaged")
+            self.refuse(
+                f"has a list of kind {tag} in its header, expected {expected}, and is damaged"
+            )
         return count
 
     def _type(self) -> np.dtype:
@@ -238,7 +291,9 @@ class ClassicFile:
         for _ in range(self._list(_ATTRIBUTES)):
             name, dtype, count = self._name(), self._type(), self._count(_LONGEST)
             data = self._padded(count * dtype.itemsize)
-            found[name] = data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)
+            found[name] = (
+                data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)
+            )
         return found
 
     def _variable(self, dims: Sequence[str]) -> ClassicVariable:
@@ -247,15 +302,21 @@ class ClassicFile:
         if any(place >= len(dims) for place in places):
             self.refuse(f"gives '{name}' a dimension that it has not, and is damaged")
         attrs, dtype = self._attributes(), self._type()
-        self._count(most=None)  # its size, which follows from the dimensions where it is not too large for this field
-        begin = int(struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0])
+        self._count(
+            most=None
+        )  # its size, which follows from the dimensions where it is not too large for this field
+        begin = int(
+            struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0]
+        )
         if begin >= _FARTHEST:
             self.refuse(f"has '{name}' at byte {begin}, and is damaged")
         mine = tuple(dims[place] for place in places)
         recorded = bool(mine) and self.dims[mine[0]] == 0
         shape = tuple(self.dims[dim] for dim in mine[recorded:])
         length = math.prod(shape) * dtype.itemsize
-        return ClassicVariable(name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4)
+        return ClassicVariable(
+            name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4
+        )
 
     def read(self, name: str, record: int = 0) -> NDArray:
         """Read a variable, of one record where it has records."""

@@ -25,9 +25,41 @@ from xcg.readers.files.text import Scanner, check_rows, first_lines, scanned, so
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS, Frame
 
-_ROW_3D = ("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species")
+_ROW_3D = (
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "radius",
+    "alpha",
+    "beta",
+    "gamma",
+    "omx",
+    "omy",
+    "omz",
+    "species",
+)
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
-_CONTACT = ("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz")
+_CONTACT = (
+    "t",
+    "i",
+    "j",
+    "cx",
+    "cy",
+    "cz",
+    "delta",
+    "ctheta",
+    "fn",
+    "ft",
+    "nx",
+    "ny",
+    "nz",
+    "tx",
+    "ty",
+    "tz",
+)
 
 
 class Mercury(Columnar):
@@ -50,36 +82,63 @@ class Mercury(Columnar):
             return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
         return ".data" in name and bool(lines) and _header(lines[0]) is not None
 
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps, numbered from 0 over all files.
 
         As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries of the restart file
         replace the edges in the headers of ``.data`` along axes where these are the same in all steps.
         """
         if contacts:
-            return [replace(ref, step=k) for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))]
+            return [
+                replace(ref, step=k)
+                for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))
+            ]
         refs = index_steps(paths, "mercury data", _data_steps)
-        restarts = {path: read_restart(path, options) or Restart(path, periodic=None) for path in paths}
-        lasting = [len(set(edges)) == 1 for edges in zip(*(ref.box or () for ref in refs), strict=True)]
+        restarts = {
+            path: read_restart(path, options) or Restart(path, periodic=None) for path in paths
+        }
+        lasting = [
+            len(set(edges)) == 1 for edges in zip(*(ref.box or () for ref in refs), strict=True)
+        ]
         for number, ref in enumerate(refs):
             run = restarts[ref.path]
-            box = tuple(run.edges.get(k, own) if lasting[k] else own for k, own in enumerate(ref.box or ()))
-            refs[number] = replace(ref, step=number, box=box, periodic=run.periodic, gravity=run.gravity)
+            box = tuple(
+                run.edges.get(k, own) if lasting[k] else own for k, own in enumerate(ref.box or ())
+            )
+            refs[number] = replace(
+                ref, step=number, box=box, periodic=run.periodic, gravity=run.gravity
+            )
         return refs
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
+    def contact_columns(
+        self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None
+    ) -> dict[str, str]:
         """Return the columns of contacts, which are all read."""
         return dict(zip(ref.columns, ref.columns, strict=True))
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
-        return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
+        return [
+            "contact_i",
+            "contact_j",
+            "contact_force",
+            "contact_point",
+            "contact_normal",
+            "overlap",
+        ]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step; the restart file knows the density of each species."""
         frame = super().read_particles(ref, options)
         restart = read_restart(ref.path, options)
-        if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
+        if (
+            restart
+            and restart.density
+            and "species" in frame
+            and not {"density", "mass"} & set(frame)
+        ):
             unknown = set(np.unique(frame["species"])) - set(restart.density)
             if unknown:
                 raise SceneError(
@@ -131,7 +190,12 @@ def _data_steps(path: str) -> Iterator[StepRef]:
             axes = len(edges) // 2
             box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
             ref = StepRef(
-                path, int(rows), time, box=tuple(box), columns=_ROW_3D if axes == 3 else _ROW_2D, offset=scanner.offset
+                path,
+                int(rows),
+                time,
+                box=tuple(box),
+                columns=_ROW_3D if axes == 3 else _ROW_2D,
+                offset=scanner.offset,
             )
             check_rows(ref)
             for row in range(ref.rows):
@@ -148,8 +212,17 @@ def _header(line: str) -> list[float] | None:
     except ValueError:
         return None
     edges = (len(values) - 2) // 2
-    plausible = len(values) in (6, 8) and values[0] >= 0 and values[0].is_integer() and np.isfinite(values).all()
-    return values if plausible and all(values[2 + k] <= values[2 + edges + k] for k in range(edges)) else None
+    plausible = (
+        len(values) in (6, 8)
+        and values[0] >= 0
+        and values[0].is_integer()
+        and np.isfinite(values).all()
+    )
+    return (
+        values
+        if plausible and all(values[2 + k] <= values[2 + edges + k] for k in range(edges))
+        else None
+    )
 
 
 # --- contacts --------------------------------------------------------------------------------------------
@@ -177,7 +250,9 @@ def _comments(scanner: Scanner, path: str) -> float | None:
     except (ValueError, IndexError):
         time = np.nan
     if not all(line.startswith("#") for line in lines) or not np.isfinite(time):
-        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
+        raise SceneError(
+            f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}"
+        )
     return time
 
 
@@ -223,11 +298,18 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
                 x, y, z = _numbers_after(words, "gravity", 3, path)
                 restart = replace(restart, gravity=(x, y, z))
             if words and words[0].endswith("Species") and {"id", "density"} <= set(words):
-                (number,), (value,) = (_numbers_after(words, word, 1, path) for word in ("id", "density"))
+                (number,), (value,) = (
+                    _numbers_after(words, word, 1, path) for word in ("id", "density")
+                )
                 density[number] = value
             if words and words[0] == "PeriodicBoundary":
                 edges |= _period(words, path)
-    return replace(restart, density=density, periodic="".join(COMPONENTS[k] for k in sorted(edges)), edges=edges)
+    return replace(
+        restart,
+        density=density,
+        periodic="".join(COMPONENTS[k] for k in sorted(edges)),
+        edges=edges,
+    )
 
 
 def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
@@ -241,7 +323,10 @@ def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
             f"{path}: the normal or shift of {' '.join(words)[:160]!r} is not along x, y or z; such a period is not "
             "read. Name a restart file without it in restart="
         )
-    names = [next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}") for end in ("left", "right")]
+    names = [
+        next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}")
+        for end in ("left", "right")
+    ]
     low, high = sorted(_numbers_after(words, name, 1, path)[0] / float(along[0]) for name in names)
     return {axis: (low, high)}
 
@@ -254,5 +339,7 @@ def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> li
         found = []
     if len(found) != count or not np.isfinite(found).all():
         expected = "a number" if count == 1 else "three numbers"
-        raise SceneError(f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}")
+        raise SceneError(
+            f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}"
+        )
     return found

@@ -96,17 +96,27 @@ class Mfix(Vtk):
             found.setdefault("contact_force", "")
         return list(found)
 
-    def targets(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> dict[str, str]:
+    def targets(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> dict[str, str]:
         """Scene names and the arrays that they are read from; of particles also the arrays of their shapes."""
         found = super().targets(ref, options, contacts=contacts)
         if contacts:
             return found
-        return found | {array: array for array in _SHAPE if array in ref.columns and array not in options.names}
+        return found | {
+            array: array for array in _SHAPE if array in ref.columns and array not in options.names
+        }
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
         """Arrays of a step that are not read."""
         read = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH} if contacts else set()
-        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in read]
+        return [
+            name
+            for name in super().ignored_columns(ref, options, contacts=contacts)
+            if name not in read
+        ]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step.
@@ -174,12 +184,17 @@ def _shapes(ref: StepRef, arrays: Frame) -> Frame:
     if _QUATERNION in arrays:
         frame |= {f"quat_{axis}": arrays[_QUATERNION][:, k].copy() for k, axis in enumerate("wxyz")}
     if _SCALE in arrays and _PHASE in arrays:
-        listed = {name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()}
+        listed = {
+            name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()
+        }
         phases, row = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
         found = [listed.get(f"{phase:02d}", ()) for phase in phases]
         if found and all(len(numbers) == 5 for numbers in found):
             table = np.array(found)[row]
-            frame |= {f"half_axis_{axis}": table[:, k] * arrays[_SCALE] for k, axis in enumerate(COMPONENTS)}
+            frame |= {
+                f"half_axis_{axis}": table[:, k] * arrays[_SCALE]
+                for k, axis in enumerate(COMPONENTS)
+            }
             if (table[:, 3] == table[:, 4]).all():
                 frame |= {"exponent_1": table[:, 3].copy(), "exponent_2": table[:, 4].copy()}
     return frame
@@ -213,7 +228,9 @@ class _Rows:
     def of(cls, ref: StepRef, options: ReadOptions, found: Mapping[str, str]) -> _Rows:
         header = open_step(ref)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        arrays = vtp.read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
+        arrays = vtp.read_arrays(
+            header, [*found.values(), points, *sorted(more & set(header.names))]
+        )
         frame: Frame = {name: arrays[array] for name, array in found.items()}
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
@@ -235,4 +252,6 @@ class _Rows:
 
 
 def _periods(rows: _Rows) -> dict[str, float]:
-    return periods_of(distances_of_twins(rows.frame, rows.mark, rows.place, rows.superquadric), rows.place)
+    return periods_of(
+        distances_of_twins(rows.frame, rows.mark, rows.place, rows.superquadric), rows.place
+    )

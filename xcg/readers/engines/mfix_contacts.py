@@ -51,7 +51,9 @@ def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArra
     return np.abs(apart - length) <= 1e-3 * length + rounding
 
 
-def distances_of_twins(contacts: Frame, mark: NDArray, place: NDArray, superquadric: NDArray) -> NDArray:
+def distances_of_twins(
+    contacts: Frame, mark: NDArray, place: NDArray, superquadric: NDArray
+) -> NDArray:
     """Distances (m, 3) along each axis between the points of the two rows of contacts that stand twice.
 
     Parameters as in `each_contact_once`, and which rows are contacts of superquadrics (n,).
@@ -142,7 +144,9 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
 
 
-def both_sides_once(contacts: Frame, place: NDArray, length: NDArray, periods: dict[str, float]) -> Frame:
+def both_sides_once(
+    contacts: Frame, place: NDArray, length: NDArray, periods: dict[str, float]
+) -> Frame:
     """Join the rows of superquadrics that are sides of one contact.
 
     Parameters
@@ -167,8 +171,12 @@ def both_sides_once(contacts: Frame, place: NDArray, length: NDArray, periods: d
     if not len(shared):
         return contacts
     period = np.array([periods.get(axis, np.inf) for axis in COMPONENTS])
-    pair = np.unique(np.stack([np.minimum(i, j), np.maximum(i, j)])[:, shared], axis=1, return_inverse=True)[1].ravel()
-    first = np.arange(len(i))  # row that each row is joined to: the first of its pair at the same place
+    pair = np.unique(
+        np.stack([np.minimum(i, j), np.maximum(i, j)])[:, shared], axis=1, return_inverse=True
+    )[1].ravel()
+    first = np.arange(
+        len(i)
+    )  # row that each row is joined to: the first of its pair at the same place
     while len(shared):
         _, leader, place_in = np.unique(pair, return_index=True, return_inverse=True)
         to = shared[leader][place_in]
@@ -177,7 +185,9 @@ def both_sides_once(contacts: Frame, place: NDArray, length: NDArray, periods: d
         first[shared[same]] = to[same]
         shared, pair = shared[~same], pair[~same]
 
-    joined = contacts | {"contact_force": np.where(i == i[first], 1.0, -1.0)[:, None] * contacts["contact_force"]}
+    joined = contacts | {
+        "contact_force": np.where(i == i[first], 1.0, -1.0)[:, None] * contacts["contact_force"]
+    }
     if "contact_point" in contacts:
         point = contacts["contact_point"]
         joined["contact_point"] = point[first] + minimum_image(point - point[first], period)

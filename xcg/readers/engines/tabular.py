@@ -41,10 +41,14 @@ class Table(Columnar):
         """Return whether the suffix is that of a table."""
         return _suffix(path) in (".csv", ".tsv", ".parquet")
 
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
         clock = {name: target for name, target in options.names.items() if target in _CLOCK}
-        return index_steps(paths, f"table {clock}", partial(_steps, given=clock), options.extra.get("timestep"))
+        return index_steps(
+            paths, f"table {clock}", partial(_steps, given=clock), options.extra.get("timestep")
+        )
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -53,10 +57,14 @@ class Table(Columnar):
         read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
         """Columns of a step that are not read."""
         ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [name for name in ignored if name not in clock_of(ref.columns, options.names).values()]
+        return [
+            name for name in ignored if name not in clock_of(ref.columns, options.names).values()
+        ]
 
 
 def _suffix(path: str) -> str:
@@ -82,9 +90,15 @@ def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
         told = {what: found.clock[name][first] for what, name in clock.items()}
         offset, length = found.place(first, stop)
         yield StepRef(
-            path, stop - first, time=float(told["time"]) if "time" in told else None, step=int(told.get("step", -1)),
-            columns=found.columns, offset=offset, length=length, kind=found.kind,
-        )  # fmt: skip
+            path,
+            stop - first,
+            time=float(told["time"]) if "time" in told else None,
+            step=int(told.get("step", -1)),
+            columns=found.columns,
+            offset=offset,
+            length=length,
+            kind=found.kind,
+        )
 
 
 def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
@@ -99,11 +113,15 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     if key is None:
         return [(0, rows)]
     for what, values in clock.items():
-        fit = np.isfinite(values) & ((values % 1 == 0) & (values >= 0) & (values < 2**63) if what == "step" else True)
+        fit = np.isfinite(values) & (
+            (values % 1 == 0) & (values >= 0) & (values < 2**63) if what == "step" else True
+        )
         if not fit.all():
             row = int(np.argmin(fit))
             expected = "0, 1, 2, ..." if what == "step" else "numbers"
-            raise SceneError(f"{path}: the {what} of row {row} is {values[row]}; expected {expected}")
+            raise SceneError(
+                f"{path}: the {what} of row {row} is {values[row]}; expected {expected}"
+            )
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]

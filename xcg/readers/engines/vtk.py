@@ -53,7 +53,16 @@ def _header(path: str, *, lines: bool) -> list[StepRef]:
     """Return the step of a file, from its header."""
     header = vtp.read_header(path, lines=lines)
     kind = LINES if header.of_lines else ""
-    return [StepRef(path, rows=header.rows, time=header.time, columns=header.names, size=header.size, kind=kind)]
+    return [
+        StepRef(
+            path,
+            rows=header.rows,
+            time=header.time,
+            columns=header.names,
+            size=header.size,
+            kind=kind,
+        )
+    ]
 
 
 def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
@@ -104,7 +113,11 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
                 f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
                 "open one region at a time"
             )
-        if first is ref or first.size != ref.size or not filecmp.cmp(first.path, ref.path, shallow=False):
+        if (
+            first is ref
+            or first.size != ref.size
+            or not filecmp.cmp(first.path, ref.path, shallow=False)
+        ):
             kept.append(ref)
     return kept
 
@@ -116,8 +129,12 @@ def _region(ref: StepRef) -> str:
 def open_step(ref: StepRef) -> vtp.Header:
     """Read the header of a step again, which has to be as it was."""
     header = vtp.read_header(ref.path, lines=ref.kind == LINES)
-    if (header.rows, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
-        raise SceneError(f"{ref.path}: the file changed after the scene was opened; open the scene again")
+    if (header.rows, header.names) != (ref.rows, ref.columns) or (
+        ref.size and header.size != ref.size
+    ):
+        raise SceneError(
+            f"{ref.path}: the file changed after the scene was opened; open the scene again"
+        )
     return header
 
 
@@ -205,24 +222,44 @@ class Vtk(Engine):
         refs = list_steps(paths, options, lines=self.LINES)
         for ref in refs:
             there = self.contact_variables(ref, options)
-            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+            lacking = [
+                name for name in ("contact_i", "contact_j", "contact_force") if name not in there
+            ]
             if lacking:
-                raise SceneError(f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {self.ADVICE}")
+                raise SceneError(
+                    f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {self.ADVICE}"
+                )
         return refs
 
-    def targets(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> dict[str, str]:
+    def targets(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> dict[str, str]:
         """Scene names of particles or contacts, and the arrays that they are read from."""
-        dim, known = ("contact", self.CONTACT_NAMES) if contacts else ("particle", self.PARTICLE_NAMES)
+        dim, known = (
+            ("contact", self.CONTACT_NAMES) if contacts else ("particle", self.PARTICLE_NAMES)
+        )
         columns, path = ref.columns, ref.path
-        points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
+        points = (
+            {}
+            if ref.kind == LINES
+            else {columns[0]: "position" if dim == "particle" else "contact_point"}
+        )
         defaults = points | dict(known)
-        given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
+        given = {
+            a: name
+            for a, name in options.names.items()
+            if name is not None and variable(name).dims[0] == dim
+        }
         absent = [array for array in given if array not in columns]
         if absent:
-            raise SceneError(f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}")
+            raise SceneError(
+                f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
+            )
         twice = [name for name in given.values() if list(given.values()).count(name) > 1]
         if twice:
-            raise SceneError(f"names= maps several arrays to {sorted(set(twice))}; expected one array a name")
+            raise SceneError(
+                f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
+            )
         found = {name: array for array, name in given.items()}
         for array, name in defaults.items():
             if array in columns and array not in options.names:
@@ -233,7 +270,9 @@ class Vtk(Engine):
         """List the variables that `read_contacts` returns, from the header alone."""
         return list(self.targets(ref, options, contacts=True))
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
         """Arrays of a step that are not read."""
         found = self.targets(ref, options, contacts=contacts)
         return [array for array in ref.columns if array not in found.values()]
@@ -275,4 +314,7 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
         If the name ends otherwise, or the file holds no points.
     """
     places = places_of(read_mesh(path), centers=centers)
-    return {a: xr.DataArray(places[:, k], dims="cell" if centers else "point") for k, a in enumerate(COMPONENTS)}
+    return {
+        a: xr.DataArray(places[:, k], dims="cell" if centers else "point")
+        for k, a in enumerate(COMPONENTS)
+    }

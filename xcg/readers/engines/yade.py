@@ -60,7 +60,9 @@ class Yade(Columnar):
         words = lines[0].lstrip("#").split() if lines and lines[0].startswith("#") else []
         return words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words)
 
-    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+    def list_steps(
+        self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
+    ) -> list[StepRef]:
         """List the steps of particles or contacts, one a file."""
         return index_steps(paths, "yade", _steps)
 
@@ -88,7 +90,9 @@ def _steps(path: str) -> Iterator[StepRef]:
             length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
         rows += not last.endswith(b"\n")
         if scanner.line():
-            raise SceneError(f"{path}: a comment between rows at byte {scanner.offset}; expected one step a file")
+            raise SceneError(
+                f"{path}: a comment between rows at byte {scanner.offset}; expected one step a file"
+            )
     ref = replace(ref, rows=rows, length=length, **{"step": -1} | told)
     check_rows(ref, length)
     yield ref
@@ -129,7 +133,9 @@ def _told(words: Sequence[str], path: str) -> dict[str, Any]:
         vectors = np.reshape(numbers["cell"], (3, 3)).T
         edges = np.diag(vectors)
         if not (edges > 0).all():
-            raise SceneError(f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths")
+            raise SceneError(
+                f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths"
+            )
         told |= {"periodic": "xyz", "box": tuple((0.0, edge) for edge in edges.tolist())}
         if np.abs(vectors - np.diag(edges)).max() > _SHEARED * edges.max():
             told["lattice"] = tuple(map(tuple, vectors.tolist()))

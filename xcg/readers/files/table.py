@@ -32,11 +32,17 @@ _MOST_COLUMNS = 1000
 
 
 def read_table(
-    ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions, body: Iterable[bytes] | None = None
+    ref: StepRef,
+    wanted: Iterable[str],
+    rows: int | None,
+    options: ReadOptions,
+    body: Iterable[bytes] | None = None,
 ) -> dict[str, NDArray]:
     """Read the wanted columns of one step's body, which is that of the file by default; see `parse_table`."""
     threads = THREADS if options.alone and ref.length > _SHARED else 1
-    return parse_table(body or body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads)
+    return parse_table(
+        body or body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads
+    )
 
 
 def parse_table(
@@ -76,19 +82,27 @@ def parse_table(
         names the first such row, counted from 0.
     """
     places = np.array([columns.index(column) for column in wanted], np.int64)
-    pieces = (body[at : at + PIECE] for at in range(0, len(body), PIECE)) if isinstance(body, bytes) else body
+    pieces = (
+        (body[at : at + PIECE] for at in range(0, len(body), PIECE))
+        if isinstance(body, bytes)
+        else body
+    )
     table, filled = np.empty((len(wanted), rows or 0)), 0
     results = _in_order(whole_lines(pieces, name), partial(_parse, len(columns), places), threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
             surplus = _lines(block)[rows - filled]
-            raise SceneError(f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}")
+            raise SceneError(
+                f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}"
+            )
         if not whole:
             line, *more = _lines(block)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
             raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
-        if end > table.shape[1]:  # it doubles, as copying it for each block would take most of the time
+        if (
+            end > table.shape[1]
+        ):  # it doubles, as copying it for each block would take most of the time
             table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
         table[:, filled:end] = numbers
         filled = end
@@ -100,7 +114,9 @@ def parse_table(
     return {column: table[place, :filled] for place, column in enumerate(wanted)}
 
 
-def _in_order(blocks: Iterable[bytes], work: Callable, threads: int) -> Iterator[tuple[bytes, tuple[NDArray, bool]]]:
+def _in_order(
+    blocks: Iterable[bytes], work: Callable, threads: int
+) -> Iterator[tuple[bytes, tuple[NDArray, bool]]]:
     """Each block and what is made of it; threads work ahead while blocks are read, by a few of them."""
     if threads == 1:
         for block in blocks:
@@ -125,8 +141,12 @@ def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
     left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
     row = done = 0
     while done < size:
-        with np.errstate(over="ignore"):  # where nothing is compiled, NumPy warns of bits that products lose
-            rows, passed, count = read_rows(text[done:], size - done + 1, columns, places, out, row, edges, lines, left)
+        with np.errstate(
+            over="ignore"
+        ):  # where nothing is compiled, NumPy warns of bits that products lose
+            rows, passed, count = read_rows(
+                text[done:], size - done + 1, columns, places, out, row, edges, lines, left
+            )
         for at, place, start, stop in left[:count].tolist():
             value = _number(block[done + start : done + stop])
             if math.isnan(value):
@@ -223,7 +243,11 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
         found = [np.array([scanner.offset])]
         pieces = _pieces(scanner, found)
         wanted = sorted(set(clock_of(names).values()))
-        clock = parse_table(_translated(pieces, separator, []), names, wanted, None, path) if wanted else {}
+        clock = (
+            parse_table(_translated(pieces, separator, []), names, wanted, None, path)
+            if wanted
+            else {}
+        )
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
     rows = np.diff(edges) >= (3 if first.endswith(b"\r\n") else 2)  # others are blank
@@ -259,7 +283,9 @@ def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> It
 def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step."""
     separators = list[int]()
-    table = read_table(ref, wanted, ref.rows, options, _translated(body_of(ref), ref.kind, separators))
+    table = read_table(
+        ref, wanted, ref.rows, options, _translated(body_of(ref), ref.kind, separators)
+    )
     # as many values as columns, but more separators: cells are empty, and values may stand in other columns
     more = sum(separators) - ref.rows * (len(ref.columns) - 1)
     if separators and more not in (0, ref.rows):
@@ -277,7 +303,10 @@ def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[
 def _opened(path: str) -> Iterator[Any]:
     """Open a file; what pyarrow finds wrong with it is said with its name."""
     try:
-        pyarrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+        pyarrow, parquet = (
+            importlib.import_module("pyarrow"),
+            importlib.import_module("pyarrow.parquet"),
+        )
     except ImportError:
         raise SceneError(
             f"{path}: reading Parquet needs the package pyarrow: pip install 'xcg[parquet]', or write CSV"
@@ -299,14 +328,18 @@ def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str
         names = tuple(file.schema_arrow.names)
         wanted = sorted(set(clock_of(names).values()))
         table = file.read(columns=wanted)
-        return TableIndex(names, file.metadata.num_rows, {name: _numbers(table, name, path) for name in wanted})
+        return TableIndex(
+            names, file.metadata.num_rows, {name: _numbers(table, name, path) for name in wanted}
+        )
 
 
 def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step, from the row groups that it touches."""
     first, stop = ref.offset, ref.offset + ref.rows
     with _opened(ref.path) as file:
-        edges = np.cumsum([0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))])
+        edges = np.cumsum(
+            [0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))]
+        )
         groups = np.flatnonzero((edges[:-1] < stop) & (edges[1:] > first)).tolist()
         table = file.read_row_groups(groups, columns=list(wanted))
         at = first - int(edges[groups[0]]) if groups else 0
@@ -326,4 +359,6 @@ def _numbers(table: Any, name: str, source: str) -> NDArray:
     try:
         return np.asarray(column.to_numpy(), "float64")
     except (TypeError, ValueError):
-        raise SceneError(f"{source}: column '{name}' holds {column.type}, expected numbers") from None
+        raise SceneError(
+            f"{source}: column '{name}' holds {column.type}, expected numbers"
+        ) from None

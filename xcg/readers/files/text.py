@@ -20,11 +20,15 @@ from xcg.compiled.text import BEYOND
 from xcg.readers.engine import StepRef
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
-_LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
+_LONGEST_LINE = (
+    1 << 20
+)  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
 _TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as this
 _SLACK = 1 << 26  # bytes that any compressed text may have
 _MOST_BLANK = 10_000  # lines without a word between two that have some
-_SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
+_SMALL = (
+    1 << 20
+)  # bytes that are no matter; rows that are missing from small files are named when they are read
 PIECE = 1 << 17  # bytes of text that stay in the processor's cache while they are parsed
 _BLANK = b"\n" * BEYOND
 _LONGEST_VALUE = 64  # bytes of one number and the space before it
@@ -47,10 +51,12 @@ def open_binary(path: str, offset: int | None = None) -> Iterator[BinaryIO]:
     kind = compression(path)
     try:
         with (
-            open(path, "rb") if not kind
-            else open_compressed(path, kind) if offset is None
+            open(path, "rb")
+            if not kind
+            else open_compressed(path, kind)
+            if offset is None
             else forward(path, offset)
-        ) as stream:  # fmt: skip
+        ) as stream:
             if offset:
                 stream.seek(offset)
             yield stream
@@ -151,7 +157,9 @@ class Scanner:
             return
         needle = b"\n" + marker
         while (found := self._data.find(needle, self._at)) < 0:
-            yield self._take(max(self._at, len(self._data) - len(marker)))  # a marker may straddle two blocks
+            yield self._take(
+                max(self._at, len(self._data) - len(marker))
+            )  # a marker may straddle two blocks
             if not self._more():
                 yield self._take(len(self._data))
                 return
@@ -186,7 +194,9 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
         If it is longer than its rows can be, as where a few compressed kilobytes expand to gigabytes, or more follows
         it than was known.
     """
-    if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
+    if ref.length < 0 or (
+        ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK
+    ):
         raise SceneError(
             f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
             "values; the file is damaged. Leave it out, or write it again"
@@ -221,7 +231,9 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
             begun.clear()
         begun.append(piece[end:])
         if sum(map(len, begun)) > _LONGEST_LINE:
-            raise SceneError(f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out")
+            raise SceneError(
+                f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out"
+            )
     yield b"".join([*begun, _BLANK])
 
 
@@ -243,7 +255,9 @@ ENDINGS = (".gz", ".zst")  # of the names of compressed files
 _MOST_WAITING = 8  # open files; each thread that reads a series keeps one
 _LOOKED_AT, _MOST_FOUND = 1 << 16, 1 << 24  # bytes of a file, and of what they hold
 _UNEVEN = 1.2  # parts of one table are compressed alike, to this factor
-_waiting: list[tuple[tuple[str, int, int], BinaryIO]] = []  # by path, size and time of modification; last used last
+_waiting: list[
+    tuple[tuple[str, int, int], BinaryIO]
+] = []  # by path, size and time of modification; last used last
 _lock = threading.Lock()
 
 
@@ -272,7 +286,13 @@ def _zstd() -> Any:
 def errors() -> tuple[type[Exception], ...]:
     """Exceptions that mean damaged or cut off data."""
     zstd = _zstd()
-    return (EOFError, zlib.error, gzip.BadGzipFile, isal_zlib.IsalError, *([zstd.ZstdError] if zstd else []))
+    return (
+        EOFError,
+        zlib.error,
+        gzip.BadGzipFile,
+        isal_zlib.IsalError,
+        *([zstd.ZstdError] if zstd else []),
+    )
 
 
 def open_compressed(path: str, kind: str = "") -> BinaryIO:
@@ -296,7 +316,10 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
 def _up_to_the_cut(path: str, offset: int) -> bytes:
     """Return what can be unpacked of a file that ends early, from an offset on; igzip drops it with its error."""
     kind, pieces = compression(path), list[bytes]()
-    with gzip.open(path) if kind == "gzip" else open_compressed(path, kind) as stream, suppress(EOFError):
+    with (
+        gzip.open(path) if kind == "gzip" else open_compressed(path, kind) as stream,
+        suppress(EOFError),
+    ):
         stream.seek(offset)
         while piece := cast(Any, stream).read1(PIECE):
             pieces.append(piece)

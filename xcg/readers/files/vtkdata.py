@@ -109,7 +109,12 @@ def _encoded(number: int) -> int:
 
 
 def _values(
-    head: Take, data: Take, encoding: VtkEncoding, dtype: np.dtype[Any], count: int, length: Callable[[int], int]
+    head: Take,
+    data: Take,
+    encoding: VtkEncoding,
+    dtype: np.dtype[Any],
+    count: int,
+    length: Callable[[int], int],
 ) -> NDArray[np.float64]:
     """Values of a block; `length` is that of so many bytes in the file."""
     wanted = count * dtype.itemsize
@@ -131,7 +136,9 @@ def _numbers(raw: Data, encoding: VtkEncoding, count: int) -> list[int]:
     return [int(number) for number in np.frombuffer(raw, encoding.prefix)]
 
 
-def _uncompressed(head: Take, data: Take, encoding: VtkEncoding, wanted: int, length: Callable[[int], int]) -> Data:
+def _uncompressed(
+    head: Take, data: Take, encoding: VtkEncoding, wanted: int, length: Callable[[int], int]
+) -> Data:
     """Join the compressed parts of a block: number, size and last size come first, then the size of each part."""
     width = encoding.prefix.itemsize
     number, size, last = _numbers(head(0, 3 * width), encoding, 3)
@@ -143,7 +150,10 @@ def _uncompressed(head: Take, data: Take, encoding: VtkEncoding, wanted: int, le
         raise DataError(f"its block holds {number} parts of {size} bytes, not {wanted} bytes")
     sizes = _numbers(head(3 * width, number * width), encoding, number)
     packed = memoryview(
-        data(length((3 + number) * width), sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0)
+        data(
+            length((3 + number) * width),
+            sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0,
+        )
     )
     parts, at = [], 0
     for k, taken in enumerate(sizes):
@@ -160,7 +170,11 @@ def _inflate(packed: memoryview, compressor: str, expected: int) -> bytes:
     """Unpack one part, to no more than the bytes expected."""
     if compressor == _LZ4:
         return _lz4(packed, expected)
-    unpack: Any = isal_zlib.decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
+    unpack: Any = (
+        isal_zlib.decompressobj()
+        if compressor == "vtkZLibDataCompressor"
+        else lzma.LZMADecompressor()
+    )
     damaged: tuple[type[Exception], ...] = (*errors(), lzma.LZMAError)
     try:
         return bytes(unpack.decompress(packed, expected))

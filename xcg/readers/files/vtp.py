@@ -20,16 +20,29 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
-from xcg.readers.files.vtkdata import COMPRESSORS, DataError, VtkEncoding, parse_text, read_base64, read_raw
+from xcg.readers.files.vtkdata import (
+    COMPRESSORS,
+    DataError,
+    VtkEncoding,
+    parse_text,
+    read_base64,
+    read_raw,
+)
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_LIST = 1 << 28  # bytes of a collection
 _BLOCK = 1 << 20
 _MOST_COMPONENTS = 100
 _OTHER_CELLS = ("Cells", "Verts", "Strips", "Polys")
-_TYPES = {f"{kind}{bits}": f"{letter}{bits // 8}" for kind, letter, all_bits in (
-    ("Int", "i", (8, 16, 32, 64)), ("UInt", "u", (8, 16, 32, 64)), ("Float", "f", (32, 64)),
-) for bits in all_bits}  # fmt: skip
+_TYPES = {
+    f"{kind}{bits}": f"{letter}{bits // 8}"
+    for kind, letter, all_bits in (
+        ("Int", "i", (8, 16, 32, 64)),
+        ("UInt", "u", (8, 16, 32, 64)),
+        ("Float", "f", (32, 64)),
+    )
+    for bits in all_bits
+}
 
 _TIME = re.compile(r"\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
 
@@ -129,7 +142,11 @@ class _Xml:
 
     def arrays(self, section: str) -> list[_Element]:
         """Arrays within a section."""
-        return [element for element in self.elements if (element.parent, element.name) == (section, "DataArray")]
+        return [
+            element
+            for element in self.elements
+            if (element.parent, element.name) == (section, "DataArray")
+        ]
 
     def content(self, element: _Element) -> bytes:
         """Text of an element that holds no others."""
@@ -150,11 +167,15 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
     opened, complete, comments = [""], set[str](), list[str]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        elements.append(_Element(name, opened[-1], attributes, data.find(b">", parser.CurrentByteIndex) + 1))
+        elements.append(
+            _Element(name, opened[-1], attributes, data.find(b">", parser.CurrentByteIndex) + 1)
+        )
         opened.append(name)
 
     def declared(*_: object) -> None:
-        raise SceneError(f"{path}: declares a document type or entities, which VTK files never need; it is not read")
+        raise SceneError(
+            f"{path}: declares a document type or entities, which VTK files never need; it is not read"
+        )
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
     parser.EndElementHandler = lambda _: complete.add(opened.pop())
@@ -237,16 +258,27 @@ def read_header(path: str, *, lines: bool = False) -> Header:
             "expected one piece with both; the file was cut short, or is not by MFiX"
         )
     encoding = _encoding(xml.elements[0].attributes, path)
-    counted, sections = ("NumberOfLines", ["CellData"]) if of_lines else ("NumberOfPoints", ["Points", "PointData"])
+    counted, sections = (
+        ("NumberOfLines", ["CellData"]) if of_lines else ("NumberOfPoints", ["Points", "PointData"])
+    )
     rows = _whole(pieces[0].get(counted), counted, path)
     tags = [element for section in sections for element in xml.arrays(section)]
     form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
-    if any(tag.attributes.get("format") == "appended" for tag in tags) and (form not in ("raw", "base64") or not body):
-        raise SceneError(f"{path}: its header names appended data, but none follows; it was cut short, leave it out")
+    if any(tag.attributes.get("format") == "appended" for tag in tags) and (
+        form not in ("raw", "base64") or not body
+    ):
+        raise SceneError(
+            f"{path}: its header names appended data, but none follows; it was cut short, leave it out"
+        )
     arrays = tuple(_array(tag, path, xml, (form, body or 0, size)) for tag in tags)
     if not of_lines and (not arrays or arrays[0].components != 3):
-        raise SceneError(f"{path}: its points have no array with three components; the file is not by MFiX, or damaged")
-    fields = {_utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag)) for tag in xml.arrays("FieldData")}
+        raise SceneError(
+            f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
+        )
+    fields = {
+        _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
+        for tag in xml.arrays("FieldData")
+    }
     time = next((_time(found[1]) for found in map(_TIME.match, xml.comments) if found), None)
     header = Header(path, os.path.getsize(path), rows, time, arrays, encoding, fields, of_lines)
     for array in arrays:
@@ -259,7 +291,11 @@ def _has_lines(xml: _Xml, piece: dict[str, str], path: str) -> bool:
     if not xml.arrays("CellData"):
         return False
     lines = _whole(piece.get("NumberOfLines", "0"), "NumberOfLines", path)
-    others = [kind for kind in _OTHER_CELLS if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)]
+    others = [
+        kind
+        for kind in _OTHER_CELLS
+        if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)
+    ]
     if lines and others:
         raise SceneError(
             f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
@@ -279,8 +315,12 @@ def _encoding(root: dict[str, str], path: str) -> VtkEncoding:
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
     compressor = root.get("compressor", "")
     if compressor and compressor not in COMPRESSORS:
-        raise SceneError(f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}")
-    return VtkEncoding(order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor)
+        raise SceneError(
+            f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}"
+        )
+    return VtkEncoding(
+        order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor
+    )
 
 
 def _time(text: str) -> float | None:
@@ -297,7 +337,9 @@ def _array(element: _Element, path: str, xml: _Xml, appended: tuple[str, int, in
     name = _utf8(tag.get("Name", "Points"))
     kind, form, body = tag.get("type", ""), *appended[:2]
     if kind not in _TYPES:
-        raise SceneError(f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}")
+        raise SceneError(
+            f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}"
+        )
     components = _whole(tag.get("NumberOfComponents", "1"), f"NumberOfComponents of '{name}'", path)
     if not 1 <= components <= _MOST_COMPONENTS:
         raise SceneError(
@@ -308,7 +350,9 @@ def _array(element: _Element, path: str, xml: _Xml, appended: tuple[str, int, in
         return Array(name, components, kind, form, body + offset, appended[2])
     text = xml.content(element)
     start, stop = element.start + len(text) - len(text.lstrip()), element.start + len(text)
-    return Array(name, components, kind, "base64" if tag.get("format") == "binary" else "ascii", start, stop)
+    return Array(
+        name, components, kind, "base64" if tag.get("format") == "binary" else "ascii", start, stop
+    )
 
 
 def _type(header: Header, array: Array) -> np.dtype[np.generic]:
@@ -319,7 +363,11 @@ def _check_size(header: Header, array: Array) -> None:
     """Compare what the header promises with the bytes that there are."""
     values, room = header.rows * array.components, max(0, array.stop - array.start)
     needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
-    there = room if array.form == "ascii" else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
+    there = (
+        room
+        if array.form == "ascii"
+        else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
+    )
     if needed > there:
         raise SceneError(
             f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
@@ -349,7 +397,9 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
         If the file changed since its header was read, or its body does not match the header.
     """
     result: dict[str, NDArray[np.float64]] = {}
-    with open_binary(header.path) as file:  # once, as a compressed file can be read from the front only
+    with open_binary(
+        header.path
+    ) as file:  # once, as a compressed file can be read from the front only
         for array in header.arrays:
             if array.name not in names or array.name in result:
                 continue
@@ -396,5 +446,7 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
                     "of the files of one part, or merge the parts of each time into one file"
                 )
     if not entries:
-        raise SceneError(f"{path}: it names no files; expected entries like <DataSet timestep=... file=.../>")
+        raise SceneError(
+            f"{path}: it names no files; expected entries like <DataSet timestep=... file=.../>"
+        )
     return entries

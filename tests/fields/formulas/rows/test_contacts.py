@@ -9,7 +9,12 @@ from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, weights
 
 TENSORS = ["contact_fabric", "branch_fabric", "normal_force_fabric", "tangential_force_fabric"]
-ANISOTROPIES = ["contact_anisotropy", "branch_anisotropy", "normal_force_anisotropy", "tangential_force_anisotropy"]
+ANISOTROPIES = [
+    "contact_anisotropy",
+    "branch_anisotropy",
+    "normal_force_anisotropy",
+    "tangential_force_anisotropy",
+]
 SPLIT = ["strong_contact_stress", "weak_contact_stress"]
 GRAINS = ["bearing_number_density", "mechanical_coordination_number", "redundancy_number"]
 DENSITIES = ["contact_number_density", "branch_length_density", "normal_force_density"]
@@ -69,8 +74,12 @@ def test_anisotropies_of_a_plane(a_c, a_n, a_t, a_b):
     for name, value in zip(ANISOTROPIES, expected, strict=True):
         assert f[name] == pytest.approx(abs(value), abs=1e-12), name
     axis = np.array([[np.cos(2 * turn), np.sin(2 * turn)], [np.sin(2 * turn), -np.cos(2 * turn)]])
-    np.testing.assert_allclose(f["contact_fabric"][:2, :2], np.eye(2) / 2 + a_c / 4 * axis, atol=1e-12)
-    np.testing.assert_allclose(f["tangential_force_fabric"][:2, :2], a_t / 4 / mean * axis, atol=1e-12)
+    np.testing.assert_allclose(
+        f["contact_fabric"][:2, :2], np.eye(2) / 2 + a_c / 4 * axis, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        f["tangential_force_fabric"][:2, :2], a_t / 4 / mean * axis, atol=1e-12
+    )
     if not a_b:  # sin phi = (a_c + a_n + a_t) / 2, with all of them about the same axis
         n_c = f["contact_number_density"]
         sums = n_c * np.einsum("ni,nj->ij", force, normal * d0) / len(normal)
@@ -101,7 +110,9 @@ def test_anisotropies_of_forces_and_branches_in_space():
     np.testing.assert_allclose(f["tangential_force_fabric"], a_t / 5, atol=1e-12)
     f = found_at(at_one_point(n, force, d0))
     pressure = f["contact_number_density"] * f0 * d0 / 3
-    np.testing.assert_allclose(f["fabric_stress"], pressure * (np.eye(3) + 2 / 5 * (a_n + 1.5 * a_t)), rtol=1e-12)
+    np.testing.assert_allclose(
+        f["fabric_stress"], pressure * (np.eye(3) + 2 / 5 * (a_n + 1.5 * a_t)), rtol=1e-12
+    )
 
 
 @pytest.mark.filterwarnings("ignore:.*do not fit")  # grains lie on each other
@@ -113,8 +124,13 @@ def test_anisotropy_of_contacts_in_space():
         z -= ((z + 1) / 2 + a / 6 * (z**3 - z) - share) / (0.5 + a / 6 * (3 * z**2 - 1))
     around = np.arange(6) * np.pi / 3
     ring = np.sqrt(1 - z**2)[:, None]
-    normal = np.stack([ring * np.cos(around), ring * np.sin(around), z[:, None] + 0 * around], axis=-1).reshape(-1, 3)
-    f = found_at(at_one_point(normal, normal, 1.0), ["contact_anisotropy", "contact_fabric", "normal_force_anisotropy"])
+    normal = np.stack(
+        [ring * np.cos(around), ring * np.sin(around), z[:, None] + 0 * around], axis=-1
+    ).reshape(-1, 3)
+    f = found_at(
+        at_one_point(normal, normal, 1.0),
+        ["contact_anisotropy", "contact_fabric", "normal_force_anisotropy"],
+    )
     assert f["contact_anisotropy"] == pytest.approx(a, rel=1e-5)
     assert f["normal_force_anisotropy"] == pytest.approx(0.0, abs=1e-12)
     assert f["contact_fabric"][2, 2] == pytest.approx(1 / 3 + 2 / 15 * 2 / 3 * a, rel=1e-6)
@@ -140,9 +156,14 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
     frame = {name: ds[name].to_numpy()[0] for name in ds.data_vars}
     position, point, force = frame["position"], frame["contact_point"], frame["contact_force"]
     box = frame["box"]
-    period = np.array([np.ptp(box[k]) if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")])
+    period = np.array(
+        [np.ptp(box[k]) if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")]
+    )
     row = {number: k for k, number in enumerate(frame["particle_id"].tolist())}
-    i, j = (np.array([row.get(k, -1) for k in frame[name].tolist()]) for name in ("contact_i", "contact_j"))
+    i, j = (
+        np.array([row.get(k, -1) for k in frame[name].tolist()])
+        for name in ("contact_i", "contact_j")
+    )
 
     def nearest(v):
         return v - np.where(np.isfinite(period), period, 0.0) * np.rint(v / period)
@@ -166,7 +187,10 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
     def total(weight, *columns):
         """Sum over contacts of the product of columns, with one index more for each vector."""
         letters = "ij"[: sum(c.ndim == 2 for c in columns)]
-        subscripts = ["pn", *("n" if c.ndim == 1 else "n" + letters[k] for k, c in numbered(columns))]
+        subscripts = [
+            "pn",
+            *("n" if c.ndim == 1 else "n" + letters[k] for k, c in numbered(columns)),
+        ]
         return np.einsum(f"{','.join(subscripts)}->p{letters}", weight, *columns)
 
     def numbered(columns):
@@ -177,7 +201,9 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
 
     def dev(x):
         x = (x + x.swapaxes(-1, -2)) / 2
-        return x - np.einsum("...kk->...", x)[..., None, None] / dimension * np.diag(inside.astype(float))
+        return x - np.einsum("...kk->...", x)[..., None, None] / dimension * np.diag(
+            inside.astype(float)
+        )
 
     def size(x):
         return np.sqrt((3 / 2 if dimension == 3 else 1 / 2) * (x**2).sum((-1, -2)))
@@ -215,10 +241,18 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
             }  # fmt: skip
         for name, value in expected.items():
             close(g[name], value, name)
-        close(free.sel(phase=phase), over(psi @ both * dimension, per_grain * sums), "without friction")
+        close(
+            free.sel(phase=phase),
+            over(psi @ both * dimension, per_grain * sums),
+            "without friction",
+        )
     strong = along > along[along > 0].mean()
     for name, kept in zip(SPLIT, (strong, ~strong), strict=True):
-        part = ds.assign(contact_force=ds.contact_force.where(xr.DataArray(kept[None], dims=("time", "contact")), 0.0))
+        part = ds.assign(
+            contact_force=ds.contact_force.where(
+                xr.DataArray(kept[None], dims=("time", "contact")), 0.0
+            )
+        )
         alone = part.cg.coarse_grain("contact_stress", **options).contact_stress
         np.testing.assert_allclose(f[name], alone, rtol=0, atol=1e-12 * float(abs(alone).max()))
 
@@ -237,9 +271,15 @@ def close(found, expected, name):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_averages_of_a_whole_box_are_the_microstructure(dimension):
     ds = xcg.datasets.random_scene(150, seed=3, dimension=dimension, periodic="xyz"[:dimension])
-    f = ds.cg.coarse_grain(["contact_fabric", "contact_anisotropy", "mechanical_coordination_number"], axes="")
+    f = ds.cg.coarse_grain(
+        ["contact_fabric", "contact_anisotropy", "mechanical_coordination_number"], axes=""
+    )
     m = ds.cg.microstructure(["fabric", "fabric_anisotropy", "mechanical_coordination_number"])
-    for name, other in (("contact_fabric", "fabric"), ("contact_anisotropy", "fabric_anisotropy"), 2 * (GRAINS[1],)):
+    for name, other in (
+        ("contact_fabric", "fabric"),
+        ("contact_anisotropy", "fabric_anisotropy"),
+        2 * (GRAINS[1],),
+    ):
         np.testing.assert_allclose(f[name], m[other], rtol=1e-12, atol=1e-14)
 
 
@@ -249,13 +289,17 @@ def test_fabric_tensors_give_the_stress_where_branches_are_equal():
     noise = np.random.default_rng(1).normal(size=ds.contact_force.shape)
     ds = ds.assign(contact_force=ds.contact_force * (1 + 0.2 * noise))
     f = ds.cg.coarse_grain(["fabric_stress", "contact_stress"], axes="")
-    np.testing.assert_allclose(f.fabric_stress, f.contact_stress, rtol=0, atol=1e-12 * float(f.contact_stress.max()))
+    np.testing.assert_allclose(
+        f.fabric_stress, f.contact_stress, rtol=0, atol=1e-12 * float(f.contact_stress.max())
+    )
 
 
 def test_redundancy_factor_of_a_lattice():
     """Three contacts a grain: 9 constraints for 6 degrees of freedom; 3 where they only push."""
     ds = xcg.datasets.simple_cubic(4)
-    assert ds.cg.coarse_grain(GRAINS, axes="").redundancy_number.item() == pytest.approx(1.5, rel=1e-12)
+    assert ds.cg.coarse_grain(GRAINS, axes="").redundancy_number.item() == pytest.approx(
+        1.5, rel=1e-12
+    )
     f = ds.cg.coarse_grain(GRAINS, axes="", friction=0.0)
     assert f.redundancy_number.item() == pytest.approx(0.5, rel=1e-12)
     assert f.mechanical_coordination_number.item() == pytest.approx(6.0, rel=1e-12)
@@ -277,9 +321,16 @@ def test_equal_forces_are_all_weak(lattice):
 def test_strong_contacts_push_more_than_the_mean():
     force = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 4.0], [-9.0, 0, 0]])  # the last one pulls
     normal = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    f = found_at(at_one_point(normal, force), ["strong_contact_stress", "weak_contact_stress", "contact_stress"])
-    np.testing.assert_allclose(np.diag(f["strong_contact_stress"]), [0, 0, f["contact_stress"][2, 2]])
-    np.testing.assert_allclose(f["strong_contact_stress"] + f["weak_contact_stress"], f["contact_stress"])
+    f = found_at(
+        at_one_point(normal, force),
+        ["strong_contact_stress", "weak_contact_stress", "contact_stress"],
+    )
+    np.testing.assert_allclose(
+        np.diag(f["strong_contact_stress"]), [0, 0, f["contact_stress"][2, 2]]
+    )
+    np.testing.assert_allclose(
+        f["strong_contact_stress"] + f["weak_contact_stress"], f["contact_stress"]
+    )
 
 
 def test_averages_are_ratios_of_averaged_sums():
@@ -287,7 +338,9 @@ def test_averages_are_ratios_of_averaged_sums():
     f = ds.cg.coarse_grain(ALL, by="species", width=0.9, spacing=0.8, for_averages=True)
     mean = f.cg.time_average()
     n_c = f.contact_number_density
-    total = (f.contact_fabric.fillna(0.0) * n_c).mean("time") / n_c.mean("time").where(n_c.mean("time") > 0)
+    total = (f.contact_fabric.fillna(0.0) * n_c).mean("time") / n_c.mean("time").where(
+        n_c.mean("time") > 0
+    )
     xr.testing.assert_allclose(mean.contact_fabric, total.transpose(*mean.contact_fabric.dims))
     lazy = ds.chunk(time=1).cg.coarse_grain(ALL, by="species", width=0.9, spacing=0.8)
     assert lazy.contact_fabric.chunks is not None
@@ -297,7 +350,16 @@ def test_averages_are_ratios_of_averaged_sums():
 def test_only_needed_variables_are_read():
     ds = xcg.datasets.random_scene(30)
     without = ds.drop_vars(["contact_force", "velocity", "mass", "density", "volume"])
-    f = without.cg.coarse_grain(["contact_fabric", "branch_fabric", "mechanical_coordination_number"], axes="z")
+    f = without.cg.coarse_grain(
+        ["contact_fabric", "branch_fabric", "mechanical_coordination_number"], axes="z"
+    )
     assert float(f.contact_fabric.isnull().mean()) < 1
     plan = ds.cg.explain(["contact_anisotropy"], axes="z")
-    assert set(plan.variables) == {"particle_id", "position", "diameter", "contact_i", "contact_j", "contact_point"}
+    assert set(plan.variables) == {
+        "particle_id",
+        "position",
+        "diameter",
+        "contact_i",
+        "contact_j",
+        "contact_point",
+    }

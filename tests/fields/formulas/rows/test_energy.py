@@ -25,7 +25,9 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
     """All fields at points (k, 3): loops over grains, contacts and images, formulas as in theory."""
     frame = {n: ds[n].values[0] for n in ds.data_vars}
     axes = ["xyz".index(a) for a in seen]
-    period = np.array([np.ptp(frame["box"][k]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)])
+    period = np.array(
+        [np.ptp(frame["box"][k]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)]
+    )
     plane = ["xyz".index(a) for a in ds.attrs["plane"]]
     pos, vel, mass = frame["position"], frame["velocity"], frame["mass"]
     turn = frame.get("angular_velocity", np.zeros_like(vel))
@@ -35,7 +37,9 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
               itertools.product(*(range(-n, n + 1) if k in axes else (0,) for k, n in enumerate(far)))]  # fmt: skip
 
     def nearest(vector):
-        return np.array([v - p * round(v / p) if p else v for v, p in zip(vector, period, strict=True)])
+        return np.array(
+            [v - p * round(v / p) if p else v for v, p in zip(vector, period, strict=True)]
+        )
 
     torque, power, sides, contacts = np.zeros((len(mass), 3)), np.zeros(len(mass)), [], []
     for n, (i, j) in enumerate(zip(frame["contact_i"], frame["contact_j"], strict=True)):
@@ -44,7 +48,11 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         c, f, speeds, arms = frame["contact_point"][n], frame["contact_force"][n], [], []
         for k, sign in ((i, 1.0), (j, -1.0)):
             if k < 0:
-                speeds.append(frame["contact_wall_velocity"][n] if "contact_wall_velocity" in frame else np.zeros(3))
+                speeds.append(
+                    frame["contact_wall_velocity"][n]
+                    if "contact_wall_velocity" in frame
+                    else np.zeros(3)
+                )
                 arms.append(np.zeros(3))
                 continue
             b = nearest(c - pos[k])
@@ -84,7 +92,11 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         put("fluctuation_inertia", free)
         about = [a for a in range(3) if a not in plane] if len(plane) == 2 else [0, 1, 2]
         known = len(k) > 0 and free > 0.5 * j.sum() / len(k)
-        temperature = sum(around[a, a] for a in about) / len(about) * j.sum() / free / m.sum() if known else np.nan
+        temperature = (
+            sum(around[a, a] for a in about) / len(about) * j.sum() / free / m.sum()
+            if known
+            else np.nan
+        )
         put("rotational_temperature", temperature)
         put("torque_density", w @ torque[k])
         put("contact_power", w @ power[k])
@@ -102,7 +114,9 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
             for start, b, t, p, f in sides:
                 if (np.abs(start + shift - r)[axes] > kernel.c + np.abs(b)[axes]).any():
                     continue
-                s = scale * kernel.segment(r[axes], (start + shift)[axes], (start + b + shift)[axes])
+                s = scale * kernel.segment(
+                    r[axes], (start + shift)[axes], (start + b + shift)[axes]
+                )
                 couple += s * np.outer(t, -b)
                 flux += -s * p * b
                 heat += -s * (p - f @ V) * b
@@ -128,11 +142,22 @@ def values_at(f, points):
     for k, a in enumerate("xyz"):
         nodes[:, k] = grids[axes.index(a)].ravel() if a in axes else float(f.get(a, 0.0))
     some = np.random.default_rng(2).permutation(len(nodes))[:points]
-    return nodes[some], {n: f[n].values[0].reshape(len(nodes), *f[n].shape[1 + len(axes) :])[some] for n in f}
+    return nodes[some], {
+        n: f[n].values[0].reshape(len(nodes), *f[n].shape[1 + len(axes) :])[some] for n in f
+    }
 
 
 def assert_is_definition(
-    ds, kernel, width, *, scale=1.0, dimension=3, points=10, tolerance=1e-12, fields=NAMES, **options
+    ds,
+    kernel,
+    width,
+    *,
+    scale=1.0,
+    dimension=3,
+    points=10,
+    tolerance=1e-12,
+    fields=NAMES,
+    **options,
 ):
     """Compare some nodes; the two fields that are algebra on others have a test of their own."""
     fields = [name for name in fields if name not in ("vorticity", "stress_power")]
@@ -144,7 +169,9 @@ def assert_is_definition(
     for name in found:
         size = np.nanmax(np.abs(f[name]))
         assert size > 0, name
-        np.testing.assert_allclose(found[name], truth[name], rtol=0, atol=tolerance * size, err_msg=name)
+        np.testing.assert_allclose(
+            found[name], truth[name], rtol=0, atol=tolerance * size, err_msg=name
+        )
 
 
 def scene(seed=3, count=60, **options):
@@ -152,11 +179,16 @@ def scene(seed=3, count=60, **options):
     ds = xcg.datasets.random_scene(count, seed=seed, **{"periodic": "xy", **options})
     rng = np.random.default_rng(seed)
     wall = (("time", "contact", "component"), rng.normal(size=ds.contact_force.shape))
-    return ds.assign(contact_wall_velocity=wall, moment_of_inertia=ds.moment_of_inertia * rng.uniform(0.5, 2, count))
+    return ds.assign(
+        contact_wall_velocity=wall,
+        moment_of_inertia=ds.moment_of_inertia * rng.uniform(0.5, 2, count),
+    )
 
 
 @pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
-@pytest.mark.parametrize(("axes", "at"), [("xyz", {}), ("xz", {"y": 1.0}), ("", {"x": 1.0, "y": 2.0, "z": 0.3})])
+@pytest.mark.parametrize(
+    ("axes", "at"), [("xyz", {}), ("xz", {"y": 1.0}), ("", {"x": 1.0, "y": 2.0, "z": 0.3})]
+)
 def test_fields_are_their_definitions(kernel, axes, at):
     width = 1.6 if kernel == "heaviside" else 0.9  # supports of much the same size
     assert_is_definition(scene(count=150), kernel, width, axes=axes, at=at, spacing=1.3, points=5)
@@ -165,7 +197,9 @@ def test_fields_are_their_definitions(kernel, axes, at):
 @pytest.mark.parametrize("axes", ["xz", "z"])
 def test_fields_on_planes_lines_and_points_are_integrals(axes):
     # 64 Gauss points leave 1e-11 of marginals
-    assert_is_definition(scene(), "lucy", 0.8, axes=axes, spacing=0.9, scale=5.0 ** (len(axes) - 3), tolerance=3e-11)
+    assert_is_definition(
+        scene(), "lucy", 0.8, axes=axes, spacing=0.9, scale=5.0 ** (len(axes) - 3), tolerance=3e-11
+    )
 
 
 def test_all_images_in_a_small_box_are_counted():
@@ -188,21 +222,33 @@ def test_vorticity_and_stress_power():
     turning = ds.assign(velocity=(ds.velocity.dims, np.cross(rate, ds.position.values)))
     f = turning.cg.coarse_grain(["vorticity", "sample_count"], width=1.5)
     many = (f.sample_count > 20).values
-    np.testing.assert_allclose(f.vorticity.values[many], np.tile(2 * rate, (many.sum(), 1)), rtol=1e-10)
-    f = ds.cg.coarse_grain(["vorticity", "velocity_gradient", "stress", "stress_power"], width=0.8, by="species")
+    np.testing.assert_allclose(
+        f.vorticity.values[many], np.tile(2 * rate, (many.sum(), 1)), rtol=1e-10
+    )
+    f = ds.cg.coarse_grain(
+        ["vorticity", "velocity_gradient", "stress", "stress_power"], width=0.8, by="species"
+    )
     g = f.velocity_gradient.values
-    curl = np.stack([g[..., 2, 1] - g[..., 1, 2], g[..., 0, 2] - g[..., 2, 0], g[..., 1, 0] - g[..., 0, 1]], axis=-1)
+    curl = np.stack(
+        [g[..., 2, 1] - g[..., 1, 2], g[..., 0, 2] - g[..., 2, 0], g[..., 1, 0] - g[..., 0, 1]],
+        axis=-1,
+    )
     np.testing.assert_allclose(f.vorticity.values, curl, rtol=1e-12)
     bulk = f.velocity_gradient.sel(phase="bulk", drop=True)
     power = -(f.stress * bulk).sum(["component", "direction"], skipna=False)
-    np.testing.assert_allclose(f.stress_power, power, rtol=1e-10, atol=1e-12 * float(abs(power).max()))
+    np.testing.assert_allclose(
+        f.stress_power, power, rtol=1e-10, atol=1e-12 * float(abs(power).max())
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if xcg.FIELDS[name].additive])
 def test_phases_add_up(name):
     ds = scene(7, 150)
     f = ds.cg.coarse_grain([name], by="species", width=0.8)[name]
-    parts, bulk = f.isel(phase=slice(1, None)).sum("phase", skipna=False), f.sel(phase="bulk", drop=True)
+    parts, bulk = (
+        f.isel(phase=slice(1, None)).sum("phase", skipna=False),
+        f.sel(phase="bulk", drop=True),
+    )
     whole = ds.cg.coarse_grain([name], width=0.8)[name]
     assert float(abs(whole).max()) > 0
     for found in (parts, bulk):
@@ -216,10 +262,14 @@ def test_fluctuations_of_phases_are_about_the_bulk():
     kernel, x = BruteKernel("lucy", 1.0), ds.position.values[0] - 2.0
     x -= np.array([5.0, 5.0, 0.0]) * np.rint(x / 5.0)
     w = kernel(np.linalg.norm(x, axis=1)) * (ds.species.values[0] == 1)
-    inertia, mass, omega, v = (ds[n].values[0] for n in ("moment_of_inertia", "mass", "angular_velocity", "velocity"))
+    inertia, mass, omega, v = (
+        ds[n].values[0] for n in ("moment_of_inertia", "mass", "angular_velocity", "velocity")
+    )
     o, v = omega - f.spin.sel(phase="bulk").values, v - f.velocity.sel(phase="bulk").values
     one = f.sel(phase="1")
-    np.testing.assert_allclose(one.spin_fluctuation, np.einsum("n,ni,nj->ij", w * inertia, o, o), rtol=1e-11)
+    np.testing.assert_allclose(
+        one.spin_fluctuation, np.einsum("n,ni,nj->ij", w * inertia, o, o), rtol=1e-11
+    )
     q = (w * 0.5 * (mass * (v**2).sum(axis=1) + inertia * (omega**2).sum(axis=1))) @ v
     np.testing.assert_allclose(one.kinetic_heat_flux, q, rtol=1e-11)
 
@@ -228,18 +278,25 @@ def test_energy_has_three_parts_and_fluxes_add_up():
     names = [*NAMES, "velocity", "stress", "density"]
     f = scene().cg.coarse_grain(names, width=0.8, by="species")
     parts = f.mean_kinetic_energy + f.fluctuating_kinetic_energy + f.rotational_kinetic_energy
-    np.testing.assert_allclose(f.kinetic_energy, parts, rtol=0, atol=1e-13 * float(f.kinetic_energy.max()))
+    np.testing.assert_allclose(
+        f.kinetic_energy, parts, rtol=0, atol=1e-13 * float(f.kinetic_energy.max())
+    )
     f = f.sel(phase="bulk")
     V = f.velocity.fillna(0.0)
     work = (V * f.stress).sum("component").rename(direction="component")
-    total, found = f.kinetic_energy_flux + f.contact_energy_flux, f.kinetic_energy * V + work + f.heat_flux
+    total, found = (
+        f.kinetic_energy_flux + f.contact_energy_flux,
+        f.kinetic_energy * V + work + f.heat_flux,
+    )
     np.testing.assert_allclose(found, total, rtol=0, atol=1e-13 * float(abs(total).max()))
 
 
 def test_heat_flux_of_a_fast_frame():
     """What moves with the frame is taken out at each node, before it is cubed."""
     ds = xcg.datasets.random_scene(100, seed=2)
-    fast = ds.assign(velocity=ds.velocity + 2.0**20)  # a million times the fluctuations, and exact in the last bit
+    fast = ds.assign(
+        velocity=ds.velocity + 2.0**20
+    )  # a million times the fluctuations, and exact in the last bit
     names = ["kinetic_heat_flux", "heat_flux"]
     still = ds.assign(velocity=fast.velocity - 2.0**20)
     f, g = (scene.cg.coarse_grain(names, width=0.8) for scene in (still, fast))
@@ -256,30 +313,52 @@ def test_spins_of_known_temperature():
         angular_velocity=3.0 + rng.normal(size=(steps, count, 3)), density=1.0, box=[[0, 6.0]] * 3, periodic="xyz",
     )  # fmt: skip
     for width in (0.6, 1.0):
-        f = ds.cg.coarse_grain("rotational_temperature", width=width, spacing=1.5, for_averages=True)
+        f = ds.cg.coarse_grain(
+            "rotational_temperature", width=width, spacing=1.5, for_averages=True
+        )
         t = xcg.profile(f, "z").mean("z").rotational_temperature.mean()
         assert float(t) == pytest.approx(0.1, rel=0.03)
     lonely = ds.isel(particle=[0], time=[0]).cg.coarse_grain(["rotational_temperature"], width=1.0)
     assert lonely.rotational_temperature.isnull().all()
 
 
-@pytest.mark.parametrize(("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)])
-def test_rotational_temperature_is_unknown_where_the_mean_leaves_less_than_half_a_grain(ratio, known):
+@pytest.mark.parametrize(
+    ("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)]
+)
+def test_rotational_temperature_is_unknown_where_the_mean_leaves_less_than_half_a_grain(
+    ratio, known
+):
     """Of inertias 1 and x at one distance the mean leaves 2 x / (1 + x): half of (1 + x) / 2 at x = 3 + sqrt(8)."""
     ds = xcg.scene_from_arrays(
         [[-0.2, 0, 0], [0.2, 0, 0]], velocity=np.zeros((2, 3)), diameter=[0.4, 0.4], density=1.0,
         angular_velocity=[[1.0, 2.0, 0.0], [0.0, 2.0, 3.0]], moment_of_inertia=[1.0, ratio],
     )  # fmt: skip
-    f = ds.cg.coarse_grain(["rotational_temperature", "density"], at={"x": 0.0, "y": 0.0, "z": 0.0}, width=1.0)
+    f = ds.cg.coarse_grain(
+        ["rotational_temperature", "density"], at={"x": 0.0, "y": 0.0, "z": 0.0}, width=1.0
+    )
     weight = xcg.Lucy(1.0).value(0.2)
     # sum I (o - b)^2 is that of two spins sqrt(10) apart, x / (1 + x) 10
-    want = (10 * ratio / (1 + ratio)) * (1 + ratio) / (2 * ratio / (1 + ratio)) * weight / (3 * f.density)
+    want = (
+        (10 * ratio / (1 + ratio))
+        * (1 + ratio)
+        / (2 * ratio / (1 + ratio))
+        * weight
+        / (3 * f.density)
+    )
     np.testing.assert_allclose(f.rotational_temperature, want if known else np.nan, rtol=1e-12)
 
 
 def test_averages_equal_those_of_the_sums():
     steps = [scene(k, 40, periodic="xyz") for k in range(3)]
-    names = ["velocity", "angular_velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
+    names = [
+        "velocity",
+        "angular_velocity",
+        "diameter",
+        "contact_i",
+        "contact_j",
+        "contact_force",
+        "contact_point",
+    ]
     rows = {n: [s[n].values[0] for s in steps] for n in names}
     ds = xcg.scene_from_arrays([s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3,
                                periodic="xyz", time=np.arange(3.0), **rows)  # fmt: skip
@@ -288,8 +367,12 @@ def test_averages_equal_those_of_the_sums():
     for name in NAMES:
         if xcg.FIELDS[name].additive:
             expected = f[name].mean("time", skipna=False)
-            np.testing.assert_allclose(mean[name], expected, rtol=1e-12, atol=1e-12 * float(abs(expected).max()))
-    np.testing.assert_allclose(mean.spin, f.spin_density.mean("time") / f.inertia_density.mean("time"), rtol=1e-12)
+            np.testing.assert_allclose(
+                mean[name], expected, rtol=1e-12, atol=1e-12 * float(abs(expected).max())
+            )
+    np.testing.assert_allclose(
+        mean.spin, f.spin_density.mean("time") / f.inertia_density.mean("time"), rtol=1e-12
+    )
     sums = f[["spin_fluctuation", "fluctuation_inertia", "inertia_density", "density"]].mean("time")
     trace = sum(sums.spin_fluctuation.sel(component=a, direction=a) for a in "xyz")
     expected = trace / 3 * sums.inertia_density / sums.fluctuation_inertia / sums.density
@@ -308,7 +391,9 @@ def test_rotation_is_left_out_and_noted_without_angular_velocity():
     told = {name for name in f if "angular_velocity" in f[name].attrs.get("comment", "")}
     assert told == {"kinetic_energy", "kinetic_energy_flux", "contact_energy_flux", "kinetic_heat_flux",
                     "contact_heat_flux", "heat_flux", "contact_power", "dissipation_rate", "wall_power"}  # fmt: skip
-    assert not any("comment" in v.attrs for v in ds.cg.coarse_grain(NAMES, width=0.9, spacing=1.3).values())
+    assert not any(
+        "comment" in v.attrs for v in ds.cg.coarse_grain(NAMES, width=0.9, spacing=1.3).values()
+    )
     with pytest.raises(xcg.SceneError, match="angular_velocity"):
         bare.cg.coarse_grain("spin")
 
@@ -328,21 +413,31 @@ def test_units_of_rotation_and_energy():
     assert units["couple_stress"] == units["spin_flux"] == "kg s^-2"
     # a scene in other units of length, mass and time: each field changes as its unit says
     ds, (length, mass, time) = scene(), (2.0, 3.0, 0.5)
-    powers = {name: powers_of(VARIABLES[name].units) for name in ds.data_vars if name != "box"} | {"box": (1, 0, 0)}
+    powers = {name: powers_of(VARIABLES[name].units) for name in ds.data_vars if name != "box"} | {
+        "box": (1, 0, 0)
+    }
     other = ds.assign({n: ds[n] * (length ** p[0] * mass ** p[1] * time ** p[2]) if any(p) else ds[n]
                        for n, p in powers.items()})  # fmt: skip
     g = other.cg.measure().cg.coarse_grain(NAMES, width=0.9 * length, spacing=1.3 * length)
     for name in NAMES:
         p = xcg.FIELDS[name].powers
         expected = f[name].values * length ** p[0] * mass ** p[1] * time ** p[2]
-        np.testing.assert_allclose(g[name], expected, rtol=1e-7, atol=1e-10 * np.nanmax(np.abs(expected)), err_msg=name)
+        np.testing.assert_allclose(
+            g[name], expected, rtol=1e-7, atol=1e-10 * np.nanmax(np.abs(expected)), err_msg=name
+        )
 
 
 def test_grains_held_in_place_are_walls_that_move():
     """Their own velocities and spins are those of the wall."""
     ds = xcg.datasets.random_scene(80, seed=6, periodic="xyz")
     held = ds.assign(frozen=(ds.species == 2).astype("int64"))
-    names = ["dissipation_rate", "wall_power", "contact_power", "contact_energy_flux", "torque_density"]
+    names = [
+        "dissipation_rate",
+        "wall_power",
+        "contact_power",
+        "contact_energy_flux",
+        "torque_density",
+    ]
     f = held.cg.coarse_grain(names, width=0.9, spacing=1.0)
     # the same, with velocities of the walls written out
     i, j = ds.contact_i.values[0], ds.contact_j.values[0]
@@ -354,12 +449,16 @@ def test_grains_held_in_place_are_walls_that_move():
     b -= 5.0 * np.rint(b / 5.0)
     u_i = ds.velocity.values[0][i] + np.cross(ds.angular_velocity.values[0][i], b)
     wall = np.where((species[j] == 2)[:, None], u_j, u_i)
-    free = ds.isel(particle=species == 1).assign(contact_wall_velocity=(ds.contact_force.dims, wall[None]))
+    free = ds.isel(particle=species == 1).assign(
+        contact_wall_velocity=(ds.contact_force.dims, wall[None])
+    )
     g = free.cg.coarse_grain(names, width=0.9, spacing=1.0, bounds=dict.fromkeys("xyz", (0.0, 5.0)))
     f = held.cg.coarse_grain(names, width=0.9, spacing=1.0, bounds=dict.fromkeys("xyz", (0.0, 5.0)))
     assert float(abs(f.wall_power).max()) > 0
     for name in names:
-        np.testing.assert_allclose(f[name], g[name], rtol=1e-12, atol=1e-12 * float(abs(g[name]).max()))
+        np.testing.assert_allclose(
+            f[name], g[name], rtol=1e-12, atol=1e-12 * float(abs(g[name]).max())
+        )
 
 
 def test_the_power_of_moving_walls_closes():
@@ -378,11 +477,19 @@ def test_the_power_of_moving_walls_closes():
 
 def closes(ds, width, points):
     """Largest residuals of the divergences of couple stress and contact energy flux, by sixth-order differences."""
-    names = ["torque_density", "contact_couple_density", "contact_power", "dissipation_rate", "wall_power"]
+    names = [
+        "torque_density",
+        "contact_couple_density",
+        "contact_power",
+        "dissipation_rate",
+        "wall_power",
+    ]
     f = residuals.at_points(ds, names, points, width=width)
     div = residuals.divergence(ds, ["couple_stress", "contact_energy_flux"], points, width)
     left = div["couple_stress"] + f["torque_density"] - f["contact_couple_density"]
-    right = div["contact_energy_flux"] + f["contact_power"] + f["dissipation_rate"] - f["wall_power"]
+    right = (
+        div["contact_energy_flux"] + f["contact_power"] + f["dissipation_rate"] - f["wall_power"]
+    )
     sizes = [max(np.abs(a).max() for a in parts) for parts in (
         (f["torque_density"], f["contact_couple_density"]), (f["contact_power"], f["dissipation_rate"]))]  # fmt: skip
     return np.abs(left).max() / sizes[0], np.abs(right).max() / sizes[1]
@@ -391,7 +498,11 @@ def closes(ds, width, points):
 @pytest.mark.parametrize("options", [{}, {"periodic": "xyz"}, {"dimension": 2, "periodic": "y"}])
 def test_spin_and_energy_of_contacts_close(options):
     ds = scene(3, **options)
-    points = np.random.default_rng(1).uniform(0.5, 4.0, (4, 3)) * [1, 1, 0 if "dimension" in options else 1]
+    points = np.random.default_rng(1).uniform(0.5, 4.0, (4, 3)) * [
+        1,
+        1,
+        0 if "dimension" in options else 1,
+    ]
     assert max(closes(ds, 0.9, points)) < 1e-9
 
 
@@ -407,7 +518,10 @@ def test_residuals_fall_with_the_spacing():
     for name in ("torque_residual_norm", "power_residual_norm"):
         norms = [float(one[name].item()) for one in b]
         assert norms[0] > 7 * norms[1] > 49 * norms[2], (name, norms)
-        assert norms[0] > 64 * norms[2], (name, norms)  # third order at least, as the third derivative of Lucy's jumps
+        assert norms[0] > 64 * norms[2], (
+            name,
+            norms,
+        )  # third order at least, as the third derivative of Lucy's jumps
         assert norms[2] < 1e-3
     assert b[0].torque_residual.dims == ("time", "x", "y", "z", "component")
     assert b[0].power_residual.attrs["units"] == "W m^-3"
@@ -417,7 +531,12 @@ def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):
     """Two frames, dt apart, of grains that move and turn under constant forces and torques from the middle."""
     middle = xcg.datasets.random_scene(100, seed=seed, periodic="xyz")
     get = {name: middle[name].values[0] for name in middle.data_vars}
-    i, j, force, point = get["contact_i"], get["contact_j"], 1e3 * get["contact_force"], get["contact_point"]
+    i, j, force, point = (
+        get["contact_i"],
+        get["contact_j"],
+        1e3 * get["contact_force"],
+        get["contact_point"],
+    )
     total, torque = np.zeros((100, 3)), np.zeros((100, 3))
     for row, sign in ((i, 1), (j, -1)):
         b = point - get["position"][row]
@@ -438,7 +557,9 @@ def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):
 
 
 def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
-    b = [moving(dt).cg.balance(of=["spin", "energy"], width=1.2, spacing=0.15) for dt in (0.1, 0.05)]
+    b = [
+        moving(dt).cg.balance(of=["spin", "energy"], width=1.2, spacing=0.15) for dt in (0.1, 0.05)
+    ]
     for name in ("spin_residual_norm", "energy_residual_norm"):
         first, second = (float(one[name].item()) for one in b)
         assert first > 3 * second, (name, first, second)
@@ -449,7 +570,9 @@ def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
 def test_a_wrong_force_raises_the_residual():
     ds = moving(0.02)
     options = {"of": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
-    right, wrong = (d.cg.balance(**options) for d in (ds, ds.assign(contact_force=1.2 * ds.contact_force)))
+    right, wrong = (
+        d.cg.balance(**options) for d in (ds, ds.assign(contact_force=1.2 * ds.contact_force))
+    )
     for name in ("spin_residual_norm", "energy_residual_norm"):
         assert wrong[name].item() > 5 * right[name].item()
 
@@ -473,13 +596,20 @@ def test_moments_of_inertia_of_spheres_and_discs():
     """Of solid spheres or discs, and as they are given; none without angular velocities."""
     given = {"position": np.zeros((1, 3)), "diameter": [0.4], "mass": [5.0]}
     turning = {"angular_velocity": [[0.0, 0.0, 1.0]], **given}
-    assert xcg.scene_from_arrays(**turning).moment_of_inertia.item() == pytest.approx(2 / 5 * 5.0 * 0.2**2)
+    assert xcg.scene_from_arrays(**turning).moment_of_inertia.item() == pytest.approx(
+        2 / 5 * 5.0 * 0.2**2
+    )
     disc = xcg.scene_from_arrays(**turning, shape="disc", thickness=0.1, dimension=2)
     assert disc.moment_of_inertia.item() == pytest.approx(1 / 2 * 5.0 * 0.2**2)
     assert xcg.scene_from_arrays(**turning, moment_of_inertia=[7.0]).moment_of_inertia.item() == 7.0
     assert "moment_of_inertia" not in xcg.scene_from_arrays(**given)
-    scaled = xcg.scene_from_arrays(**turning, moment_of_inertia=[7.0], units={"length": 10.0, "mass": 2.0, "time": 4.0})
-    assert (scaled.moment_of_inertia.item(), scaled.angular_velocity.values[0, 0, 2]) == (1400.0, 0.25)
+    scaled = xcg.scene_from_arrays(
+        **turning, moment_of_inertia=[7.0], units={"length": 10.0, "mass": 2.0, "time": 4.0}
+    )
+    assert (scaled.moment_of_inertia.item(), scaled.angular_velocity.values[0, 0, 2]) == (
+        1400.0,
+        0.25,
+    )
     with pytest.raises(xcg.SceneError, match="'moment_of_inertia' of particle 0"):
         xcg.scene_from_arrays(**turning, moment_of_inertia=[-7.0])
 
@@ -489,7 +619,9 @@ def test_moments_of_inertia_of_spheres_and_discs():
 
 def test_rotation_is_read_only_on_request(monkeypatch):
     folder = real_data("lammps_plane_shear")
-    ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2)
+    ds = xcg.open_scene(
+        folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2
+    )
     asked = []
     parse = table.parse_table
     monkeypatch.setattr(table, "parse_table", lambda *a: asked.append(list(a[2])) or parse(*a))
@@ -533,29 +665,45 @@ def test_angular_velocities_are_read_from_columns(tmp_path):
 def test_rotation_and_energy_in_plane_shear():
     """Its own bookkeeping: energies of LAMMPS at each frame, power of its walls; dissipation is stress times rate."""
     folder = real_data("lammps_plane_shear")
-    ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2).compute()
+    ds = xcg.open_scene(
+        folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2
+    ).compute()
     names = ["kinetic_energy", "rotational_kinetic_energy", "dissipation_rate", "wall_power", "contact_power",
              "stress", "spin", "vorticity"]  # fmt: skip
     f = ds.cg.coarse_grain(names, axes="z", bounds={"z": (-2.0, 13.0)}, spacing=0.1)
-    f = f.assign({name: 6.0 * 4.0 * f[name] for name in [*names[:5], "stress"]})  # in all of the cross-section
+    f = f.assign(
+        {name: 6.0 * 4.0 * f[name] for name in [*names[:5], "stress"]}
+    )  # in all of the cross-section
     total = f.integrate("z")
     _, moving_part, turning, power = np.loadtxt(folder / "energies.txt").T
     # bulk grains only: those of the walls are no part of a field
-    np.testing.assert_allclose(total.kinetic_energy - total.rotational_kinetic_energy, moving_part, rtol=1e-4)
+    np.testing.assert_allclose(
+        total.kinetic_energy - total.rotational_kinetic_energy, moving_part, rtol=1e-4
+    )
     np.testing.assert_allclose(total.rotational_kinetic_energy, turning, rtol=1e-4)
     # the forces in the dumps are those of velocities half a step later
     np.testing.assert_allclose(total.wall_power, power, rtol=0, atol=0.02 * np.abs(power).max())
     # each frame: power of contacts on grains is that of walls less what contacts take up
-    np.testing.assert_allclose(total.contact_power, total.wall_power - total.dissipation_rate, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(
+        total.contact_power, total.wall_power - total.dissipation_rate, rtol=1e-6, atol=1e-3
+    )
     # all frames: what contacts take up is the power of the walls, and stress times rate, within the errors
     gamma, walls = total.dissipation_rate.values, np.loadtxt(folder / "means.txt")[:, 3]
     error = np.hypot(standard_error(gamma), standard_error(walls))
     assert abs(gamma.mean() - walls.mean()) < 2 * error < 0.4 * walls.mean()
     middle = f.sel(z=slice(2.5, 8.5))
-    times_rate = -middle.stress.sel(component="x", direction="z").mean("z").values * 5.0  # walls at -2.5 and 2.5
-    assert abs(gamma.mean() - times_rate.mean()) < 2 * standard_error(gamma - times_rate) < 0.3 * times_rate.mean()
+    times_rate = (
+        -middle.stress.sel(component="x", direction="z").mean("z").values * 5.0
+    )  # walls at -2.5 and 2.5
+    assert (
+        abs(gamma.mean() - times_rate.mean())
+        < 2 * standard_error(gamma - times_rate)
+        < 0.3 * times_rate.mean()
+    )
     # grains turn with the flow
-    turning, whirling = (middle[name].sel(component="y").mean(["time", "z"]) for name in ("spin", "vorticity"))
+    turning, whirling = (
+        middle[name].sel(component="y").mean(["time", "z"]) for name in ("spin", "vorticity")
+    )
     assert float(turning) == pytest.approx(float(whirling) / 2, rel=0.1)
 
 

@@ -14,10 +14,16 @@ OF_MOTION = [
     "velocity", "velocity_gradient", "shear_rate_tensor", "shear_rate", "vorticity", "granular_temperature",
     "directional_temperature", "kinetic_stress", "spin",
 ]  # fmt: skip
-OF_VARIABLES = ["charge", xcg.Mean("push", "number"), xcg.Mean("charge", "volume", name="charge_by_volume")]
+OF_VARIABLES = [
+    "charge",
+    xcg.Mean("push", "number"),
+    xcg.Mean("charge", "volume", name="charge_by_volume"),
+]
 
 
-def ensemble(count, *, spread=1.0, shear=1.0, temperature=(1.0, 1.0, 1.0), layer=False, draws=DRAWS, seed=1):
+def ensemble(
+    count, *, spread=1.0, shear=1.0, temperature=(1.0, 1.0, 1.0), layer=False, draws=DRAWS, seed=1
+):
     """Grains that stay where they are, in steps that differ in their velocities, spins, charges and pushes alone."""
     rng = np.random.default_rng(seed)
     position = rng.uniform(0, LENGTH, (count, 3)) * ([1, 1, 0] if layer else [1, 1, 1])
@@ -39,7 +45,12 @@ def ensemble(count, *, spread=1.0, shear=1.0, temperature=(1.0, 1.0, 1.0), layer
 def predicted_over_measured(f, name, least=4.0):
     """Root mean square of the errors over that of the scatter of the steps, where enough grains are seen."""
     scatter, error = f[name].std("time", ddof=1), np.sqrt((f[f"{name}_error"] ** 2).mean("time"))
-    there = (f["effective_count"].mean("time") > least) & scatter.notnull() & error.notnull() & (scatter > 1e-9)
+    there = (
+        (f["effective_count"].mean("time") > least)
+        & scatter.notnull()
+        & error.notnull()
+        & (scatter > 1e-9)
+    )
     nodes = [d for d in scatter.dims if d not in ("phase", "component", "direction")]
     ratio = np.sqrt((error**2).where(there).mean(nodes) / (scatter**2).where(there).mean(nodes))
     return ratio.values[np.isfinite(ratio.values)]
@@ -66,7 +77,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_errors_are_the_scatter_of_draws(case):
     scene, options = CASES[case]
-    f = ensemble(**scene).cg.coarse_grain([*OF_MOTION, *OF_VARIABLES, "effective_count"], errors=True, **options)
+    f = ensemble(**scene).cg.coarse_grain(
+        [*OF_MOTION, *OF_VARIABLES, "effective_count"], errors=True, **options
+    )
     for name in [*OF_MOTION, "charge", "push", "charge_by_volume"]:
         found = predicted_over_measured(f, name)
         assert found.size, name
@@ -95,19 +108,33 @@ def test_a_cylinder_has_errors_of_velocity_spin_and_means():
     ds = ensemble(226, shear=0.0)
     ds = ds.assign(position=ds.position - LENGTH / 2).drop_vars("box").assign_attrs(periodic="")
     names = ["velocity", "directional_temperature", "spin", "charge", "effective_count"]
-    f = ds.cg.coarse_grain(names, errors=True, frame=xcg.Cylindrical("z"), axes="r", width=1.2, extent={"z": LENGTH})
+    f = ds.cg.coarse_grain(
+        names, errors=True, frame=xcg.Cylindrical("z"), axes="r", width=1.2, extent={"z": LENGTH}
+    )
     for name in names[:-1]:
-        np.testing.assert_allclose(predicted_over_measured(f, name, 20.0), 1.0, atol=0.2, err_msg=name)
-    with pytest.raises(ValueError, match="velocity_gradient_error: available only in Cartesian axes"):
-        ds.cg.coarse_grain("velocity_gradient_error", frame=xcg.Cylindrical("z"), axes="r", extent={"z": LENGTH})
+        np.testing.assert_allclose(
+            predicted_over_measured(f, name, 20.0), 1.0, atol=0.2, err_msg=name
+        )
+    with pytest.raises(
+        ValueError, match="velocity_gradient_error: available only in Cartesian axes"
+    ):
+        ds.cg.coarse_grain(
+            "velocity_gradient_error", frame=xcg.Cylindrical("z"), axes="r", extent={"z": LENGTH}
+        )
 
 
 def test_errors_of_linear_fields_by_propagation():
     """G_kl = sum_i v_ik c_il with c_i = w_i A x_i: a sum T:G has the variance sum_i (T c_i) Theta (T c_i)."""
     rng = np.random.default_rng(8)
-    place, mixed = rng.uniform(-1.5, 1.5, (60, 3)), np.array([[1.0, 0, 0], [0.9, 0.3, 0], [-0.5, 0.6, 0.4]])
+    place, mixed = (
+        rng.uniform(-1.5, 1.5, (60, 3)),
+        np.array([[1.0, 0, 0], [0.9, 0.3, 0], [-0.5, 0.6, 0.4]]),
+    )
     ds = xcg.scene_from_arrays(
-        place, velocity=rng.normal(size=(60, 3)) @ mixed.T, diameter=rng.uniform(0.3, 0.5, 60), density=1.0
+        place,
+        velocity=rng.normal(size=(60, 3)) @ mixed.T,
+        diameter=rng.uniform(0.3, 0.5, 60),
+        density=1.0,
     )
     fields = ["velocity_gradient", "shear_rate_tensor", "vorticity"]
     names = [f"{name}_error" for name in fields]
@@ -126,7 +153,9 @@ def test_errors_of_linear_fields_by_propagation():
     rate = (one + one.swapaxes(0, 1)) / 2
     turn = np.array([one[2, 1] - one[1, 2], one[0, 2] - one[2, 0], one[1, 0] - one[0, 1]])
     for name, weights in zip(names, (one, rate, turn), strict=True):
-        expected = np.array([error(t) for t in weights.reshape(-1, 3, 3)]).reshape(weights.shape[:-2])
+        expected = np.array([error(t) for t in weights.reshape(-1, 3, 3)]).reshape(
+            weights.shape[:-2]
+        )
         np.testing.assert_allclose(f[name], expected, rtol=1e-9, err_msg=name)
 
 
@@ -155,7 +184,9 @@ def test_the_error_of_a_mean_by_brute_force():
 
 
 def test_an_average_over_steps_has_the_larger_error_and_names_it():
-    f = ensemble(226, shear=0.0, draws=64).cg.coarse_grain("velocity", errors=True, width=1.0, for_averages=True)
+    f = ensemble(226, shear=0.0, draws=64).cg.coarse_grain(
+        "velocity", errors=True, width=1.0, for_averages=True
+    )
     mean = f.cg.time_average()
     assert mean.velocity_error_from.attrs["flag_meanings"] == "noise_of_each_step scatter_of_steps"
     # independent steps: both ways agree, and the larger is a little larger
@@ -168,11 +199,15 @@ def test_an_average_over_steps_has_the_larger_error_and_names_it():
     drifting = f.assign(velocity=f.velocity + np.sin(f.time / 10.0))
     assert (drifting.cg.time_average().velocity_error_from == 1).all()
     alone = f.isel(time=[0]).cg.time_average()
-    xr.testing.assert_allclose(alone.velocity_error, f.velocity_error.isel(time=0, drop=True).drop_attrs())
+    xr.testing.assert_allclose(
+        alone.velocity_error, f.velocity_error.isel(time=0, drop=True).drop_attrs()
+    )
 
 
 def test_a_profile_has_the_error_of_its_independent_places():
-    f = ensemble(226, shear=0.0).cg.coarse_grain(["velocity", "charge"], errors=True, width=1.0, for_averages=True)
+    f = ensemble(226, shear=0.0).cg.coarse_grain(
+        ["velocity", "charge"], errors=True, width=1.0, for_averages=True
+    )
     profile = f.cg.profile("z")
     for name in ("velocity", "charge"):
         measured = float(profile[name].std("time").mean())
@@ -183,7 +218,9 @@ def test_a_profile_has_the_error_of_its_independent_places():
 def test_errors_are_lazy_and_equal():
     ds = ensemble(100, draws=4)
     options = {"errors": True, "width": 1.0, "axes": "z"}
-    eager, lazy = (one.cg.coarse_grain(["velocity", "charge"], **options) for one in (ds, ds.chunk(time=1)))
+    eager, lazy = (
+        one.cg.coarse_grain(["velocity", "charge"], **options) for one in (ds, ds.chunk(time=1))
+    )
     assert lazy.velocity_error.chunks is not None
     xr.testing.assert_identical(lazy.compute().drop_attrs(), eager.drop_attrs())
 
@@ -204,14 +241,18 @@ def test_errors_of_averages_are_not_averaged():
         f.cg.time_average().cg.profile("z")
 
 
-@pytest.mark.parametrize("options", [{}, {"axes": "z"}, {"axes": "xz", "at": {"y": 5.0}, "kernel": "gaussian"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"axes": "z"}, {"axes": "xz", "at": {"y": 5.0}, "kernel": "gaussian"}]
+)
 def test_explain_states_the_noise_of_a_dense_packing(options):
     ds = xcg.datasets.dense_packing(8000)
     plan = ds.cg.explain("velocity", width=1.0, **options)
     seen = ds.cg.coarse_grain("effective_count", width=1.0, **options).effective_count.mean().item()
     assert plan.effective_count == pytest.approx(seen, rel=0.05)
     assert f"velocity +-{plan.effective_count**-0.5:.2g} sqrt(T)" in str(plan)
-    points = xcg.scene_from_arrays(ds.position.values, velocity=ds.velocity.values, mass=np.ones(8000))
+    points = xcg.scene_from_arrays(
+        ds.position.values, velocity=ds.velocity.values, mass=np.ones(8000)
+    )
     assert "noise" not in str(points.cg.explain("velocity", width=1.0))
 
 
@@ -222,5 +263,7 @@ def test_explain_states_no_noise_of_rings_cells_and_widths_by_group():
         {"by": "species", "width": {1: 1.0, 2: 0.5}},
     ):  # fmt: skip
         assert "noise" not in str(
-            ds.drop_vars("box").assign_attrs(periodic="").cg.explain("velocity", **{"width": 1.0} | options)
+            ds.drop_vars("box")
+            .assign_attrs(periodic="")
+            .cg.explain("velocity", **{"width": 1.0} | options)
         )

@@ -37,7 +37,9 @@ def test_only_least_squares_is_exact_in_linear_flow():
     ds = linear_flow()
     errors = {}
     for gradient in get_args(Gradient):
-        f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], gradient=gradient, **INSIDE)
+        f = ds.cg.coarse_grain(
+            ["velocity_gradient", "granular_temperature"], gradient=gradient, **INSIDE
+        )
         errors[gradient] = np.abs(f.velocity_gradient.values - RATE).max()
         if gradient == "least_squares":
             assert float(f.granular_temperature.max()) < 1e-14  # rounding of (rate width)^2
@@ -73,8 +75,13 @@ def test_kernel_and_finite_difference_temperatures_by_brute_force():
     ds = linear_flow(seed=2, noise=0.5)
     for gradient in ("kernel", "finite_difference"):
         options = {"gradient": gradient, "temperature": "biased", **INSIDE}
-        f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], **options).isel(time=0)
-        slopes, temperature = f.velocity_gradient.values.reshape(-1, 3, 3), f.granular_temperature.values.ravel()
+        f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], **options).isel(
+            time=0
+        )
+        slopes, temperature = (
+            f.velocity_gradient.values.reshape(-1, 3, 3),
+            f.granular_temperature.values.ravel(),
+        )
         for n, (w, x, v) in enumerate(around(ds, f, 0.6)):
             rest = v - (w @ v) / w.sum() - (x - (w @ x) / w.sum()) @ slopes[n].T
             np.testing.assert_allclose(temperature[n], (w @ rest**2).sum() / w.sum() / 3, rtol=1e-9)
@@ -84,9 +91,15 @@ def test_finite_differences_tend_to_the_kernel_gradient():
     ds = linear_flow(seed=3, noise=0.5)
     errors = []
     for h in (0.04, 0.02):
-        options = {"width": 0.6, "spacing": h, "bounds": dict.fromkeys("xyz", (2.5 - 2 * h, 2.5 + 2 * h))}
+        options = {
+            "width": 0.6,
+            "spacing": h,
+            "bounds": dict.fromkeys("xyz", (2.5 - 2 * h, 2.5 + 2 * h)),
+        }
         near, exact = (
-            ds.cg.coarse_grain("velocity_gradient", gradient=g, **options).velocity_gradient.isel(time=0)
+            ds.cg.coarse_grain("velocity_gradient", gradient=g, **options).velocity_gradient.isel(
+                time=0
+            )
             for g in ("finite_difference", "kernel")
         )
         errors.append(float(np.abs(near - exact).max()))
@@ -96,7 +109,9 @@ def test_finite_differences_tend_to_the_kernel_gradient():
 
 def test_finite_differences_wrap_around_a_period():
     ds = xcg.datasets.random_scene(800, periodic="xyz", seed=4)
-    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], gradient="finite_difference", width=0.9, spacing=0.5)
+    f = ds.cg.coarse_grain(
+        ["velocity", "velocity_gradient"], gradient="finite_difference", width=0.9, spacing=0.5
+    )
     v = f.velocity.isel(time=0)
     slope = (v.roll(x=-1) - v.roll(x=1)) / (2 * float(f.x[1] - f.x[0]))
     got = f.velocity_gradient.isel(time=0).sel(direction="x")
@@ -111,7 +126,9 @@ def test_finite_differences_are_nan_across_a_plane_and_zero_along_an_average():
     cut = ds.cg.coarse_grain(names, at={"y": 2.5}, **options)
     assert np.isnan(cut.velocity_gradient.sel(direction="y")).all()
     assert np.isfinite(cut.velocity_gradient.sel(direction=["x", "z"])).all()
-    assert np.isnan(cut.granular_temperature).all()  # fluctuations about an unknown slope are unknown
+    assert np.isnan(
+        cut.granular_temperature
+    ).all()  # fluctuations about an unknown slope are unknown
     mean = ds.cg.coarse_grain(names, **options)
     assert (mean.velocity_gradient.sel(direction="y") == 0).all()
     assert np.isfinite(mean.granular_temperature).all()
@@ -122,7 +139,9 @@ def test_finite_differences_are_nan_across_a_plane_and_zero_along_an_average():
 
 def test_directional_temperatures_of_a_layer():
     ds = xcg.datasets.random_scene(150, periodic="", dimension=2, seed=7)
-    f = ds.cg.coarse_grain(["granular_temperature", "directional_temperature"], width=0.9, spacing=1.0)
+    f = ds.cg.coarse_grain(
+        ["granular_temperature", "directional_temperature"], width=0.9, spacing=1.0
+    )
     known = f.granular_temperature.notnull()
     two = f.directional_temperature.sel(component=["x", "y"]).mean("component")
     xr.testing.assert_allclose(two.where(known), f.granular_temperature)
@@ -154,7 +173,9 @@ def test_widths_in_units_of_any_mean_diameter():
         "dmax": d.max(), "dmin": d.min(),
     }  # fmt: skip
     for size, value in expected.items():
-        assert ds.cg.explain("density", width=f"0.5 {size}").kernel.width == pytest.approx(0.5 * value, rel=1e-12)
+        assert ds.cg.explain("density", width=f"0.5 {size}").kernel.width == pytest.approx(
+            0.5 * value, rel=1e-12
+        )
 
 
 # --- gradients along averaged axes -----------------------------------------------------------------------
@@ -184,12 +205,16 @@ def test_the_gradient_of_a_sheared_box_is_its_shear_rate(axes, lazy):
     f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(FLOW, axes=axes).compute()
     expected = np.zeros((3, 3))
     expected[0, 1] = SHEAR
-    np.testing.assert_allclose(f.velocity_gradient, np.broadcast_to(expected, f.velocity_gradient.shape), atol=1e-13)
+    np.testing.assert_allclose(
+        f.velocity_gradient, np.broadcast_to(expected, f.velocity_gradient.shape), atol=1e-13
+    )
     np.testing.assert_allclose(f.shear_rate, SHEAR, rtol=1e-12)
     assert float(f.granular_temperature.max()) < 1e-15
     if "y" not in axes:
         assert float(abs(f.kinetic_stress).max()) < 1e-25
-        np.testing.assert_allclose(f.velocity.sel(component="x"), 0.4 + SHEAR * EDGE / 2, rtol=1e-12)
+        np.testing.assert_allclose(
+            f.velocity.sel(component="x"), 0.4 + SHEAR * EDGE / 2, rtol=1e-12
+        )
 
 
 def test_images_of_a_box_of_several_tilts_follow_the_gradient():
@@ -202,12 +227,16 @@ def test_images_of_a_box_of_several_tilts_follow_the_gradient():
     )  # fmt: skip
     f = ds.cg.coarse_grain(FLOW, width=0.9, spacing=1.0)
     assert float(f.granular_temperature.max()) < 1e-14
-    np.testing.assert_allclose(f.velocity_gradient.sel(component="x", direction="y"), SHEAR, rtol=1e-10)
+    np.testing.assert_allclose(
+        f.velocity_gradient.sel(component="x", direction="y"), SHEAR, rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize("axes", ["", "xz"])
 def test_gradients_do_not_depend_on_the_written_images(axes):
-    one, other = (sheared(noise=0.2, wrapped=w).cg.coarse_grain(FLOW, axes=axes) for w in (False, True))
+    one, other = (
+        sheared(noise=0.2, wrapped=w).cg.coarse_grain(FLOW, axes=axes) for w in (False, True)
+    )
     for name in FLOW:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-10, atol=1e-12)
     assert float(one.granular_temperature.mean()) == pytest.approx(0.04, rel=0.1)
@@ -228,7 +257,9 @@ def test_the_gradient_averaged_between_walls_is_nan_and_warns(gradient, lazy):
     ds = xcg.datasets.random_scene(50, periodic="xy")
     ds = ds.chunk(time=1) if lazy else ds
     names = ["velocity_gradient", "shear_rate", "vorticity", "inertial_number", "pressure"]
-    with pytest.warns(SceneWarning, match=r"shear_rate, vorticity, inertial_number: NaN, .* axes='z'") as told:
+    with pytest.warns(
+        SceneWarning, match=r"shear_rate, vorticity, inertial_number: NaN, .* axes='z'"
+    ) as told:
         f = ds.cg.coarse_grain(names, axes="", extent={"z": 5.0}, gradient=gradient).compute()
     assert len(told) == 1
     for name in names[:4]:

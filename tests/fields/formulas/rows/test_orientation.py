@@ -7,7 +7,13 @@ import xarray as xr
 import xcg
 from tests import shared_data
 
-NAMES = ["orientation_tensor", "nematic_tensor", "nematic_order", "nematic_director", "number_density"]
+NAMES = [
+    "orientation_tensor",
+    "nematic_tensor",
+    "nematic_order",
+    "nematic_director",
+    "number_density",
+]
 
 
 def rods(director, count=4000, seed=1, **options):
@@ -29,7 +35,9 @@ def test_order_of_isotropic_directors_is_zero_and_of_aligned_ones_one():
     np.testing.assert_allclose(f.orientation_tensor.values[0], np.eye(3) / 3, atol=0.02)
     assert f.nematic_order.item() == pytest.approx(0.0, abs=0.05)
     one = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
-    signs = rods(lambda rng, count: rng.choice([-1.0, 1.0], (count, 1)) * one).cg.coarse_grain(NAMES, axes="")
+    signs = rods(lambda rng, count: rng.choice([-1.0, 1.0], (count, 1)) * one).cg.coarse_grain(
+        NAMES, axes=""
+    )
     assert signs.nematic_order.item() == pytest.approx(1.0, rel=1e-12)
     np.testing.assert_allclose(signs.nematic_director.values[0], one, atol=1e-12)
 
@@ -43,7 +51,9 @@ def test_brute_force_at_a_node_with_phases():
     n = ds.director.values[0]
     for phase, some in (("bulk", slice(None)), ("1", ds.species.values[0] == 1)):
         expected = np.einsum("n,ni,nj", w[some], n[some], n[some]) / w[some].sum()
-        np.testing.assert_allclose(f.orientation_tensor.sel(phase=phase).values[0], expected, atol=1e-13)
+        np.testing.assert_allclose(
+            f.orientation_tensor.sel(phase=phase).values[0], expected, atol=1e-13
+        )
         order = np.linalg.eigvalsh(1.5 * expected - 0.5 * np.eye(3))[-1]
         assert f.nematic_order.sel(phase=phase).item() == pytest.approx(order, rel=1e-12)
 
@@ -84,7 +94,9 @@ def test_directors_from_quaternions(chunk):
     ds = ds.chunk(time=1) if chunk else ds
     found = ds.cg.derive_director(("qw", "qx", "qy", "qz"), axis=(1.0, 2.0, 0.0))
     assert (found.director.chunks is not None) == chunk
-    np.testing.assert_allclose(found.director.values[0], turn.apply(np.array([1.0, 2.0, 0.0]) / 5**0.5), atol=1e-12)
+    np.testing.assert_allclose(
+        found.director.values[0], turn.apply(np.array([1.0, 2.0, 0.0]) / 5**0.5), atol=1e-12
+    )
     with pytest.raises(ValueError, match="four variables"):
         ds.cg.derive_director(("qw", "qx"))
     with pytest.raises(xcg.SceneError, match="quat_w"):
@@ -104,7 +116,9 @@ def test_averages_recompute_the_director_from_the_mean_tensor():
 def solid_samples(a, b, c, n1, n2, count=400_000, seed=5):
     """Points drawn evenly in the box around a superquadric, and which of them are inside."""
     r = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-    inside = (np.abs(r[:, 0]) ** n2 + np.abs(r[:, 1]) ** n2) ** (n1 / n2) + np.abs(r[:, 2]) ** n1 <= 1
+    inside = (np.abs(r[:, 0]) ** n2 + np.abs(r[:, 1]) ** n2) ** (n1 / n2) + np.abs(
+        r[:, 2]
+    ) ** n1 <= 1
     return r * [a, b, c], inside
 
 
@@ -112,15 +126,23 @@ def solid_samples(a, b, c, n1, n2, count=400_000, seed=5):
 def test_superquadrics_against_sampled_solids(n1, n2):
     """Volume and moments of inertia agree with 400,000 points to 1 %."""
     half = (1.0, 0.5, 2.0)
-    named = dict(zip(("half_axis_x", "half_axis_y", "half_axis_z"), ([value] for value in half), strict=True))
-    ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], **named).cg.derive_superquadric(exponents=(n1, n2), density=3.0)
+    named = dict(
+        zip(("half_axis_x", "half_axis_y", "half_axis_z"), ([value] for value in half), strict=True)
+    )
+    ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], **named).cg.derive_superquadric(
+        exponents=(n1, n2), density=3.0
+    )
     r, inside = solid_samples(*half, n1, n2)
     volume = inside.mean() * 8 * np.prod(half)
     assert ds.volume.item() == pytest.approx(volume, rel=0.01)
     assert ds.mass.item() == pytest.approx(3 * ds.volume.item(), rel=1e-14)
     squares = (r[inside] ** 2).mean(axis=0) * ds.mass.item()
-    np.testing.assert_allclose(ds.principal_inertia.values[0, 0], squares.sum() - squares, rtol=0.01)
-    assert ds.moment_of_inertia.item() == pytest.approx(ds.principal_inertia.values.mean(), rel=1e-14)
+    np.testing.assert_allclose(
+        ds.principal_inertia.values[0, 0], squares.sum() - squares, rtol=0.01
+    )
+    assert ds.moment_of_inertia.item() == pytest.approx(
+        ds.principal_inertia.values.mean(), rel=1e-14
+    )
     assert ds.diameter.item() ** 3 * np.pi / 6 == pytest.approx(ds.volume.item(), rel=1e-14)
 
 
@@ -128,12 +150,18 @@ def test_superquadrics_against_sampled_solids(n1, n2):
 def test_limits_of_superquadrics(chunk):
     """Spheres and ellipsoids exactly, boxes in the limit; masses of the file are kept."""
     half = {"a": [1.0, 1.0, 1.0], "b": [1.0, 2.0, 2.0], "c": [1.0, 3.0, 3.0]}
-    ds = xcg.scene_from_arrays(np.eye(3) * 9, mass=[1.0, 2.0, 5.0], p=[2.0, 2.0, 2e4], q=[2.0, 2.0, 2e4], **half)
+    ds = xcg.scene_from_arrays(
+        np.eye(3) * 9, mass=[1.0, 2.0, 5.0], p=[2.0, 2.0, 2e4], q=[2.0, 2.0, 2e4], **half
+    )
     ds = (ds.chunk(time=1) if chunk else ds).cg.derive_superquadric("abc", exponents="pq")
     np.testing.assert_allclose(ds.volume.values[0], [np.pi * 4 / 3, np.pi * 8, 48.0], rtol=1e-6)
     np.testing.assert_allclose(ds.principal_inertia.values[0, 0], 0.4, rtol=1e-12)
-    np.testing.assert_allclose(ds.principal_inertia.values[0, 1], [2 / 5 * k for k in (13, 10, 5)], rtol=1e-12)
-    np.testing.assert_allclose(ds.principal_inertia.values[0, 2], [5 / 3 * k for k in (13, 10, 5)], rtol=1e-6)
+    np.testing.assert_allclose(
+        ds.principal_inertia.values[0, 1], [2 / 5 * k for k in (13, 10, 5)], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        ds.principal_inertia.values[0, 2], [5 / 3 * k for k in (13, 10, 5)], rtol=1e-6
+    )
     np.testing.assert_allclose(ds.density * ds.volume, ds.mass)
     assert ds.volume.attrs["units"] == "m^3"
     assert ds.principal_inertia.attrs["units"] == "kg m^2"
@@ -166,20 +194,29 @@ def test_angular_velocity_in_the_axes_of_the_body():
     ).cg.derive_director()  # fmt: skip
     expected = turn.inv().apply(omega)
     np.testing.assert_allclose(ds.body_angular_velocity.values[0], expected, atol=1e-13)
-    f = ds.cg.coarse_grain("body_angular_velocity", axes="", extent=dict.fromkeys("xyz", 4.0), width=40.0)
+    f = ds.cg.coarse_grain(
+        "body_angular_velocity", axes="", extent=dict.fromkeys("xyz", 4.0), width=40.0
+    )
     assert f.body_angular_velocity.attrs["units"] == "s^-1"
     assert np.isfinite(f.body_angular_velocity).all()
 
 
 # --- names that readers know -----------------------------------------------------------------------------------
 
-ROWS = ["1 1 0.0 0.0 0.0 0.5 {shape} 0.8 0.6 0.0 0.0", "2 1 3.0 0.0 0.0 0.5 {shape} 1.0 0.0 0.0 0.0"]
+ROWS = [
+    "1 1 0.0 0.0 0.0 0.5 {shape} 0.8 0.6 0.0 0.0",
+    "2 1 3.0 0.0 0.0 0.5 {shape} 1.0 0.0 0.0 0.0",
+]
 
 
 def dump_of(tmp_path, name, columns):
     rows = [row.format(shape="2.0 4.0 6.0 2.0 3.0") for row in ROWS]
-    head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n-9 9\n-9 9\n-9 9\n"
-    (tmp_path / name).write_text(f"{head}ITEM: ATOMS id type x y z mass {columns}\n" + "\n".join(rows) + "\n")
+    head = (
+        "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n-9 9\n-9 9\n-9 9\n"
+    )
+    (tmp_path / name).write_text(
+        f"{head}ITEM: ATOMS id type x y z mass {columns}\n" + "\n".join(rows) + "\n"
+    )
     return tmp_path / name
 
 
@@ -200,19 +237,27 @@ def test_dumps_of_superquadrics_need_no_names(tmp_path, engine, columns, whole):
     assert [float(ds[f"quat_{a}"][0, 0]) for a in "wxyz"] == [0.8, 0.6, 0.0, 0.0]
     told = ds.cg.derive_superquadric(exponents=(2.0, 3.0))
     xr.testing.assert_equal(ds.cg.derive_superquadric().volume, told.volume)
-    np.testing.assert_allclose(ds.cg.derive_director().director[0, 0], [0.0, -0.96, 0.28], atol=1e-15)
+    np.testing.assert_allclose(
+        ds.cg.derive_director().director[0, 0], [0.0, -0.96, 0.28], atol=1e-15
+    )
 
 
 def test_contact_points_of_mfix_lie_on_the_surfaces_of_its_superquadrics():
     """Of 668 ellipsoids and 111 spheres: 1 for a point on the surface, less by the overlap."""
     data = shared_data("mfix_bedload")
-    files = {"particles": data / "DES_FB1_0150.vtp.gz", "contacts": data / "ENTIRE_DOMAIN_0150.vtp.gz"}
+    files = {
+        "particles": data / "DES_FB1_0150.vtp.gz",
+        "contacts": data / "ENTIRE_DOMAIN_0150.vtp.gz",
+    }
     ds = xcg.open_scene(**files, engine="mfix", allow_unknown=True).isel(time=0).compute()
     row = {number: k for k, number in enumerate(ds.particle_id.values.tolist())}
     first = np.array([row.get(number, -1) for number in ds.contact_i.values.tolist()])
     to = ds.contact_point.values - ds.position.values[first]
     near = (first >= 0) & (np.linalg.norm(to, axis=1) < 0.02)  # not across an edge
-    axes = [ds.expand_dims("time").cg.derive_director(axis=a).director.values[0][first[near]] for a in "xyz"]
+    axes = [
+        ds.expand_dims("time").cg.derive_director(axis=a).director.values[0][first[near]]
+        for a in "xyz"
+    ]
     inside = sum(
         ((to[near] * axis).sum(axis=1) / ds[f"half_axis_{a}"].values[first[near]]) ** 2
         for a, axis in zip("xyz", axes, strict=True)
@@ -220,4 +265,6 @@ def test_contact_points_of_mfix_lie_on_the_surfaces_of_its_superquadrics():
     assert near.sum() > 1000
     assert np.percentile(inside, [5, 50, 95]) == pytest.approx([0.86, 0.98, 1.02], abs=0.02)
     volume = ds.expand_dims("time").cg.derive_superquadric().volume[0]
-    np.testing.assert_allclose(volume, ds.volume, rtol=1e-3)  # MFiX rounds diameters to a micrometre
+    np.testing.assert_allclose(
+        volume, ds.volume, rtol=1e-3
+    )  # MFiX rounds diameters to a micrometre

@@ -37,7 +37,9 @@ def test_magnitudes_in_a_plane(dims, deviatoric):
     g = both["shear_rate_tensor"][deviatoric in ("rate", "both")]
     np.testing.assert_allclose(f.shear_stress, np.sqrt((s**2).sum((-1, -2)) / 2), rtol=1e-12)
     np.testing.assert_allclose(f.shear_rate, np.sqrt(2 * (g**2).sum((-1, -2))), rtol=1e-12)
-    np.testing.assert_allclose(f.deviatoric_stress.values[..., rows, :][..., rows], both["stress"][1], atol=1e-12)
+    np.testing.assert_allclose(
+        f.deviatoric_stress.values[..., rows, :][..., rows], both["stress"][1], atol=1e-12
+    )
     other = 3 - sum(rows)
     assert (f.deviatoric_stress.values[..., other, :] == 0).all()
 
@@ -60,8 +62,12 @@ def test_viscous_number_and_effective_viscosity():
     f = ds.cg.coarse_grain(names, width=0.9, spacing=1.3, fluid_viscosity=2e-3)
     firm = f.pressure > 0
     assert firm.any()
-    np.testing.assert_allclose(f.viscous_number, (2e-3 * f.shear_rate / f.pressure).where(firm), rtol=1e-12)
-    np.testing.assert_allclose(f.effective_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12)
+    np.testing.assert_allclose(
+        f.viscous_number, (2e-3 * f.shear_rate / f.pressure).where(firm), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        f.effective_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12
+    )
     assert "viscous_number" not in ds.cg.coarse_grain(width=0.9, spacing=1.3)
     with pytest.raises(ValueError, match="needs the argument fluid_viscosity="):
         ds.cg.coarse_grain("viscous_number")
@@ -69,7 +75,13 @@ def test_viscous_number_and_effective_viscosity():
 
 def test_rheology_is_nan_where_the_pressure_is_not_positive():
     ds = xcg.datasets.random_scene(150, seed=6)
-    names = ["viscous_number", "effective_viscosity", "inertial_number", "friction_coefficient", "pressure"]
+    names = [
+        "viscous_number",
+        "effective_viscosity",
+        "inertial_number",
+        "friction_coefficient",
+        "pressure",
+    ]
     f = ds.assign(contact_force=1e5 * ds.contact_force).cg.coarse_grain(
         names, width=0.9, spacing=1.3, fluid_viscosity=2e-3
     )

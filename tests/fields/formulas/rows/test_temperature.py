@@ -34,7 +34,9 @@ def left_by_fit(ds, kernel, node, axes, gradient):
     Images of a grain share its velocity, so that they share a column. Also (sum w)^2 / sum over grains of w^2.
     """
     one = ds.isel(time=0)
-    box = (one["box"].values[:, 1] - one["box"].values[:, 0]) * [a in ds.attrs["periodic"] for a in "xyz"]
+    box = (one["box"].values[:, 1] - one["box"].values[:, 0]) * [
+        a in ds.attrs["periodic"] for a in "xyz"
+    ]
     reach = [range(-5, 6) if k in axes else [0] for k in range(3)]
     mass, species, parts = one["mass"].values, one["species"].values, []
     for shift in itertools.product(*reach):
@@ -56,8 +58,12 @@ def left_by_fit(ds, kernel, node, axes, gradient):
 
 @pytest.mark.parametrize("gradient", ["least_squares", "paper", "kernel"])
 @pytest.mark.parametrize(("axes", "at"), [("xyz", {}), ("xz", {}), ("xy", {"z": 0.3}), ("z", {})])
-@pytest.mark.parametrize(("length", "count", "width"), [(6.0, 80, 1.0), (2.5, 10, 1.7), (1.7, 4, 1.6)])
-def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(length, count, width, axes, at, gradient):
+@pytest.mark.parametrize(
+    ("length", "count", "width"), [(6.0, 80, 1.0), (2.5, 10, 1.7), (1.7, 4, 1.6)]
+)
+def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(
+    length, count, width, axes, at, gradient
+):
     ds = scene(count, length, seed=count, spread=1.5)
     options = {"width": width, "axes": axes, "at": at, "spacing": length / 2, "gradient": gradient}
     f = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], by="species", **options)
@@ -87,7 +93,9 @@ def averaged(f, name="granular_temperature", of="fluctuation_density"):
     return (f[name].fillna(0.0) * weight).sum(rest) / weight.sum(rest)
 
 
-@pytest.mark.parametrize(("width", "spread", "phi"), [(0.6, 1.0, 0.6), (0.75, 1.3, 0.4), (1, 1.6, 0.2), (2, 1, 0.1)])
+@pytest.mark.parametrize(
+    ("width", "spread", "phi"), [(0.6, 1.0, 0.6), (0.75, 1.3, 0.4), (1, 1.6, 0.2), (2, 1, 0.1)]
+)
 def test_the_temperature_of_a_gas_is_recovered(width, spread, phi):
     length = 10.0
     count = round(phi * length**3 / float(scene(2000, length, 0, spread=spread).volume.mean()))
@@ -112,15 +120,23 @@ def test_a_layer_and_a_polydisperse_gas_by_direction():
 
 def test_the_biased_definition_is_a_choice():
     ds = scene(300, 6.0, seed=5)
-    new, old = (ds.cg.coarse_grain(NAMES, width=1.0, temperature=way) for way in ("unbiased", "biased"))
+    new, old = (
+        ds.cg.coarse_grain(NAMES, width=1.0, temperature=way) for way in ("unbiased", "biased")
+    )
     assert (new.attrs["temperature"], old.attrs["temperature"]) == ("unbiased", "biased")
     np.testing.assert_array_equal(old.fluctuation_density, old.density)
     np.testing.assert_array_equal(old.fluctuation_stress, new.fluctuation_stress)
     known = new.granular_temperature.notnull()
     trace = sum(new.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz") / 3
-    np.testing.assert_allclose(old.granular_temperature.where(known), (trace / new.density).where(known), rtol=1e-12)
-    xr.testing.assert_allclose(new.granular_temperature, (trace / new.fluctuation_density).where(known), rtol=1e-12)
-    with pytest.raises(ValueError, match="temperature='true': expected one of 'unbiased', 'biased'"):
+    np.testing.assert_allclose(
+        old.granular_temperature.where(known), (trace / new.density).where(known), rtol=1e-12
+    )
+    xr.testing.assert_allclose(
+        new.granular_temperature, (trace / new.fluctuation_density).where(known), rtol=1e-12
+    )
+    with pytest.raises(
+        ValueError, match="temperature='true': expected one of 'unbiased', 'biased'"
+    ):
         ds.cg.coarse_grain(NAMES, width=1.0, temperature="true")
 
 
@@ -132,7 +148,9 @@ def test_nan_where_the_fit_leaves_less_than_half_a_grain():
         position = np.vstack([rim, np.array([[fifth, 0, 0]])])
         velocity = np.random.default_rng(0).normal(size=(5, 3))
         ds = xcg.scene_from_arrays(position, velocity=velocity, diameter=np.ones(5), density=1.0)
-        f[name] = ds.cg.coarse_grain(NAMES, width=1.0, axes="", at=dict.fromkeys("xyz", 0.0)).isel(time=0)
+        f[name] = ds.cg.coarse_grain(NAMES, width=1.0, axes="", at=dict.fromkeys("xyz", 0.0)).isel(
+            time=0
+        )
         assert int(f[name].sample_count) == 5
     assert np.isfinite(f["near"].granular_temperature)
     assert np.isnan(f["far"].granular_temperature)
@@ -140,7 +158,9 @@ def test_nan_where_the_fit_leaves_less_than_half_a_grain():
     assert 0 < float(f["far"].fluctuation_density) < 0.1 * float(f["far"].density)
 
 
-@pytest.mark.parametrize(("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)])
+@pytest.mark.parametrize(
+    ("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)]
+)
 def test_two_grains_have_a_temperature_while_their_masses_are_alike(ratio, known):
     """Over a box the mean of masses 1 and x leaves 2 x / (1 + x), which is half of (1 + x) / 2 at x = 3 + sqrt(8)."""
     ds = xcg.scene_from_arrays(
@@ -148,7 +168,9 @@ def test_two_grains_have_a_temperature_while_their_masses_are_alike(ratio, known
         box=[[0, 4.0]] * 3, periodic="xyz",
     )  # fmt: skip
     f = ds.cg.coarse_grain("granular_temperature", axes="", width=1.0)
-    np.testing.assert_allclose(f.granular_temperature, 10 / 6 if known else np.nan, rtol=1e-12)  # |u - v|^2 / 2 D
+    np.testing.assert_allclose(
+        f.granular_temperature, 10 / 6 if known else np.nan, rtol=1e-12
+    )  # |u - v|^2 / 2 D
 
 
 def test_averages_add_fluctuations_and_their_densities_separately():
@@ -157,9 +179,16 @@ def test_averages_add_fluctuations_and_their_densities_separately():
     assert float(f.granular_temperature.isnull().mean()) > 0.1
     profile = f.cg.profile("z")
     known = f.granular_temperature.notnull()
-    top = sum(f.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz").where(known, 0.0) / 3
+    top = (
+        sum(f.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz").where(
+            known, 0.0
+        )
+        / 3
+    )
     bottom = f.fluctuation_density.where(known, 0.0)
-    np.testing.assert_allclose(profile.granular_temperature, top.sum(["x", "y"]) / bottom.sum(["x", "y"]), rtol=1e-10)
+    np.testing.assert_allclose(
+        profile.granular_temperature, top.sum(["x", "y"]) / bottom.sum(["x", "y"]), rtol=1e-10
+    )
     mean = profile.cg.time_average()
     assert (np.abs(mean.granular_temperature - 1) < 4 * mean.granular_temperature_error).all()
     assert float(mean.granular_temperature_error.max()) < 0.2
@@ -169,7 +198,9 @@ def test_averages_add_fluctuations_and_their_densities_separately():
 
 def test_errors_of_one_step_follow_from_the_effective_count():
     ds = scene(600, 10.0, seed=7, steps=200)
-    f = ds.cg.coarse_grain(["velocity", "effective_count", "granular_temperature"], width=1.5, spacing=5.0)
+    f = ds.cg.coarse_grain(
+        ["velocity", "effective_count", "granular_temperature"], width=1.5, spacing=5.0
+    )
     count = f.effective_count.mean("time")
     np.testing.assert_allclose(
         (f.velocity**2).mean(["time", "component"]), (1 / f.effective_count).mean("time"), rtol=0.2
@@ -195,4 +226,6 @@ def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ds.cg.coarse_grain(["granular_temperature"], width=2.0, spacing=1.0).compute()
-        ds.cg.coarse_grain(["granular_temperature"], width=0.6, spacing=1.0, temperature="biased").compute()
+        ds.cg.coarse_grain(
+            ["granular_temperature"], width=0.6, spacing=1.0, temperature="biased"
+        ).compute()

@@ -77,9 +77,10 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         found.append(
-            theta[..., j, j] * slopes[..., i, i] + theta[..., i, i] * slopes[..., j, j]
+            theta[..., j, j] * slopes[..., i, i]
+            + theta[..., i, i] * slopes[..., j, j]
             - 2 * theta[..., i, j] * slopes[..., i, j]
-        )  # fmt: skip
+        )
     return _root(np.stack(found, axis=-1))
 
 
@@ -89,7 +90,9 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself adds to the
     first, at most three quarters of it.
     """
-    rate, theta, slopes = (restricted(t, o.shear_axes) for t in (f.shear_rate_tensor, f._covariance, f._slopes))
+    rate, theta, slopes = (
+        restricted(t, o.shear_axes) for t in (f.shear_rate_tensor, f._covariance, f._slopes)
+    )
     rate = deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate
     first = 4 * double_dot(theta, times(times(rate, slopes), transposed(rate)))
     squares = contraction(theta) * contraction(slopes) + 2 * contraction(times(theta, slopes))
@@ -127,7 +130,9 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     share = f._share[..., None, None]
     whole = _squares(f.kinetic_stress)
     steady = _squares(f.kinetic_stress - f._covariance * s.mass[..., None, None])
-    return _root((whole / (1 + share * (1 + np.eye(3))) - at_least_zero(steady - 4 * share * whole)) * share)
+    return _root(
+        (whole / (1 + share * (1 + np.eye(3))) - at_least_zero(steady - 4 * share * whole)) * share
+    )
 
 
 def _squares(tensor: NDArray) -> NDArray:
@@ -152,14 +157,26 @@ _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
         "standard deviation of sqrt(2 Gamma:Gamma)",
     ),
     "vorticity": (_vorticity, _SLOPES, "that of G_kl - G_lk"),
-    "granular_temperature": (_temperature, ("_covariance", "_left"), "sqrt(2 Theta:Theta / N_left) / D"),
-    "directional_temperature": (_temperature_along, ("_covariance", "_left"), "sqrt(2 / N_left) T_k"),
+    "granular_temperature": (
+        _temperature,
+        ("_covariance", "_left"),
+        "sqrt(2 Theta:Theta / N_left) / D",
+    ),
+    "directional_temperature": (
+        _temperature_along,
+        ("_covariance", "_left"),
+        "sqrt(2 / N_left) T_k",
+    ),
     "kinetic_stress": (
         _kinetic_stress,
         ("kinetic_stress", "_covariance", "_share"),
         "sqrt((s_kk s_ll + s_kl^2) / N_eff)",
     ),
-    "spin": (_spin, ("spin_fluctuation", "fluctuation_inertia"), "sqrt(T_k / N_eff), of omega weighted by I"),
+    "spin": (
+        _spin,
+        ("spin_fluctuation", "fluctuation_inertia"),
+        "sqrt(T_k / N_eff), of omega weighted by I",
+    ),
 }
 _SOURCES = flow.ROWS | energy.ROWS
 # errors of fits in the axes x, y and z alone
@@ -173,27 +190,47 @@ def _error_of(name: str) -> Field:
     compute, fields, formula = _ERRORS[name]
     of = _SOURCES[name]
     return Field(
-        rank=of.rank, units=of.units, long_name=f"standard error in one step of {of.long_name}", formula=formula,
-        compute=compute, fields=fields, moments=_MOMENTS.get(name, ()), default=False,
-    )  # fmt: skip
+        rank=of.rank,
+        units=of.units,
+        long_name=f"standard error in one step of {of.long_name}",
+        formula=formula,
+        compute=compute,
+        fields=fields,
+        moments=_MOMENTS.get(name, ()),
+        default=False,
+    )
 
 
 ROWS: dict[str, Field] = {
     **{f"{name}_error": _error_of(name) for name in _ERRORS},
     "_share": Field(
-        formula="1 / N_eff = sum w^2 / (sum w)^2, w = m_i Psi", compute=_share, moments=("mass", "square"), listed=False
+        formula="1 / N_eff = sum w^2 / (sum w)^2, w = m_i Psi",
+        compute=_share,
+        moments=("mass", "square"),
+        listed=False,
     ),
     "_covariance": Field(  # of the components of one grain's fluctuation
-        rank=2, units="m^2 s^-2", formula="Theta = sum m_i v'_i v'_i Psi / rho_T",
-        compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free), fields=("fluctuation_stress", "_free"),
+        rank=2,
+        units="m^2 s^-2",
+        formula="Theta = sum m_i v'_i v'_i Psi / rho_T",
+        compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free),
+        fields=("fluctuation_stress", "_free"),
         listed=False,
     ),
     "_slopes": Field(
-        rank=2, units="m^-2", formula="S = A Q A, A = M^+, Q = sum w^2 (r_i - r_bar)(r_i - r_bar)", compute=_slopes,
-        fields=("_fit",), moments=("mass", "offset", *SQUARES), listed=False,
-    ),
-    "_left": Field(
-        formula="1 / N_left = sqrt(rho / rho_T) / N_eff", compute=_left, fields=("_share", "_free"), moments=("mass",),
+        rank=2,
+        units="m^-2",
+        formula="S = A Q A, A = M^+, Q = sum w^2 (r_i - r_bar)(r_i - r_bar)",
+        compute=_slopes,
+        fields=("_fit",),
+        moments=("mass", "offset", *SQUARES),
         listed=False,
     ),
-}  # fmt: skip
+    "_left": Field(
+        formula="1 / N_left = sqrt(rho / rho_T) / N_eff",
+        compute=_left,
+        fields=("_share", "_free"),
+        moments=("mass",),
+        listed=False,
+    ),
+}

@@ -49,15 +49,22 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     nodes = s.mass.shape
     spread = _inner(s.spread)[np.triu_indices(3)]
     rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
-    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(matrices.SUMS, -1)
+    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(
+        matrices.SUMS, -1
+    )
     way = trace_fit if sums.dtype == object else matrices.fit_gradient
     found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
-    parts = np.split(found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE))
+    parts = np.split(
+        found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
+    )
     gradient, explained, determined, mean, inverse = parts
     return SimpleNamespace(
-        gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[matrices.SYMMETRIC]),
-        determined=_outer(determined), mean=_outer(mean), inverse=_outer(inverse[matrices.SYMMETRIC]),
-    )  # fmt: skip
+        gradient=_outer(gradient.reshape(3, 3, *nodes)),
+        explained=_outer(explained[matrices.SYMMETRIC]),
+        determined=_outer(determined),
+        mean=_outer(mean),
+        inverse=_outer(inverse[matrices.SYMMETRIC]),
+    )
 
 
 def with_averaged_axes(gradient: Field, kind: str) -> Field:
@@ -67,7 +74,9 @@ def with_averaged_axes(gradient: Field, kind: str) -> Field:
         return replace(gradient, compute=lambda f, s, o: along_seen(f, s, o) + np.nan)
     moments = tuple(dict.fromkeys([*gradient.moments, "mass", "box_gradient"]))
     return replace(
-        gradient, compute=lambda f, s, o: along_seen(f, s, o) + mean_of(s.box_gradient, s.mass), moments=moments
+        gradient,
+        compute=lambda f, s, o: along_seen(f, s, o) + mean_of(s.box_gradient, s.mass),
+        moments=moments,
     )
 
 
@@ -85,7 +94,9 @@ def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
         if not o.active[k]:
             continue
         if o.spacing[k] and o.wrapped[k] and len(along) > 2:
-            slope[...] = (np.roll(along, -1, axis=0) - np.roll(along, 1, axis=0)) / (2 * o.spacing[k])
+            slope[...] = (np.roll(along, -1, axis=0) - np.roll(along, 1, axis=0)) / (
+                2 * o.spacing[k]
+            )
         elif o.spacing[k] and len(along) > 2:
             slope[...] = np.gradient(along, o.spacing[k], axis=0, edge_order=2)
         else:
@@ -115,7 +126,13 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     for i in range(3):
         for j in range(i, 3):
             total = s.kinetic[..., i, j] + s.mass * c[..., i] * c[..., j] + gxgx[..., i, j]
-            total = total + c[..., i] * rest[..., j] - ugx[..., i, j] + c[..., j] * rest[..., i] - ugx[..., j, i]
+            total = (
+                total
+                + c[..., i] * rest[..., j]
+                - ugx[..., i, j]
+                + c[..., j] * rest[..., i]
+                - ugx[..., j, i]
+            )
             out[i, j] = out[j, i] = total + zero
     return _outer(out)
 
@@ -132,7 +149,9 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     return _outer(out)
 
 
-def about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+def about(
+    sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray
+) -> tuple[NDArray, NDArray]:
     """Return the sums of w (x - a) and of w (x - a)(x - b), from the sums of w, w x and w x x."""
     weight, first, second = sums
     moved = first - weight[..., None] * a
@@ -182,135 +201,246 @@ def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     rate = restricted(f.shear_rate_tensor, o.shear_axes)
-    return rate_magnitude(deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate)
+    return rate_magnitude(
+        deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate
+    )
 
 
 ROWS: dict[str, Field] = {
-    "sample_count": sum_of("count", long_name="number of particles that reach the node", formula="sum_i [Psi_i > 0]"),
+    "sample_count": sum_of(
+        "count", long_name="number of particles that reach the node", formula="sum_i [Psi_i > 0]"
+    ),
     "volume_fraction": sum_of("volume", long_name="volume fraction", formula="phi = sum V_i Psi"),
     "void_fraction": Field(
-        long_name="void fraction", formula="epsilon = 1 - phi", compute=lambda f, s, o: 1.0 - f.volume_fraction,
-        fields=("volume_fraction",), default=False,
+        long_name="void fraction",
+        formula="epsilon = 1 - phi",
+        compute=lambda f, s, o: 1.0 - f.volume_fraction,
+        fields=("volume_fraction",),
+        default=False,
     ),
-    "density": sum_of("mass", units="kg m^-3", long_name="mass density of the mixture", formula="rho = sum m_i Psi"),
+    "density": sum_of(
+        "mass",
+        units="kg m^-3",
+        long_name="mass density of the mixture",
+        formula="rho = sum m_i Psi",
+    ),
     "particle_density": Field(
-        units="kg m^-3", long_name="density of the particles' material", formula="rho_p = rho / phi",
-        compute=lambda f, s, o: mean_of(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
+        units="kg m^-3",
+        long_name="density of the particles' material",
+        formula="rho_p = rho / phi",
+        compute=lambda f, s, o: mean_of(f.density, f.volume_fraction),
+        fields=("density", "volume_fraction"),
         weight="volume_fraction",
     ),
     "centre_offset": mean_of_sums(
-        "offset", "mass", rank=1, units="m", long_name="centre of mass of the grains at the node, from the node",
-        formula="r_bar - r = sum m_i (r_i - r) Psi / rho", weight="density", default=False,
+        "offset",
+        "mass",
+        rank=1,
+        units="m",
+        long_name="centre of mass of the grains at the node, from the node",
+        formula="r_bar - r = sum m_i (r_i - r) Psi / rho",
+        weight="density",
+        default=False,
     ),
-    "number_density": sum_of("number", units="m^-3", long_name="number density", formula="n = sum Psi"),
+    "number_density": sum_of(
+        "number", units="m^-3", long_name="number density", formula="n = sum Psi"
+    ),
     "d32": mean_of_sums(
-        "size3", "size2", units="m", long_name="surface-weighted mean diameter",
-        formula="d32 = sum d_i^3 Psi / sum d_i^2 Psi", weight="volume_fraction", harmonic=True,
+        "size3",
+        "size2",
+        units="m",
+        long_name="surface-weighted mean diameter",
+        formula="d32 = sum d_i^3 Psi / sum d_i^2 Psi",
+        weight="volume_fraction",
+        harmonic=True,
     ),
     "d43": mean_of_sums(
-        "size4", "size3", units="m", long_name="volume-weighted mean diameter",
-        formula="d43 = sum d_i^4 Psi / sum d_i^3 Psi", weight="volume_fraction",
+        "size4",
+        "size3",
+        units="m",
+        long_name="volume-weighted mean diameter",
+        formula="d43 = sum d_i^4 Psi / sum d_i^3 Psi",
+        weight="volume_fraction",
     ),
     "momentum_density": Field(
-        rank=1, units="kg m^-2 s^-1", long_name="momentum density", formula="p = sum m_i v_i Psi",
-        compute=lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, moments=("mass", "momentum"),
+        rank=1,
+        units="kg m^-2 s^-1",
+        long_name="momentum density",
+        formula="p = sum m_i v_i Psi",
+        compute=lambda f, s, o: s.momentum + s.mass[..., None] * s.reference,
+        moments=("mass", "momentum"),
         additive=True,
     ),
     "velocity": Field(
-        rank=1, units="m s^-1", long_name="velocity", formula="V = p / rho",
-        compute=lambda f, s, o: f._drift + s.reference, fields=("_drift",), weight="density",
+        rank=1,
+        units="m s^-1",
+        long_name="velocity",
+        formula="V = p / rho",
+        compute=lambda f, s, o: f._drift + s.reference,
+        fields=("_drift",),
+        weight="density",
     ),
     "velocity_gradient": Field(
-        rank=2, units="s^-1", long_name="velocity gradient, dV_component / dx_direction",
+        rank=2,
+        units="s^-1",
+        long_name="velocity gradient, dV_component / dx_direction",
         formula="G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
-        compute=lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",), weight="density",
+        compute=lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :],
+        fields=("_fit",),
+        weight="density",
     ),
     "shear_rate_tensor": Field(
-        rank=2, units="s^-1", long_name="shear rate tensor", formula="Gamma = (G + G^T) / 2",
+        rank=2,
+        units="s^-1",
+        long_name="shear rate tensor",
+        formula="Gamma = (G + G^T) / 2",
         compute=lambda f, s, o: (f.velocity_gradient + transposed(f.velocity_gradient)) / 2,
-        fields=("velocity_gradient",), weight="density",
+        fields=("velocity_gradient",),
+        weight="density",
     ),
     "shear_rate": Field(
-        units="s^-1", long_name="shear rate", formula="|Gamma| = sqrt(2 Gamma:Gamma)", compute=_shear_rate,
+        units="s^-1",
+        long_name="shear rate",
+        formula="|Gamma| = sqrt(2 Gamma:Gamma)",
+        compute=_shear_rate,
         fields=("shear_rate_tensor",),
     ),
     "kinetic_stress": Field(
-        rank=2, units="Pa", long_name="kinetic stress", formula="sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
-        compute=_kinetic_stress, fields=("_drift",), moments=("mass", "momentum", "kinetic"), additive=True,
+        rank=2,
+        units="Pa",
+        long_name="kinetic stress",
+        formula="sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
+        compute=_kinetic_stress,
+        fields=("_drift",),
+        moments=("mass", "momentum", "kinetic"),
+        additive=True,
     ),
     "fluctuation_stress": Field(
-        rank=2, units="Pa", long_name="kinetic stress about the velocity at the particles",
-        formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)", compute=_fluctuation_stress,
-        fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"), moments=(*LINEAR[1:], "kinetic"),
+        rank=2,
+        units="Pa",
+        long_name="kinetic stress about the velocity at the particles",
+        formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
+        compute=_fluctuation_stress,
+        fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
+        moments=(*LINEAR[1:], "kinetic"),
         additive=True,
     ),
     "fluctuation_density": Field(
-        units="kg m^-3", long_name="mass density less the degrees of freedom of the fit",
+        units="kg m^-3",
+        long_name="mass density less the degrees of freedom of the fit",
         formula="rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
-        compute=lambda f, s, o: at_least_zero(s.mass - f._taken), fields=("_taken",), moments=("mass",), additive=True,
+        compute=lambda f, s, o: at_least_zero(s.mass - f._taken),
+        fields=("_taken",),
+        moments=("mass",),
+        additive=True,
     ),
     "granular_temperature": Field(
-        units="m^2 s^-2", long_name="granular temperature", formula="T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
-        compute=_temperature, fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
+        units="m^2 s^-2",
+        long_name="granular temperature",
+        formula="T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
+        compute=_temperature,
+        fields=("fluctuation_stress", "_free"),
+        weight="fluctuation_density",
     ),
     "directional_temperature": Field(
-        rank=1, units="m^2 s^-2", long_name="granular temperature of the fluctuations along each axis",
-        formula="T_k = sum m_i v'_ik v'_ik Psi / rho_T", compute=_temperature_along,
-        fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
+        rank=1,
+        units="m^2 s^-2",
+        long_name="granular temperature of the fluctuations along each axis",
+        formula="T_k = sum m_i v'_ik v'_ik Psi / rho_T",
+        compute=_temperature_along,
+        fields=("fluctuation_stress", "_free"),
+        weight="fluctuation_density",
     ),
     "effective_count": Field(
         long_name="effective number of particles, which errors of one step follow from",
-        formula="N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2", compute=lambda f, s, o: ratio(s.mass * s.mass, s.square),
-        moments=("mass", "square"), weight="density",
+        formula="N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
+        compute=lambda f, s, o: ratio(s.mass * s.mass, s.square),
+        moments=("mass", "square"),
+        weight="density",
     ),
     # the velocity relative to the node's reference, NaN where there are no grains
-    "_drift": mean_of_sums("momentum", "mass", rank=1, units="m s^-1", formula="V - U", listed=False),
+    "_drift": mean_of_sums(
+        "momentum", "mass", rank=1, units="m s^-1", formula="V - U", listed=False
+    ),
     "_fit": Field(
         rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
     ),
     "_taken": Field(
-        units="kg m^-3", formula="rho - rho_T", compute=_taken_by_fit, fields=("_fit",),
+        units="kg m^-3",
+        formula="rho - rho_T",
+        compute=_taken_by_fit,
+        fields=("_fit",),
         moments=("mass", "offset", "spread", *SQUARES),
         listed=False,
     ),
     "_free": Field(
-        units="kg m^-3", formula="rho_T, where known", compute=_free, fields=("fluctuation_density",),
-        moments=("count", "mass"), listed=False,
+        units="kg m^-3",
+        formula="rho_T, where known",
+        compute=_free,
+        fields=("fluctuation_density",),
+        moments=("count", "mass"),
+        listed=False,
     ),
-}  # fmt: skip
+}
 # variants of a field: the option that selects one, and a row for each value that is not the default
 WAYS: dict[str, tuple[str, dict[str, Field]]] = {
-    "velocity_gradient": ("gradient", {
-        "kernel": replace(
-            ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho",
-            compute=lambda f, s, o: mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass),
-            fields=("_drift",), moments=("mass", "mass_slope", "momentum_slope"),
+    "velocity_gradient": (
+        "gradient",
+        {
+            "kernel": replace(
+                ROWS["velocity_gradient"],
+                formula="G = (grad p - V grad rho) / rho",
+                compute=lambda f, s, o: mean_of(
+                    s.momentum_slope - outer(f._drift, s.mass_slope), s.mass
+                ),
+                fields=("_drift",),
+                moments=("mass", "mass_slope", "momentum_slope"),
+            ),
+            "finite_difference": replace(
+                ROWS["velocity_gradient"],
+                formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
+                compute=_finite_difference,
+                fields=("_drift",),
+                moments=(),
+            ),
+            "paper": replace(
+                ROWS["velocity_gradient"],
+                formula="G = [sum m Psi (v_i - V)(r_i - r)] M^-1, M = sum m Psi (r_i - r)(r_i - r)",
+            ),
+        },
+    ),
+    "_fit": (
+        "gradient",
+        {
+            "paper": replace(ROWS["_fit"], compute=partial(_fit, about_node=True)),
+        },
+    ),
+    "fluctuation_stress": (
+        "gradient",
+        {
+            "paper": replace(
+                ROWS["fluctuation_stress"],
+                formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)",
+                fields=("_fit", "_drift", "kinetic_stress"),
+            ),
+        },
+    ),
+    "_taken": (
+        "gradient",
+        dict.fromkeys(
+            ("kernel", "finite_difference"),
+            replace(ROWS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
         ),
-        "finite_difference": replace(
-            ROWS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
-            compute=_finite_difference, fields=("_drift",), moments=(),
-        ),
-        "paper": replace(
-            ROWS["velocity_gradient"],
-            formula="G = [sum m Psi (v_i - V)(r_i - r)] M^-1, M = sum m Psi (r_i - r)(r_i - r)",
-        ),
-    }),
-    "_fit": ("gradient", {
-        "paper": replace(ROWS["_fit"], compute=partial(_fit, about_node=True)),
-    }),
-    "fluctuation_stress": ("gradient", {
-        "paper": replace(
-            ROWS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)",
-            fields=("_fit", "_drift", "kinetic_stress"),
-        ),
-    }),
-    "_taken": ("gradient", dict.fromkeys(
-        ("kernel", "finite_difference"),
-        replace(ROWS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
-    )),
-    "fluctuation_density": ("temperature", {
-        "biased": replace(
-            ROWS["fluctuation_density"], formula="rho_T = rho", compute=lambda f, s, o: s.mass, fields=()
-        ),
-    }),
-}  # fmt: skip
+    ),
+    "fluctuation_density": (
+        "temperature",
+        {
+            "biased": replace(
+                ROWS["fluctuation_density"],
+                formula="rho_T = rho",
+                compute=lambda f, s, o: s.mass,
+                fields=(),
+            ),
+        },
+    ),
+}

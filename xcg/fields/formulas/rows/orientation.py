@@ -30,26 +30,44 @@ def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
     axis = np.zeros((*known.shape, 3))
     axis[..., o.plane] = vectors[..., -1]
     largest = np.argmax(np.abs(axis), axis=-1)[..., None]
-    axis = axis * np.sign(np.take_along_axis(axis, largest, -1))  # of both signs the one whose largest part is positive
+    axis = axis * np.sign(
+        np.take_along_axis(axis, largest, -1)
+    )  # of both signs the one whose largest part is positive
     return np.where(known, values[..., -1], np.nan), np.where(known[..., None], axis, np.nan)
 
 
 ROWS: dict[str, Field] = {
     "orientation_tensor": mean_of_sums(
-        "directors", "number", rank=2, long_name="orientation tensor of the directors",
-        formula="<n n> = sum n_i n_i Psi / sum Psi", weight="number_density", default=False,
+        "directors",
+        "number",
+        rank=2,
+        long_name="orientation tensor of the directors",
+        formula="<n n> = sum n_i n_i Psi / sum Psi",
+        weight="number_density",
+        default=False,
     ),
     "nematic_tensor": Field(
-        rank=2, long_name="nematic tensor of the directors", formula="Q = (D <n n> - I) / (D - 1)", compute=_nematic,
-        fields=("orientation_tensor",), weight="number_density", default=False,
+        rank=2,
+        long_name="nematic tensor of the directors",
+        formula="Q = (D <n n> - I) / (D - 1)",
+        compute=_nematic,
+        fields=("orientation_tensor",),
+        weight="number_density",
+        default=False,
     ),
     "nematic_order": Field(
         long_name="nematic order, 0 for directors of all directions, 1 where all are along one",
-        formula="S, the largest eigenvalue of Q", compute=lambda f, s, o: _axes(f.nematic_tensor, o)[0],
-        fields=("nematic_tensor",), default=False,
+        formula="S, the largest eigenvalue of Q",
+        compute=lambda f, s, o: _axes(f.nematic_tensor, o)[0],
+        fields=("nematic_tensor",),
+        default=False,
     ),
     "nematic_director": Field(
-        rank=1, long_name="mean axis of the directors", formula="eigenvector of the largest eigenvalue of Q",
-        compute=lambda f, s, o: _axes(f.nematic_tensor, o)[1], fields=("nematic_tensor",), default=False,
+        rank=1,
+        long_name="mean axis of the directors",
+        formula="eigenvector of the largest eigenvalue of Q",
+        compute=lambda f, s, o: _axes(f.nematic_tensor, o)[1],
+        fields=("nematic_tensor",),
+        default=False,
     ),
-}  # fmt: skip
+}

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import deviator, mean_normal, ratio, restricted, stress_magnitude, where_positive
+from xcg.fields.formulas.algebra import (
+    deviator,
+    mean_normal,
+    ratio,
+    restricted,
+    stress_magnitude,
+    where_positive,
+)
 from xcg.fields.formulas.field import Field, Options
 
 
@@ -24,56 +31,91 @@ def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "stress": Field(
-        rank=2, units="Pa", long_name="stress, compression positive", formula="sigma = sigma^c + sigma^k",
-        compute=lambda f, s, o: f.contact_stress + f.kinetic_stress, fields=("contact_stress", "kinetic_stress"),
+        rank=2,
+        units="Pa",
+        long_name="stress, compression positive",
+        formula="sigma = sigma^c + sigma^k",
+        compute=lambda f, s, o: f.contact_stress + f.kinetic_stress,
+        fields=("contact_stress", "kinetic_stress"),
         additive=True,
     ),
     "pressure": Field(
-        units="Pa", long_name="pressure", formula="p = tr(sigma) / D",
-        compute=lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane), fields=("stress",), additive=True,
+        units="Pa",
+        long_name="pressure",
+        formula="p = tr(sigma) / D",
+        compute=lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane),
+        fields=("stress",),
+        additive=True,
     ),
     "deviatoric_stress": Field(
-        rank=2, units="Pa", long_name="deviatoric stress", formula="dev sigma = sigma - tr(sigma) / D I",
-        compute=lambda f, s, o: deviator(restricted(f.stress, o.shear_axes), o.shear_axes or o.plane),
-        fields=("stress",), additive=True,
+        rank=2,
+        units="Pa",
+        long_name="deviatoric stress",
+        formula="dev sigma = sigma - tr(sigma) / D I",
+        compute=lambda f, s, o: deviator(
+            restricted(f.stress, o.shear_axes), o.shear_axes or o.plane
+        ),
+        fields=("stress",),
+        additive=True,
     ),
     "shear_stress": Field(
-        units="Pa", long_name="magnitude of the deviatoric stress",
-        formula="|dev sigma| = sqrt(dev sigma : dev sigma / 2)", compute=_shear_stress,
+        units="Pa",
+        long_name="magnitude of the deviatoric stress",
+        formula="|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
+        compute=_shear_stress,
         fields=("stress", "deviatoric_stress"),
     ),
     "friction_coefficient": Field(
-        long_name="friction coefficient", formula="mu = |dev sigma| / p, where p > 0",
-        compute=lambda f, s, o: ratio(f.shear_stress, f.pressure), fields=("shear_stress", "pressure"),
+        long_name="friction coefficient",
+        formula="mu = |dev sigma| / p, where p > 0",
+        compute=lambda f, s, o: ratio(f.shear_stress, f.pressure),
+        fields=("shear_stress", "pressure"),
     ),
     "inertial_number": Field(
-        long_name="inertial number", formula="I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
-        compute=_inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
+        long_name="inertial number",
+        formula="I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        compute=_inertial_number,
+        fields=("shear_rate", "pressure", "particle_density", "_size"),
     ),
     "viscous_number": Field(
-        long_name="viscous number", formula="J = eta_f |Gamma| / p, where p > 0",
+        long_name="viscous number",
+        formula="J = eta_f |Gamma| / p, where p > 0",
         compute=lambda f, s, o: ratio(o.fluid_viscosity * f.shear_rate, f.pressure),
-        fields=("shear_rate", "pressure"), option="fluid_viscosity",
+        fields=("shear_rate", "pressure"),
+        option="fluid_viscosity",
     ),
     "effective_viscosity": Field(
         long_name="effective viscosity relative to that of the fluid",
         formula="eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
         compute=lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
-        fields=("friction_coefficient", "viscous_number"), option="fluid_viscosity",
+        fields=("friction_coefficient", "viscous_number"),
+        option="fluid_viscosity",
     ),
-    "_size": Field(units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",), listed=False),
-}  # fmt: skip
+    "_size": Field(
+        units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",), listed=False
+    ),
+}
 
 
 def _size_of_scene(name: str) -> Field:
-    return Field(units="m", formula=name, compute=lambda f, s, o: np.asarray(o.diameter or np.nan), listed=False)
+    return Field(
+        units="m",
+        formula=name,
+        compute=lambda f, s, o: np.asarray(o.diameter or np.nan),
+        listed=False,
+    )
 
 
 # other ways to a field, as in `xcg.fields.formulas.rows.flow`
 WAYS: dict[str, tuple[str, dict[str, Field]]] = {
-    "_size": ("size", {
-        "d32": replace(ROWS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
-        "d50": _size_of_scene("d50"),
-        "dmax": _size_of_scene("dmax"),
-    }),
-}  # fmt: skip
+    "_size": (
+        "size",
+        {
+            "d32": replace(
+                ROWS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)
+            ),
+            "d50": _size_of_scene("d50"),
+            "dmax": _size_of_scene("dmax"),
+        },
+    ),
+}
