@@ -38,7 +38,7 @@ INSIDE = {
         ["__init__"],
     ],
     "readers": [
-        ["engine"],
+        ["engine", "names"],
         ["files"],
         ["paths"],
         ["columns"],

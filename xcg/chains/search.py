@@ -26,7 +26,7 @@ from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import THREADS, for_parts
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, units_in
@@ -350,6 +350,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         raise ValueError(
             "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
         )
+    require_ids(fc, "track_chains")
     require_rising_times(fc, "track_chains")
     steps = fc.sizes["time"]
     track = np.full((steps, fc.sizes["chain"]), -1)

@@ -6,8 +6,8 @@ import difflib
 import re
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar, TypeAlias
+from collections.abc import Container, Iterable, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,64 +16,23 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
+from xcg.readers.names import (
+    CONTACT_SLOTS,
+    PARTICLE_SLOTS,
+    Slots,
+    canonical,
+    canonical_columns,
+    components,
+    resembling,
+)
 from xcg.scene.contacts import FIRST_WALL
 from xcg.scene.schema import COMPONENTS, Frame, variable
-
-Slots: TypeAlias = Mapping[str, Sequence[str]]
-"""Columns that fill each slot by themselves, the preferred first."""
-
-
-def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
-    """Slots of three components, filled by columns such as "v?" with the axis in place of "?"."""
-    return {f"{slot}_{axis}": tuple(t.replace("?", axis) for t in templates) for axis in COMPONENTS}
-
-
-_QUATERNION = ("quatw", "quati", "quatj", "quatk")
-PARTICLE_SLOTS: Slots = {
-    "particle_id": ("id",),
-    "species": ("type",),
-    "body_id": ("mol",),
-    "frozen": (),
-    "coordination_number": (),
-    **_vector("position", "?", "?u"),
-    **_vector("scaled", "?s", "?su"),
-    **_vector("velocity", "v?"),
-    **_vector("angular_velocity", "omega?"),
-    "diameter": ("diameter",),
-    "radius": ("radius",),
-    "density": ("density",),
-    "mass": ("mass",),
-    "volume": ("volume",),
-    "moment_of_inertia": (),
-    # of LAMMPS' compute property/atom, and of LIGGGHTS
-    **{
-        f"quat_{k}": names
-        for k, *names in zip("wxyz", _QUATERNION, ("quat1", "quat2", "quat3", "quat4"), strict=True)
-    },
-    **_vector("half_axis"),
-    **_vector("whole_axis", "shape?"),
-    "exponent_1": ("block1", "blockiness1"),
-    "exponent_2": ("block2", "blockiness2"),
-}
-CONTACT_SLOTS: Slots = {
-    "contact_i": ("id1", "patom1"),
-    "contact_j": ("id2", "patom2"),
-    **_vector("contact_force", "f?"),
-    **_vector("normal_force", "fn?"),
-    **_vector("tangential_force", "ft?"),
-    **_vector("contact_point"),
-    **_vector("contact_normal"),
-    **_vector("contact_branch", "d?"),
-    **_vector("end_i"),
-    **_vector("end_j"),
-    "overlap": ("overlap", "delta"),
-}
 
 _FORCES = ("contact_force", "normal_force", "tangential_force")
 _CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
 _CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
 _PARTICLE_VECTORS = ("position", "scaled", "velocity", "angular_velocity")
-_PARTICLE_COMPONENTS = {component for slot in _PARTICLE_VECTORS for component in _vector(slot)}
+_PARTICLE_COMPONENTS = {component for slot in _PARTICLE_VECTORS for component in components(slot)}
 
 # What the caller maps to the first displaces what fills the second by itself.
 _RIVALS = (
@@ -90,47 +49,52 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     Raises
     ------
     SceneError
-        If `names` maps a column of this file to something that is almost, but not quite, a slot, or two columns to the
-        same.
+        If `names` maps a column of this file to something that is almost, but not quite, a slot, or
+        two columns to the same.
     """
-    given = {column: slot for column, slot in options.names.items() if column in ref.columns}
-    for taken, count in Counter(slot for slot in given.values() if slot is not None).items():
-        if count > 1:
-            both = " and ".join(repr(column) for column in given if given[column] == taken)
-            raise SceneError(
-                f"{source_of(ref)}: names maps {both} to {taken!r}, and only one of them can be; map the others to None"
-            )
-    for column, slot in given.items():
-        if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
-            if native := [name for name, columns in slots.items() if slot in columns]:
-                raise SceneError(
-                    f"names={{{column!r}: {slot!r}}}: that is a column; its variable is {native[0]!r}"
-                )
-            prefix = (
-                "contact_" if slot.startswith("contact_") else ""
-            )  # which all slots of contacts share
-            alike = [word.removeprefix(prefix) for word in slots if word.startswith(prefix)]
-            close = [
-                prefix + word
-                for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)
-            ]
-            if close:
-                raise SceneError(
-                    f"names={{{column!r}: {slot!r}}}: did you mean {' or '.join(map(repr, close))}?"
-                )
-    mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
+    mapped = {column: slot for column, slot in options.names.items() if column in ref.columns}
+    _check_names(ref, mapped, slots)
+    by_caller = {
+        slot: column for column, slot in mapped.items() if slot is not None and slot in slots
+    }
     displaced = tuple(
-        rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine)
+        rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in by_caller)
     )
-    free = [column for column in ref.columns if column not in given]
+    named = canonical_columns(column for column in ref.columns if column not in mapped)
     filled = {}
-    for slot, candidates in slots.items():
-        found = [column for column in candidates if column in free]
-        if slot in mine:
-            filled[slot] = mine[slot]
-        elif found and not slot.startswith(displaced):
-            filled[slot] = found[0]
+    for slot, aliases in slots.items():
+        columns = [column for alias in aliases for column in named.get(canonical(alias), ())]
+        if slot in by_caller:
+            filled[slot] = by_caller[slot]
+        elif columns and not slot.startswith(displaced):
+            filled[slot] = columns[0]
     return filled
+
+
+def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -> None:
+    """Raise SceneError if `names` maps two columns to one slot, or one to a misspelt slot."""
+    counts = Counter(slot for slot in mapped.values() if slot is not None)
+    twice = [slot for slot, count in counts.items() if count > 1]
+    if twice:
+        columns = " and ".join(repr(column) for column in mapped if mapped[column] == twice[0])
+        raise SceneError(
+            f"{source_of(ref)}: names maps {columns} to {twice[0]!r}, and only one of them can be; "
+            "map the others to None"
+        )
+    for column, slot in mapped.items():
+        if slot is None or slot in PARTICLE_SLOTS or slot in CONTACT_SLOTS:
+            continue
+        pair = f"names={{{column!r}: {slot!r}}}"
+        # all slots of contacts begin with one word
+        prefix = "contact_" if slot.startswith("contact_") else ""
+        endings = [name.removeprefix(prefix) for name in slots if name.startswith(prefix)]
+        close = difflib.get_close_matches(slot.removeprefix(prefix), endings, 3, 0.8)
+        if close:
+            likely = " or ".join(repr(prefix + ending) for ending in close)
+            raise SceneError(f"{pair}: did you mean {likely}?")
+        meant = [name for name, aliases in slots.items() if canonical(slot) in aliases]
+        if meant:
+            raise SceneError(f"{pair}: that is a column; its variable is {meant[0]!r}")
 
 
 def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
@@ -216,42 +180,112 @@ def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 
 
-def warn_of_ignored(
-    ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions
+def warn_of_unread(
+    ref: StepRef, filled: Mapping[str, str], options: ReadOptions, *, contacts: bool
 ) -> None:
-    """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
-    known = {
-        *filled.values(),
-        *options.names,
-        *(column for columns in slots.values() for column in columns),
-    }
-    known.update(*columns_of_walls(options).values())
-    arrays = {
-        column.removesuffix("[1]")
-        for column in ref.columns
-        if slots is PARTICLE_SLOTS and column[:2] == "f_"
-    }
+    """Warn of columns that look like a variable by their names, and that are not read.
+
+    Parameters
+    ----------
+    ref : StepRef
+        A step of the file.
+    filled : mapping
+        The column of each slot that is read.
+    options : ReadOptions
+        The caller's options; columns in `names` and `walls` are no surprise.
+    contacts : bool
+        Whether the file holds contacts.
+    """
+    expected = {*filled.values(), *options.names}
+    expected.update(*columns_of_walls(options).values())
+    if not contacts:
+        expected |= _warn_of_wall_arrays(ref, expected)
+    unread = [column for column in ref.columns if column not in expected]
+    slots = CONTACT_SLOTS if contacts else PARTICLE_SLOTS
+    aliases = {alias: slot for slot, names in slots.items() for alias in names}
+    spare = {column: aliases.get(canonical(column), "") for column in unread}
+    slots_of_file = {aliases.get(canonical(column)) for column in ref.columns}
+    suspects = [
+        column
+        for column in unread
+        if _SUSPECT.search(column) and not _is_whole(spare[column], slots_of_file)
+    ]
+    if suspects:
+        target = "contact_force_x"
+        if not contacts:
+            target = "my_" + re.sub(r"\W+", "_", suspects[0]).strip("_").lower()
+        warn_user(
+            f"{source_of(ref)}: columns {' '.join(suspects)} look like forces or contacts with walls "
+            f"and are not read; map them, for example names={{{suspects[0]!r}: {target!r}}}, or drop "
+            f"them by names={{{suspects[0]!r}: None}}. Contacts with walls are rows of the files of "
+            "contacts (contacts=, walls=), with the grain as contact_i"
+        )
+    others = [column for column in unread if column not in suspects]
+    warn_of_resembling(ref, others, filled, contacts=contacts)
+    for column, slot in spare.items():
+        if slot in filled and not slot.startswith(_MAY_STAND_TWICE):
+            warn_user(
+                f"{source_of(ref)}: both {filled[slot]!r} and {column!r} may be {slot!r}, and "
+                f"{filled[slot]!r} is read; drop one of them, names={{{column!r}: None}}"
+            )
+
+
+def warn_of_resembling(
+    ref: StepRef, unread: Iterable[str], filled: Iterable[str], *, contacts: bool
+) -> None:
+    """Warn of unread columns whose names resemble a variable that the scene lacks."""
+    likely = resembling(unread, filled, contacts=contacts)
+    if not likely:
+        return
+    column, meant = next(iter(likely.items()))
+    listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
+    warn_user(
+        f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them, for "
+        f"example names={{{column!r}: {meant!r}}}, or drop them by names={{{column!r}: None}}"
+    )
+
+
+def _is_whole(slot: str, slots: Container[str | None]) -> bool:
+    """Return whether all components of the vector of a slot are among these slots."""
+    return all(f"{slot[:-2]}_{axis}" in slots for axis in COMPONENTS)
+
+
+# positions may be listed wrapped and unwrapped
+_MAY_STAND_TWICE = ("position", "scaled")
+
+
+def _warn_of_wall_arrays(ref: StepRef, expected: set[str]) -> set[str]:
+    """Warn of arrays of contacts with walls (LAMMPS), and return their columns."""
+    columns: set[str] = set()
+    arrays = {column.removesuffix("[1]") for column in ref.columns if column.startswith("f_")}
     for array in sorted(arrays):
         numbered = [f"{array}[{k}]" for k in range(1, _WALL_ARRAY + 1)]
-        if set(numbered) <= set(ref.columns) - known:
-            known |= set(numbered)
+        if set(numbered) <= set(ref.columns) - expected:
+            columns.update(numbered)
             warn_user(
-                f"{source_of(ref)}: columns {array}[1] to {array}[{_WALL_ARRAY}] look like contacts with a wall (fix "
-                f"wall/gran ... contacts) and are not read; give the wall a name, walls={{'side': '{array}[*]'}}, or "
-                f"drop them by names={{'{array}[1]': None, ...}}"
+                f"{source_of(ref)}: columns {array}[1] to {array}[{_WALL_ARRAY}] look like contacts "
+                "with a wall (fix wall/gran ... contacts) and are not read; give the wall a name, "
+                f"walls={{'side': '{array}[*]'}}, or drop them by names={{'{array}[1]': None, ...}}"
             )
-    ignored = [column for column in ref.columns if column not in known and _SUSPECT.search(column)]
-    if ignored:
-        first = ignored[0]
-        target = (
-            "contact_force_x"
-            if slots is CONTACT_SLOTS
-            else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
+    return columns
+
+
+def report_missing_ids(ref: StepRef, steps: int, *, contacts: bool) -> None:
+    """Warn that rows are numbered in several steps; raise SceneError for contacts by id."""
+    way_out = (
+        "map it, names={'...': 'particle_id'} (HDF5: mapping={'particle_id': '...'}); the columns are "
+        + " ".join(ref.columns)
+    )
+    if contacts:
+        raise SceneError(
+            f"{source_of(ref)}: no column of particle ids, and contacts name their particles by id; "
+            f"{way_out}"
         )
+    if steps > 1:
         warn_user(
-            f"{source_of(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not "
-            f"read; map them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. "
-            "Contacts with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
+            f"{source_of(ref)}: no column of particle ids, so rows are numbered, and may be other "
+            "particles in every step: velocities from positions, displacements and diffusion are "
+            f"refused. If there is such a column, {way_out}"
         )
 
 
@@ -336,14 +370,15 @@ class Columnar(Engine):
     Attributes
     ----------
     PARTICLE_SLOTS, CONTACT_SLOTS : mapping
-        Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.columns`.
+        Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.names`.
     NEEDS_ID : bool
-        Whether particles must have a column of ids; else the row number replaces a missing id.
+        Whether particles must have a column of ids.
     """
 
     PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
     NEEDS_ID: ClassVar[bool] = True
+    ROWS_ARE_IDS: ClassVar[bool] = False
 
     @abstractmethod
     def list_steps(
@@ -360,17 +395,13 @@ class Columnar(Engine):
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
         refs = self.list_steps(paths, options, contacts=False)
-        warn_of_ignored(
-            refs[0], self.particle_columns(refs[0], options), self.PARTICLE_SLOTS, options
-        )
+        warn_of_unread(refs[0], self.particle_columns(refs[0], options), options, contacts=False)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of contacts, and warn of columns that are probably not ignored on purpose."""
         refs = self.list_steps(paths, options, contacts=True)
-        warn_of_ignored(
-            refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options
-        )
+        warn_of_unread(refs[0], self.contact_columns(refs[0], options), options, contacts=True)
         return refs
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
@@ -427,6 +458,11 @@ class Columnar(Engine):
                 if not slot.startswith("contact_branch")
             }
         there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
+        if 0 < len(there["contact_force"]) < len(there["normal_force"]):  # it is something else
+            mapped = [f"contact_force_{axis}" in options.names.values() for axis in COMPONENTS]
+            if not any(mapped):
+                filled = {s: c for s, c in filled.items() if not s.startswith("contact_force")}
+                there["contact_force"] = []
         for slot, axes in there.items():
             if 0 < len(axes) < 3:
                 lacking = next(axis for axis in COMPONENTS if axis not in axes)

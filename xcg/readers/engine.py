@@ -137,6 +137,9 @@ class Engine(ABC):
     UNNAMED_UNITS : str
         What to do about files that do not name their units, for the warning that such files get; without it they are
         taken as SI without a word.
+    ROWS_ARE_IDS : bool
+        Whether rows without ``particle_id`` are the same particles in every step, and contacts name
+        them by the number of their row.
 
     Examples
     --------
@@ -152,6 +155,7 @@ class Engine(ABC):
 
     OPTIONS: ClassVar[tuple[str, ...]] = ()
     UNNAMED_UNITS: ClassVar[str] = ""
+    ROWS_ARE_IDS: ClassVar[bool] = True
 
     @property
     def name(self) -> str:

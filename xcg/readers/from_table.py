@@ -18,6 +18,7 @@ from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import unit_vectors
+from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import Frame
@@ -64,7 +65,8 @@ def scene_from_table(
     Examples
     --------
     >>> import pandas as pd, xcg
-    >>> table = pd.DataFrame({"time": [0.0, 0.0, 0.1], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
+    >>> table = pd.DataFrame({"time": [0.0, 0.0, 0.1], "id": [1, 2, 1], "x": [0.0, 1.0, 0.5]})
+    >>> table = table.assign(y=0.0, z=0.0, radius=0.5)
     >>> ds = xcg.scene_from_table(table, density=2500.0)
     >>> dict(ds.sizes)
     {'time': 2, 'particle': 2, 'component': 3}
@@ -75,6 +77,10 @@ def scene_from_table(
     steps = sorted(grains)
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
+    nameless = "particle_id" not in given and options.get("particle_id") is None
+    if nameless:
+        ref = StepRef("particles", 0, columns=tuple(tables["particles"].columns))
+        columns.report_missing_ids(ref, len(steps), contacts=contacts is not None)
     if contacts is not None:
         periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
         if periodic and options.get("box") is not None:
@@ -116,6 +122,8 @@ def scene_from_table(
     }
     ignored = printable(ignored_columns(Table(), refs, said))
     scene = scene_from_arrays(**(options | given))
+    if nameless:
+        scene["particle_id"].attrs |= ROW_NUMBERS
     return scene.assign_attrs(ignored_columns=ignored) if ignored else scene
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
+from xcg.readers.columns import report_missing_ids
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
@@ -24,6 +25,7 @@ from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
+from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
 from xcg.scene.frame import measure_frames
 from xcg.scene.lattice import Lattice
@@ -292,6 +294,10 @@ def open_scene(
             f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {reader.UNNAMED_UNITS}"
         )
 
+    nameless = not reader.ROWS_ARE_IDS and any("particle_id" not in f for f in raw.values())
+    if nameless:
+        contacts_by_id = any(step.contacts for step in steps)
+        report_missing_ids(steps[0].particles, len(steps), contacts=contacts_by_id)
     first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
     dimension = dimension or len(plane or flat or COMPONENTS)
@@ -357,6 +363,8 @@ def open_scene(
         scene["time"].attrs.update(units="1", long_name=said_nothing)
     if unnamed:
         scene.attrs["assumed_units"] = "SI"
+    if nameless:
+        scene["particle_id"].attrs |= ROW_NUMBERS
     scene.attrs |= origin_of(reader, files, options, steps) | about_walls
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(skipped)

@@ -99,6 +99,21 @@ def require_scene(
         )
 
 
+# attributes of `particle_id` where files hold no ids
+ROW_NUMBERS = {"rows": 1, "long_name": "number of the row, as the files hold no ids"}
+
+
+def require_ids(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a scene whose rows may be other particles in every step."""
+    if "rows" in ds["particle_id"].attrs:
+        raise SceneError(
+            f"{purpose} follows particles by their ids, and the files hold none: rows may be other "
+            "particles in every step. Map the column of ids in xcg.open_scene, "
+            "names={'...': 'particle_id'}; if rows are the same particles in all steps, say so by "
+            "del ds.particle_id.attrs['rows']"
+        )
+
+
 def _way_to(missing: Set[str]) -> str:
     """Return what to do where these variables are missing, as the middle of a message."""
     if {"position", "particle_id"} <= missing:

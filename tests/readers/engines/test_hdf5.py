@@ -61,12 +61,13 @@ def test_steps_along_the_first_dimension(tmp_path, scene):
             )
         file["particles/all/position/time"] = [0.5, 1.0, 1.5]
     mapping = {name: f"particles/all/{name}/value" for name in ("position", "velocity", "diameter")}
-    ds = xcg.open_scene(
-        tmp_path / "run.h5",
-        mapping=mapping | {"time": "particles/all/position/time"},
-        density=1.0,
-        **OPTIONS,
-    )
+    with pytest.warns(xcg.SceneWarning, match="no column of particle ids.*mapping="):
+        ds = xcg.open_scene(
+            tmp_path / "run.h5",
+            mapping=mapping | {"time": "particles/all/position/time"},
+            density=1.0,
+            **OPTIONS,
+        )
     np.testing.assert_array_equal(ds.time, [0.5, 1.0, 1.5])
     np.testing.assert_array_equal(
         ds.velocity, np.stack([rows_of(scene, "velocity", t)[:n] for t in range(3)])
@@ -91,7 +92,8 @@ def test_one_file_per_step_with_own_names(tmp_path, scene):
         "charge": "q",
         "time": "now",
     }
-    ds = xcg.open_scene(str(tmp_path / "run_*.h5"), mapping=mapping, density=1.0, **OPTIONS)
+    with pytest.warns(xcg.SceneWarning, match="no column of particle ids"):
+        ds = xcg.open_scene(str(tmp_path / "run_*.h5"), mapping=mapping, density=1.0, **OPTIONS)
     np.testing.assert_array_equal(ds.time, scene.time)
     check(ds, scene, ["position", "diameter"])
     np.testing.assert_array_equal(ds.charge, ds.position[..., 0])

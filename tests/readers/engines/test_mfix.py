@@ -271,7 +271,8 @@ def test_names_add_replace_and_drop(tmp_path):
     frame = read_particles(path, ReadOptions(names=names))
     np.testing.assert_array_equal(frame["temperature"], [10, 20, 30])
     np.testing.assert_array_equal(frame["diameter"], 2)
-    assert "diameter" not in read_particles(path, ReadOptions(names={"Diameter": None}))
+    with pytest.warns(SceneWarning, match=r"'Diameter_2' \(diameter\?\) resemble"):
+        assert "diameter" not in read_particles(path, ReadOptions(names={"Diameter": None}))
     with pytest.raises(
         SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"
     ):
@@ -282,8 +283,12 @@ def test_names_add_replace_and_drop(tmp_path):
 
 def test_particles_without_ids_warn(tmp_path):
     path = write_vtp(tmp_path / "P_1.vtp", np.zeros((2, 3)))
-    with pytest.warns(SceneWarning, match="no array 'Particle_ID'"):
-        assert set(read_particles(path)) == {"position"}
+    assert set(read_particles(path)) == {"position"}
+    write_vtp(tmp_path / "P_2.vtp", np.ones((2, 3)))
+    with pytest.warns(SceneWarning, match="no column of particle ids.*the columns are coordinates"):
+        ds = xcg.open_scene(str(tmp_path / "P_*.vtp"), times=[0.0, 1.0])
+    with pytest.raises(SceneError, match="derive_velocity follows particles by their ids"):
+        ds.cg.derive_velocity()
 
 
 def test_colliding_ids_beyond_float32_raise(tmp_path):

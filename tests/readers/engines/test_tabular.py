@@ -85,7 +85,7 @@ def test_short_and_own_names_of_columns(tmp_path):
 
 def test_steps_are_numbered_by_file_names(tmp_path):
     for step in (2, 10):
-        write(tmp_path / f"p_{step}.csv", f"x,y,z,radius\n{step},0,0,0.5\n\n")
+        write(tmp_path / f"p_{step}.csv", f"id,x,y,z,radius\n0,{step},0,0,0.5\n\n")
     ds = xcg.open_scene(str(tmp_path / "p_*.csv"), density=1.0, timestep=0.1)
     np.testing.assert_array_equal(ds.step, [2, 10])
     np.testing.assert_allclose(ds.time, [0.2, 1.0])
@@ -100,7 +100,7 @@ def test_steps_are_numbered_by_file_names(tmp_path):
 def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
     names = ["one.csv", "two.csv"]
     for name in names:
-        write(tmp_path / name, f"x,y,z,radius\n{len(name)},0,0,0.5\n1,0,0,0.5\n")
+        write(tmp_path / name, f"id,x,y,z,radius\n0,{len(name)},0,0,0.5\n1,1,0,0,0.5\n")
         write(tmp_path / f"contacts_of_{name}", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
     for count in (1, 2):
         contacts = [tmp_path / f"contacts_of_{name}" for name in names[:count]]
@@ -116,7 +116,7 @@ def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
 
 
 def test_one_file_of_each_kind_is_paired_whatever_their_names_count(tmp_path):
-    particles = write(tmp_path / "p.3.csv", "x,y,z,radius\n0,0,0,0.5\n1,0,0,0.5\n")
+    particles = write(tmp_path / "p.3.csv", "id,x,y,z,radius\n0,0,0,0,0.5\n1,1,0,0,0.5\n")
     contacts = write(tmp_path / "c.12.csv", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
     ds = xcg.open_scene(particles, contacts=contacts, density=1.0)
     assert ds.step.values.tolist() == [3]
@@ -125,15 +125,15 @@ def test_one_file_of_each_kind_is_paired_whatever_their_names_count(tmp_path):
     assert (
         xcg.open_scene(particles, contacts=stated, density=1.0).sizes["contact"] == 1
     )  # one name counts
-    both = write(tmp_path / "both.csv", "step,x,y,z,radius\n3,0,0,0,0.5\n3,1,0,0,0.5\n")
+    both = write(tmp_path / "both.csv", "step,id,x,y,z,radius\n3,0,0,0,0,0.5\n3,1,1,0,0,0.5\n")
     for one, other in ((both, stated), (tmp_path / "p.*.csv", tmp_path / "c.*.csv")):
         with pytest.raises(xcg.SceneError, match="no step with the same step number"):
             xcg.open_scene(str(one), contacts=str(other), density=1.0)
 
 
 def test_unnumbered_steps_at_fault_are_skipped(tmp_path):
-    rows = ["0,1,0,0,0.5", "1,one,0,0,0.5", "2,1,0,0,0.5"]
-    path = write(tmp_path / "a.csv", "time,x,y,z,radius\n" + "\n".join(rows))
+    rows = ["0,1,0,0,0.5,1", "1,one,0,0,0.5,1", "2,1,0,0,0.5,1"]
+    path = write(tmp_path / "a.csv", "time,x,y,z,radius,id\n" + "\n".join(rows))
     ds = xcg.open_scene(path, density=1.0, box=[[-1.0, 2.0]] * 3)
     with pytest.warns(
         xcg.SceneWarning, match=r"step 1 is skipped: .*a\.csv \(step 1\): row 0 has 'one'"
@@ -143,15 +143,15 @@ def test_unnumbered_steps_at_fault_are_skipped(tmp_path):
 
 
 def test_one_step_is_read_alone(tmp_path, monkeypatch):
-    rows = "".join(f"{k // 100},{k % 100},{k},0,0.5\n" for k in range(1000))
-    path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
+    rows = "".join(f"{k // 100},{k % 100},{k},0,0.5,{k % 100}\n" for k in range(1000))
+    path = write(tmp_path / "a.csv", "step,x,y,z,radius,id\n" + rows)
     ds = xcg.open_scene(path, density=1.0, chunks=1)
     read = []
     table = xcg.readers.files.table
     original = table.body_of
     monkeypatch.setattr(table, "body_of", lambda ref: read.append(ref.length) or original(ref))
     assert ds.position.isel(time=-1, particle=5).values.tolist() == [5, 905, 0]
-    assert read == [sum(len(f"9,{k},{k + 900},0,0.5\n") for k in range(100))]
+    assert read == [sum(len(f"9,{k},{k + 900},0,0.5,{k}\n") for k in range(100))]
 
 
 def test_particles_without_ids_are_numbered_by_row(tmp_path):
@@ -188,7 +188,7 @@ def test_damaged_tables_raise(tmp_path, text, message):
 
 
 def test_wrong_tables_in_memory_raise():
-    good = pd.DataFrame({"x": [0.0], "y": 0.0, "z": 0.0, "radius": 0.5})
+    good = pd.DataFrame({"id": [0], "x": 0.0, "y": 0.0, "z": 0.0, "radius": 0.5})
     with pytest.raises(
         xcg.SceneError, match="particles: column 'x' holds other things than numbers"
     ):
@@ -228,9 +228,13 @@ def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
     for path, rows in zip(paths, (table, contacts), strict=True):
         rows.to_csv(path, index=False)
     ignored = "particles: x, id, type\ncontacts: age"
-    assert (
-        xcg.open_scene(paths[0], contacts=paths[1], density=1.0).attrs["ignored_columns"] == ignored
-    )
+    with pytest.warns(xcg.SceneWarning) as caught:
+        ds = xcg.open_scene(paths[0], contacts=paths[1], density=1.0)
+    assert ds.attrs["ignored_columns"] == ignored
+    messages = [str(warning.message) for warning in caught]
+    assert "both 'particle_id' and 'id' may be 'particle_id'" in messages[0]
+    assert "both 'species' and 'type' may be 'species'" in messages[1]
+    assert len(messages) == 2
     assert (
         xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"]
         == ignored
@@ -244,8 +248,8 @@ def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
 @pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
 def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
     grains = pd.DataFrame(
-        {"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5}
-    )
+        {"time": [1.0, 1.0, 2.0], "id": [0, 1, 0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0}
+    ).assign(radius=0.5)
     contacts = pd.DataFrame(columns=["time", "contact_i", "contact_j", *forces], dtype=float)
     ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0, box=[[-1.0, 2.0]] * 3)
     assert (ds.contact_i < 0).all()
@@ -254,8 +258,8 @@ def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
 
 def test_steps_without_rows_of_contacts_are_named():
     grains = pd.DataFrame(
-        {"time": [1.0, 1.0, 2.0, 2.0], "x": [0.0, 1.0] * 2, "y": 0.0, "z": 0.0, "radius": 0.5}
-    )
+        {"time": [1.0, 1.0, 2.0, 2.0], "id": [0, 1] * 2, "x": [0.0, 1.0] * 2, "y": 0.0, "z": 0.0}
+    ).assign(radius=0.5)
     contacts = pd.DataFrame({"time": [1.0], "id1": 0, "id2": 1, "fx": -1.0, "fy": 0.0, "fz": 0.0})
     with pytest.warns(
         xcg.SceneWarning, match=r"no rows for 1 of 2 steps of the particles, such as 2, and nothing"
@@ -324,6 +328,6 @@ def test_empty_cells_and_names_of_columns_raise(tmp_path):
         xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"
     ):
         xcg.open_scene(named, density=1.0, names={"ID": "id"})
-    unknown = write(tmp_path / "c.csv", "Pos X,Pos Y,Pos Z,R\n0,0,0,0.5\n")
-    with pytest.raises(xcg.SceneError, match=r"names={'Pos X': 'position_x'}"):
+    unknown = write(tmp_path / "c.csv", "East X,North Y,Up Z,radius\n0,0,0,0.5\n")
+    with pytest.raises(xcg.SceneError, match=r"names={'East X': 'position_x'}"):
         xcg.open_scene(unknown, density=1.0)

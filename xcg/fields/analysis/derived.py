@@ -14,7 +14,7 @@ from scipy.special import beta
 from xcg.common.checks import is_positive, unit_vector
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in
@@ -265,6 +265,7 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     array([0.981])
     """
     require_scene(ds, (), "derive_velocity")
+    require_ids(ds, "derive_velocity")
     count = ds.sizes["time"]
     if count < 2:
         raise SceneError("derive_velocity needs two steps or more, and this scene has one")

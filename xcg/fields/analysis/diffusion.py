@@ -15,7 +15,7 @@ from xcg.common.checks import floats
 from xcg.common.messages import plain
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, steps_in, without_frozen
 from xcg.scene.sanity import rows_of
@@ -92,6 +92,7 @@ def mean_squared_displacement(
     0.005
     """
     require_scene(ds, (), "mean_squared_displacement")
+    require_ids(ds, "mean_squared_displacement")
     steps = ds.sizes["time"]
     chosen = _lags(lags, steps)
     interval = evenly_spaced(ds["time"].to_numpy(), "times")

@@ -20,7 +20,7 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.conform import require_scene
+from xcg.scene.conform import require_ids, require_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times, steps_in, with_measures
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
@@ -138,6 +138,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """
     names = _names(ds, asked)
     require_scene(ds, ("mass",), "displacement")
+    require_ids(ds, "displacement")
     call = asked.call("displacement")
     ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:

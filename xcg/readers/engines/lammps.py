@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers import columns
+from xcg.readers import columns, names
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps_binary, lammps_netcdf
@@ -156,10 +156,10 @@ _WALL = {
 class Liggghts(Dumps):
     """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
 
-    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
-        **columns.PARTICLE_SLOTS,
-        **{f"half_axis_{axis}": (f"shape{axis}",) for axis in COMPONENTS},
-        **{f"whole_axis_{axis}": () for axis in COMPONENTS},
+    PARTICLE_SLOTS: ClassVar[names.Slots] = {
+        **names.PARTICLE_SLOTS,
+        **names.components("half_axis", "half axis ?", "shape ?"),
+        **names.components("whole_axis", "whole axis ?"),
     }
 
     def recognises(self, path: str) -> bool:
@@ -186,7 +186,7 @@ class Liggghts(Dumps):
             frame["contact_j"] = -(frame["contact_j"] + 1)
         return frame
 
-    def contact_slots(self, ref: StepRef) -> columns.Slots:
+    def contact_slots(self, ref: StepRef) -> names.Slots:
         """Return the columns that fill each slot, by their place where they have numbers for names."""
         if not is_numbered(ref.columns):
             return self.CONTACT_SLOTS

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers import columns
+from xcg.readers import names
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import parse_table, read_table
@@ -67,10 +67,9 @@ class Mercury(Columnar):
 
     OPTIONS = ("restart",)
     NEEDS_ID = False
-    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
-        **columns.PARTICLE_SLOTS,
-        "species": ("species",),
-        **{f"angular_velocity_{axis}": (f"om{axis}",) for axis in COMPONENTS},
+    ROWS_ARE_IDS = True
+    PARTICLE_SLOTS: ClassVar[names.Slots] = {
+        **names.PARTICLE_SLOTS,
         "angular_velocity_z": ("omz", "om"),
     }
 
@@ -113,7 +112,7 @@ class Mercury(Columnar):
         return refs
 
     def contact_columns(
-        self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None
+        self, ref: StepRef, options: ReadOptions, slots: names.Slots | None = None
     ) -> dict[str, str]:
         """Return the columns of contacts, which are all read."""
         return dict(zip(ref.columns, ref.columns, strict=True))
@@ -323,11 +322,13 @@ def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
             f"{path}: the normal or shift of {' '.join(words)[:160]!r} is not along x, y or z; such a period is not "
             "read. Name a restart file without it in restart="
         )
-    names = [
+    distances = [
         next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}")
         for end in ("left", "right")
     ]
-    low, high = sorted(_numbers_after(words, name, 1, path)[0] / float(along[0]) for name in names)
+    low, high = sorted(
+        _numbers_after(words, name, 1, path)[0] / float(along[0]) for name in distances
+    )
     return {axis: (low, high)}
 
 

@@ -17,14 +17,14 @@ What its contacts hold was checked on its output, against the positions of the p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.mfix_contacts import (
     EXACT,
@@ -47,18 +47,6 @@ _SHAPE = _QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle
 class Mfix(Vtk):
     """Region output of MFiX-DEM."""
 
-    PARTICLE_NAMES: ClassVar = {
-        "Diameter": "diameter",
-        "Velocity": "velocity",
-        "Angular_velocity": "angular_velocity",
-        "Density": "density",
-        "Mass": "mass",
-        "Volume": "volume",
-        "Particle_ID": "particle_id",
-        "ID": "particle_id",  # in the old DES files
-        "Particle_Phase_ID": "species",
-        "Coordination": "coordination_number",
-    }
     CONTACT_NAMES: ClassVar = {
         "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
         "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
@@ -76,18 +64,6 @@ class Mfix(Vtk):
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK PolyData file or a collection of them."""
         return is_vtk(path, (".vtp", ".pvd"), b"PolyData", b"Collection")
-
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles, with a warning where they have no ids."""
-        refs = super().index_particles(paths, options)
-        nameless = [ref for ref in refs if "particle_id" not in self.targets(ref, options)]
-        if nameless:
-            warn_user(
-                f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
-                "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
-                "region, or map another array with names={'...': 'particle_id'}"
-            )
-        return refs
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""

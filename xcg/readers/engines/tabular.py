@@ -14,19 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import read_csv, read_parquet, scan_csv, scan_parquet
 from xcg.readers.files.text import plain_name
+from xcg.readers.names import CLOCK_SLOTS, canonical_columns
 from xcg.readers.paths import index_steps
-
-_CLOCK = ("time", "step")
-
-
-def _slots(known: columns.Slots, *left_out: str) -> columns.Slots:
-    """Slots, filled by columns of the same name first, then by names of dumps."""
-    return {slot: (slot, *found) for slot, found in known.items() if not slot.startswith(left_out)}
 
 
 class Table(Columnar):
@@ -34,8 +27,6 @@ class Table(Columnar):
 
     OPTIONS = ("timestep",)
     NEEDS_ID = False
-    PARTICLE_SLOTS = _slots(columns.PARTICLE_SLOTS, "scaled")
-    CONTACT_SLOTS = _slots(columns.CONTACT_SLOTS, "end_i", "end_j")
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table."""
@@ -45,7 +36,7 @@ class Table(Columnar):
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
-        clock = {name: target for name, target in options.names.items() if target in _CLOCK}
+        clock = {name: target for name, target in options.names.items() if target in CLOCK_SLOTS}
         return index_steps(
             paths, f"table {clock}", partial(_steps, given=clock), options.extra.get("timestep")
         )
@@ -72,13 +63,16 @@ def _suffix(path: str) -> str:
     return Path(plain_name(path)).suffix.lower()
 
 
-def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
-    """Columns of the time and of the number of the step, as far as there are such."""
-    found = {target: name for name, target in given.items() if target in _CLOCK and name in names}
-    for target in _CLOCK:
-        if target in names and target not in given:
-            found.setdefault(target, target)
-    return found
+def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
+    """Return the columns of the time and of the number of the step, as far as there are such."""
+    clock = {slot: name for name, slot in given.items() if slot in CLOCK_SLOTS and name in columns}
+    named = canonical_columns(name for name in columns if name not in given)
+    for slot, aliases in CLOCK_SLOTS.items():
+        found = [name for alias in aliases for name in named.get(alias, ())]
+        if slot not in clock and found:
+            clock[slot] = found[0]
+    # the time, if there is one, separates the steps
+    return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
 
 
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:

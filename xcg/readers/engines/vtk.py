@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,15 +17,24 @@ import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
-from xcg.readers.columns import unify_sizes
+from xcg.readers.columns import unify_sizes, warn_of_resembling
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
+from xcg.readers.names import (
+    PARTICLE_ARRAYS,
+    PARTICLE_SLOTS,
+    canonical,
+    canonical_columns,
+    components,
+)
 from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS, Frame, variable
 from xcg.steps import faults as errors
 
 LINES = "lines"  # kind of a step whose contacts are lines
+_VECTORS = ("velocity", "angular_velocity")
+_COMPONENTS = [component for vector in _VECTORS for component in components(vector)]
 
 
 def is_vtk(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
@@ -149,37 +159,18 @@ class Vtk(Engine):
 
     Attributes
     ----------
-    PARTICLE_NAMES, CONTACT_NAMES : mapping
-        Arrays that are taken for variables of the scene without ``names=``; the first of two for one variable counts.
+    CONTACT_NAMES : mapping
+        Arrays that are taken for variables of contacts without ``names=``; the first of two for one
+        variable counts. Those of particles are in `xcg.readers.names`.
     LINES : bool
         Whether contacts are lines where a file holds any; else they are points.
     ADVICE : str
         What to do about contacts without ids or forces, a sentence.
     """
 
-    # Arrays of spheres as YADE's VTKRecorder, LIGGGHTS' dump custom/vtk and many others call them.
-    PARTICLE_NAMES: ClassVar[Mapping[str, str]] = {
-        "radii": "radius",
-        "radius": "radius",
-        "Radius": "radius",
-        "diameter": "diameter",
-        "Diameter": "diameter",
-        "linVelVec": "velocity",
-        "v": "velocity",
-        "velocity": "velocity",
-        "Velocity": "velocity",
-        "angVelVec": "angular_velocity",
-        "omega": "angular_velocity",
-        "mass": "mass",
-        "Mass": "mass",
-        "density": "density",
-        "Density": "density",
-        "id": "particle_id",
-        "materialId": "species",
-        "type": "species",
-    }
     CONTACT_NAMES: ClassVar[Mapping[str, str]] = {}
     LINES: ClassVar[bool] = True
+    ROWS_ARE_IDS: ClassVar[bool] = False
     ADVICE: ClassVar[str] = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
     def recognises(self, path: str) -> bool:
@@ -209,6 +200,10 @@ class Vtk(Engine):
         refs = list_steps(paths, options)
         for ref in refs:
             self.targets(ref, options)
+        if refs:
+            ignored = self.ignored_columns(refs[0], options)
+            unread = [array for array in ignored if array not in options.names]
+            warn_of_resembling(refs[0], unread, self.targets(refs[0], options), contacts=False)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -234,37 +229,50 @@ class Vtk(Engine):
     def targets(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> dict[str, str]:
-        """Scene names of particles or contacts, and the arrays that they are read from."""
-        dim, known = (
-            ("contact", self.CONTACT_NAMES) if contacts else ("particle", self.PARTICLE_NAMES)
-        )
-        columns, path = ref.columns, ref.path
-        points = (
-            {}
-            if ref.kind == LINES
-            else {columns[0]: "position" if dim == "particle" else "contact_point"}
-        )
-        defaults = points | dict(known)
-        given = {
-            a: name
-            for a, name in options.names.items()
+        """Return the array of each variable, or component, of particles or contacts.
+
+        Raises
+        ------
+        SceneError
+            If `names` maps an array that is not there, or two arrays to one variable.
+        """
+        dim = "contact" if contacts else "particle"
+        mapped = {
+            array: name
+            for array, name in options.names.items()
             if name is not None and variable(name).dims[0] == dim
         }
-        absent = [array for array in given if array not in columns]
+        absent = [array for array in mapped if array not in ref.columns]
         if absent:
             raise SceneError(
-                f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
+                f"{ref.path}: names= maps {absent}, which are not in this file; "
+                f"it holds {list(ref.columns)}"
             )
-        twice = [name for name in given.values() if list(given.values()).count(name) > 1]
+        twice = [name for name, count in Counter(mapped.values()).items() if count > 1]
         if twice:
             raise SceneError(
-                f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
+                f"names= maps several arrays to {sorted(twice)}; expected one array a name"
             )
-        found = {name: array for array, name in given.items()}
-        for array, name in defaults.items():
-            if array in columns and array not in options.names:
-                found.setdefault(name, array)
-        return {name: array for name, array in found.items() if name not in options.unwanted}
+        targets = {name: array for array, name in mapped.items()}
+        points = ref.columns[0]
+        if ref.kind != LINES and points not in options.names:
+            targets.setdefault("contact_point" if contacts else "position", points)
+        named = canonical_columns(array for array in ref.columns if array not in options.names)
+        known = self.CONTACT_NAMES if contacts else PARTICLE_ARRAYS
+        for name, variable_name in known.items():
+            arrays = named.get(canonical(name))
+            if arrays:
+                targets.setdefault(variable_name, arrays[0])
+        if not contacts:
+            for component in _COMPONENTS:
+                arrays = [
+                    array for name in PARTICLE_SLOTS[component] for array in named.get(name, ())
+                ]
+                if arrays and component[:-2] not in targets:
+                    targets.setdefault(component, arrays[0])
+        return {
+            name: array for name, array in targets.items() if not name.startswith(options.unwanted)
+        }
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
@@ -278,8 +286,17 @@ class Vtk(Engine):
         return [array for array in ref.columns if array not in found.values()]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the particles of one step; radii become diameters."""
+        """Read the particles of one step; radii become diameters, and components vectors."""
         frame = read_arrays(ref, self.targets(ref, options))
+        for vector in _VECTORS:
+            parts = {name: frame.pop(name) for name in components(vector) if name in frame}
+            if parts:
+                if vector not in frame and len(parts) < len(COMPONENTS):
+                    raise SceneError(
+                        f"{ref.path}: {', '.join(parts)} of the {vector.replace('_', ' ')}, and not all "
+                        "three components; drop them by names={'...': None}"
+                    )
+                frame.setdefault(vector, np.stack([*parts.values()], axis=1))
         unify_sizes(frame, ref)
         return frame
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from xcg.common.messages import SceneError
-from xcg.readers import columns
+from xcg.readers import names
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import check_rows, first_lines, scanned
@@ -29,29 +29,22 @@ _SHEARED = 1e-12  # of an edge: less is rounding
 _WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
 
 
-def _vector(slot: str, letters: str) -> dict[str, tuple[str, ...]]:
-    return {f"{slot}_{axis}": (letters + axis,) for axis in COMPONENTS}
-
-
 class Yade(Columnar):
     """Text of YADE."""
 
     NEEDS_ID = False
-    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
-        **columns.PARTICLE_SLOTS,
-        **_vector("angular_velocity", "w"),
-        "radius": ("r", "radius"),
-        "species": ("matId", "type"),
+    PARTICLE_SLOTS: ClassVar[names.Slots] = {
+        **names.PARTICLE_SLOTS,
+        "radius": ("r", *names.PARTICLE_SLOTS["radius"]),
     }
-    CONTACT_SLOTS: ClassVar[columns.Slots] = {
-        **dict.fromkeys(columns.CONTACT_SLOTS, ()),
+    CONTACT_SLOTS: ClassVar[names.Slots] = {
+        **names.CONTACT_SLOTS,
+        # the force acts on the second body
         "contact_i": ("id2",),
         "contact_j": ("id1",),
-        **_vector("normal_force", "fn"),
-        **_vector("tangential_force", "fs"),
-        **_vector("contact_point", "c"),
-        **_vector("contact_normal", "n"),
-        "overlap": ("delta",),
+        **names.components("tangential_force", "fs?", "shear force ?", "tangential force ?"),
+        **names.components("contact_point", "c?", "contact point ?"),
+        **names.components("contact_normal", "n?", "contact normal ?"),
     }
 
     def recognises(self, path: str) -> bool:
@@ -71,7 +64,7 @@ def _steps(path: str) -> Iterator[StepRef]:
     """Return the step of a file, from its comments, and count its rows."""
     told: dict[str, Any] = {}
     with scanned(path) as scanner:
-        names: tuple[str, ...] = ()
+        columns: tuple[str, ...] = ()
         for _ in range(_MOST_COMMENTS):
             if scanner.sample(1) != b"#":
                 break
@@ -79,12 +72,12 @@ def _steps(path: str) -> Iterator[StepRef]:
             if words[:1] == ["time"]:
                 told = _told(words, path)
             elif words:
-                names = _names(words)
-        if not names or len(set(names)) != len(names):
+                columns = _names(words)
+        if not columns or len(set(columns)) != len(columns):
             raise SceneError(
-                f"{path}: expected a comment that names each column once, such as '# id x y z r', found {names}"
+                f"{path}: expected a comment that names each column once, such as '# id x y z r', found {columns}"
             )
-        ref = StepRef(path, 0, columns=names, offset=scanner.offset)
+        ref = StepRef(path, 0, columns=columns, offset=scanner.offset)
         length, rows, last = 0, 0, b"\n"
         for piece in filter(None, scanner.until(b"#")):
             length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
@@ -102,13 +95,13 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
     """Names of columns, one for each component."""
     if words[0] == "format":  # yade.export.text
         words = words[1].split("_") if len(words) > 1 else ()
-    names: list[str] = []
+    columns: list[str] = []
     for word in words:
         several = re.fullmatch(r"(\w+)\((\d)\)", word)
         count = int(several[2]) if several else 1
         ends = COMPONENTS if count == len(COMPONENTS) else [f"[{k + 1}]" for k in range(count)]
-        names += [several[1] + end for end in ends] if several else [word]
-    return tuple(names)
+        columns += [several[1] + end for end in ends] if several else [word]
+    return tuple(columns)
 
 
 def _told(words: Sequence[str], path: str) -> dict[str, Any]:

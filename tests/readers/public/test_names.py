@@ -1,0 +1,192 @@
+"""Names of columns as people write them: read right, or named in a warning."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+import vtk
+from vtk.util.numpy_support import numpy_to_vtk
+
+import xcg
+
+STEP = 0.01  # m that every grain moves along x in one step
+
+
+def write_steps(folder, columns):
+    """Write three steps of four grains as CSV, with rows in another order in each."""
+    ids = np.array([7, 3, 11, 5])
+    for step, order in enumerate(([0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0])):
+        x = 0.1 * ids[order] + STEP * step
+        table = {"id": ids[order], "x": x, "y": 0.0, "z": 0.0, "radius": 0.02}
+        rows = pd.DataFrame({columns.get(name, name): values for name, values in table.items()})
+        rows.to_csv(folder / f"p_{step}.csv", index=False)
+    return str(folder / "p_*.csv")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "id",
+        "ID",
+        "Id",
+        "Particle ID",
+        "particle_number",
+        "ParticleId",
+        "Label",
+        "particle",
+        "Global-ID",
+    ],
+)
+def test_ids_of_any_spelling_follow_grains_whose_rows_change(tmp_path, name):
+    files = write_steps(tmp_path, {"id": name})
+    ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0])
+    velocity = ds.cg.derive_velocity().velocity
+    np.testing.assert_allclose(velocity.sel(component="x"), STEP, rtol=1e-12)
+
+
+def test_velocities_of_numbered_rows_are_an_error_that_names_the_columns(tmp_path):
+    files = write_steps(tmp_path, {"id": "serial"})
+    with pytest.warns(xcg.SceneWarning, match="no column of particle ids.*columns are serial x"):
+        ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0])
+    for call in (
+        ds.cg.derive_velocity,
+        lambda: ds.cg.displacement(width=0.1),
+        ds.cg.mean_squared_displacement,
+    ):
+        with pytest.raises(xcg.SceneError, match="follows particles by their ids"):
+            call()
+    ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0], names={"serial": "particle_id"})
+    velocity = ds.cg.derive_velocity().velocity
+    np.testing.assert_allclose(velocity.sel(component="x"), STEP, rtol=1e-12)
+
+
+def test_contacts_by_id_of_numbered_rows_are_an_error(tmp_path):
+    particles = tmp_path / "p.csv"
+    particles.write_text("x,y,z,radius\n0,0,0,0.5\n0.9,0,0,0.5\n")
+    contacts = tmp_path / "c.csv"
+    contacts.write_text("id1,id2,fx,fy,fz\n1,2,-1,0,0\n")
+    with pytest.raises(xcg.SceneError, match="contacts name their particles by id; map it"):
+        xcg.open_scene(particles, contacts=contacts, density=1.0)
+
+
+COLUMNS = {
+    "radius": ["Radius", "RADIUS", "radius [m]", "Radius (m)", "radii", "particle_radius", "Rad"],
+    "vx vy vz": [
+        "v_x v_y v_z", "Vx Vy Vz", "Velocity:0 Velocity:1 Velocity:2", "velocity_x velocity_y velocity_z",
+        "v[1] v[2] v[3]", "Velocity-X Velocity-Y Velocity-Z", "vel.x vel.y vel.z", "velX velY velZ",
+        "VELOCITY_0 VELOCITY_1 VELOCITY_2", "x_velocity y_velocity z_velocity",
+    ],
+    "x y z": [
+        "X Y Z", "Points:0 Points:1 Points:2", "Points_0 Points_1 Points_2", "position_x position_y position_z",
+        "pos_x pos_y pos_z", "PosX PosY PosZ", "x[m] y[m] z[m]", "Center:0 Center:1 Center:2",
+        "coordinates:0 coordinates:1 coordinates:2",
+    ],
+    "type": ["Type", "Species", "material", "MatId", "phase_id", "Material ID"],
+}  # fmt: skip
+SPELLINGS = [(name, spelling) for name, many in COLUMNS.items() for spelling in many]
+
+
+@pytest.mark.parametrize(("name", "spelling"), SPELLINGS)
+def test_other_spellings_make_the_same_scene(tmp_path, name, spelling):
+    rng = np.random.default_rng(1)
+    plain = ["id", "x", "y", "z", "vx", "vy", "vz", "radius", "type"]
+    rows = np.column_stack([np.arange(5), rng.random((5, 6)), np.full(5, 0.01), [1, 2, 1, 2, 2]])
+    scenes = []
+    for file, other in (("plain.csv", name), ("other.csv", spelling)):
+        renamed = dict(zip(name.split(), re.split(r" (?!\[|\(|[IiX]D)", other), strict=True))
+        header = [renamed.get(column, column) for column in plain]
+        pd.DataFrame(rows, columns=header).to_csv(tmp_path / file, index=False)
+        scenes.append(xcg.open_scene(tmp_path / file, density=1.0))
+    one, two = scenes
+    assert set(one.data_vars) == set(two.data_vars)
+    for variable in one.data_vars:
+        np.testing.assert_array_equal(one[variable], two[variable])
+
+
+@pytest.mark.parametrize("name", ["Time", "TIME", "time", "t", "Time [s]", "simulation_time"])
+def test_times_of_any_spelling_separate_steps(tmp_path, name):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,{name},x,y,z,radius\n1,0.5,0,0,0,0.1\n1,1.5,1,0,0,0.1\n")
+    ds = xcg.open_scene(path, density=1.0)
+    np.testing.assert_array_equal(ds.time, [0.5, 1.5])
+    np.testing.assert_array_equal(ds.position[:, 0, 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["Step", "timestep", "TimeStep", "frame"])
+def test_step_numbers_of_any_spelling_separate_steps(tmp_path, name):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,{name},x,y,z,radius\n1,5,0,0,0,0.1\n1,15,1,0,0,0.1\n")
+    np.testing.assert_array_equal(xcg.open_scene(path, density=1.0).step, [5, 15])
+
+
+@pytest.mark.parametrize(
+    ("column", "meant"),
+    [
+        ("r", "radius"),
+        ("Radius (mm)", "radius"),
+        ("grain_size", "diameter"),
+        ("c_rad", "radius"),
+        ("vel_magnitude", "velocity"),
+        ("Omega_z_total", "angular_velocity"),
+        ("mat_name", "species"),
+        ("bulk_density", "density"),
+    ],
+)
+def test_columns_that_resemble_a_variable_are_named(tmp_path, column, meant):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,x,y,z,{column}\n1,0,0,0,0.1\n")
+    with pytest.warns(xcg.SceneWarning, match=rf"{re.escape(repr(column))} \({meant}\?\) resemble"):
+        xcg.open_scene(path)
+
+
+def test_other_codes_share_the_table(tmp_path):
+    dump = tmp_path / "p.dump"
+    dump.write_text(
+        "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n1\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\n"
+        "ITEM: ATOMS ID Type X Y Z Radius Velocity_x Velocity_y Velocity_z\n4 2 .5 .5 .5 .1 1 2 3\n"
+    )
+    yade = tmp_path / "p.txt"
+    yade.write_text("# ID MatId X Y Z Radius v_x v_y v_z\n4 2 .5 .5 .5 .1 1 2 3\n")
+    for path, options in ((dump, {"units": "SI"}), (yade, {"engine": "yade"})):
+        ds = xcg.open_scene(path, density=1.0, **options)
+        assert ds.particle_id.values.tolist() == [[4]]
+        assert ds.species.values.tolist() == [[2]]
+        np.testing.assert_allclose(ds.diameter, 0.2)
+        np.testing.assert_array_equal(ds.velocity[0, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {"Velocity": 3, "Radius": 1, "ID": 1},
+        {"vel": 3, "radii": 1, "particle_number": 1},
+        {"Velocity_X": 1, "Velocity_Y": 1, "Velocity_Z": 1, "RADIUS": 1, "Particle ID": 1},
+        {"v_x": 1, "v_y": 1, "v_z": 1, "radius": 1, "label": 1},
+    ],
+)
+def test_arrays_of_vtk_are_named_as_columns_are(tmp_path, names):
+    points, poly = vtk.vtkPoints(), vtk.vtkPolyData()
+    points.SetData(numpy_to_vtk(np.array([[0.0, 0, 0], [1, 0, 0]]), deep=True))
+    poly.SetPoints(points)
+    velocity = [[1.0, 2, 3], [4, 5, 6]]
+    scalars = iter(np.transpose(velocity))
+    for name, components in names.items():
+        values = np.array([8.0, 9.0]) if components == 1 else np.array(velocity)
+        if name.lower().startswith("v") and components == 1:
+            values = next(scalars)
+        if name.lower().startswith("rad"):
+            values = np.array([0.1, 0.2])
+        array = numpy_to_vtk(np.ascontiguousarray(values), deep=True)
+        array.SetName(name)
+        poly.GetPointData().AddArray(array)
+    writer = vtk.vtkXMLPolyDataWriter()
+    writer.SetFileName(str(tmp_path / "p.vtp"))
+    writer.SetInputData(poly)
+    writer.Write()
+    ds = xcg.open_scene(tmp_path / "p.vtp", engine="vtk", density=1.0)
+    assert ds.particle_id.values.tolist() == [[8, 9]]
+    np.testing.assert_allclose(ds.diameter, [[0.2, 0.4]])
+    np.testing.assert_array_equal(ds.velocity[0], velocity)

@@ -1,0 +1,243 @@
+"""Names in files: one table of the aliases of each variable, for all engines.
+
+Names are compared without case, blanks and punctuation, and without a unit of SI in brackets:
+``Particle ID``, ``particle_id`` and ``ParticleId`` are one name, as are ``Diameter [m]`` and
+``diameter``. Names of one letter keep their case (``t`` is a time, ``T`` a temperature).
+Components are called by letters, or numbered: ``v_x``, ``Velocity X``, ``Velocity:0``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import TypeAlias
+
+from xcg.scene.schema import COMPONENTS
+
+Slots: TypeAlias = Mapping[str, Sequence[str]]
+"""Canonical names of the columns that fill each slot, the preferred first."""
+
+_UNITS_OF_SI = {
+    "-", "m", "s", "kg", "n", "m/s", "ms-1", "1/s", "s-1", "rad/s", "rads-1", "m2", "m3",
+    "kg/m3", "kgm-3", "kgm2",
+}  # fmt: skip
+_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
+_NUMBERED = re.compile(r"(.*?)([^A-Za-z0-9]?)[\[(]?(\d)[\])]?$")
+
+
+@lru_cache(maxsize=1 << 14)
+def canonical(name: str) -> str:
+    """Return a name without case, blanks and punctuation, and without a unit of SI in brackets."""
+    brackets = _BRACKETS.search(name)
+    if brackets and re.sub(r"[\s^*]", "", brackets[1]).lower() in _UNITS_OF_SI:
+        name = name[: brackets.start()]
+    letters = re.sub(r"[\W_]", "", name)
+    return letters if len(letters) == 1 else letters.casefold()
+
+
+def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
+    """Return the columns of each canonical name, in the order of the file.
+
+    Three columns that are numbered 0, 1, 2 or 1, 2, 3 are components x, y, z of one vector. A number
+    follows a sign (``v:0``, ``v[1]``, ``v_2``) or a word (``vel0``), so that ``d1``, ``d2`` and
+    ``d3`` are not taken for a vector.
+    """
+    named: dict[str, list[str]] = defaultdict(list)
+    vectors: dict[str, dict[int, str]] = defaultdict(dict)
+    for column in columns:
+        named[canonical(column)].append(column)
+        numbered = _NUMBERED.match(column)
+        if numbered:
+            stem, sign, number = numbered.groups()
+            brackets = column.endswith(("]", ")"))
+            if sign or brackets or len(canonical(stem)) >= 3:
+                vectors[canonical(stem)][int(number)] = column
+    for stem, components in vectors.items():
+        if sorted(components) in ([0, 1, 2], [1, 2, 3]):
+            for axis, number in zip(COMPONENTS, sorted(components), strict=True):
+                named[stem + axis].append(components[number])
+    return named
+
+
+# --- the table -------------------------------------------------------------------------------------
+#
+# Vectors by the names of their components, with "?" in the place of the axis.
+
+_PARTICLE_SCALARS = {
+    "particle_id": (
+        "particle id", "id", "particle", "particle number", "particle no", "label", "tag", "atom id",
+        "grain id", "grain", "global id", "track id",
+    ),
+    "species": (
+        "species", "type", "species id", "type id", "particle type", "particle species", "mat id",
+        "material", "material id", "phase", "phase id", "particle phase id",
+    ),
+    "body_id": ("body id", "mol", "molecule", "molecule id", "clump", "clump id", "id multisphere"),
+    "frozen": ("frozen",),
+    "coordination_number": (
+        "coordination number", "coordination", "number of contacts", "num contacts", "n contacts",
+    ),
+    "diameter": ("diameter", "diameters", "diam", "dia", "particle diameter"),
+    "radius": ("radius", "radii", "rad", "particle radius"),
+    "density": ("density", "rho", "particle density", "material density"),
+    "mass": ("mass", "masses", "particle mass"),
+    "volume": ("volume", "vol", "particle volume"),
+    "moment_of_inertia": ("moment of inertia", "inertia"),
+}  # fmt: skip
+_PARTICLE_VECTORS = {
+    "position": (
+        "position ?", "?", "?u", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
+        "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
+        "centroid ?", "particle position ?",
+    ),
+    "scaled": ("scaled ?", "?s", "?su"),
+    "velocity": (
+        "velocity ?", "v?", "vel ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
+        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
+    ),
+    "angular_velocity": (
+        "angular velocity ?", "omega ?", "ang vel ?", "ang vel vec ?", "? angular velocity",
+        "rotational velocity ?", "rot vel ?", "particle angular velocity ?", "w?", "om?", "omg?",
+        "ome?",
+    ),
+}  # fmt: skip
+_CONTACT_SCALARS = {
+    "contact_i": (
+        "contact i", "id1", "id i", "patom1", "particle 1", "particle i", "particle id 1",
+        "particle i id", "particle 1 id", "global id 1", "atom1", "atom id 1", "grain 1", "grain i",
+        "i",
+    ),
+    "contact_j": (
+        "contact j", "id2", "id j", "patom2", "particle 2", "particle j", "particle id 2",
+        "particle j id", "particle 2 id", "global id 2", "atom2", "atom id 2", "grain 2", "grain j",
+        "j",
+    ),
+    "overlap": ("overlap", "delta", "delta n", "penetration", "penetration depth"),
+}  # fmt: skip
+_CONTACT_VECTORS = {
+    "contact_force": ("contact force ?", "f?", "force ?", "? force", "total force ?", "force ij ?"),
+    "normal_force": ("normal force ?", "fn?", "f normal ?", "force normal ?"),
+    "tangential_force": (
+        "tangential force ?", "ft?", "shear force ?", "f tangential ?", "force tangential ?",
+    ),
+    "contact_point": ("contact point ?", "point ?", "contact position ?", "contact ij ?"),
+    "contact_normal": ("contact normal ?",),
+    "contact_branch": ("contact branch ?", "branch ?", "d?"),
+    "end_i": ("end i ?",),
+    "end_j": ("end j ?",),
+}  # fmt: skip
+
+
+def components(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
+    """Return the slots of three components, filled by canonical names such as "v?"."""
+    slots = {}
+    for axis in COMPONENTS:
+        names = [canonical(template.replace("?", axis)) for template in templates]
+        if "?" in templates:
+            names.append(axis.upper())
+        slots[f"{slot}_{axis}"] = tuple(names)
+    return slots
+
+
+def _slots(
+    scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[str, ...]]:
+    slots = {slot: tuple(map(canonical, names)) for slot, names in scalars.items()}
+    for slot, templates in vectors.items():
+        slots |= components(slot, *templates)
+    return slots
+
+
+PARTICLE_SLOTS: Slots = {
+    **_slots(_PARTICLE_SCALARS, _PARTICLE_VECTORS),
+    # of LAMMPS' compute property/atom, and of LIGGGHTS
+    "quat_w": ("quatw", "quat1"),
+    "quat_x": ("quati", "quat2", "quatx"),
+    "quat_y": ("quatj", "quat3", "quaty"),
+    "quat_z": ("quatk", "quat4", "quatz"),
+    **components("half_axis", "half axis ?"),
+    **components("whole_axis", "whole axis ?", "shape ?"),
+    "exponent_1": ("exponent1", "block1", "blockiness1"),
+    "exponent_2": ("exponent2", "block2", "blockiness2"),
+}
+CONTACT_SLOTS: Slots = _slots(_CONTACT_SCALARS, _CONTACT_VECTORS)
+CLOCK_SLOTS: Slots = {
+    "time": ("time", "t", "simulationtime", "simtime", "physicaltime"),
+    "step": ("step", "timestep", "frame", "iteration", "snapshot"),
+}
+
+
+def _arrays(
+    scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
+) -> dict[str, str]:
+    """Return the variable of each canonical name of a whole array, vectors without their axis."""
+    arrays: dict[str, str] = {}
+    for variable, names in (*scalars.items(), *vectors.items()):
+        for name in names:
+            word = canonical(name.replace("?", ""))
+            if len(word) > 1 or word == "v":
+                arrays.setdefault(word, variable)
+    return arrays
+
+
+_WHOLE_VECTORS = {slot: _PARTICLE_VECTORS[slot] for slot in ("velocity", "angular_velocity")}
+PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
+
+
+# --- names that resemble a variable ----------------------------------------------------------------
+
+# Words in the names of columns, whole or by their beginning ("veloc*").
+_HINTS_OF_PARTICLES = {
+    "particle_id": "id ids label tag number index identifier",
+    "species": "species type material mat phase",
+    "velocity": "vel veloc* speed u v",
+    "angular_velocity": "angvel angular* omega spin rot rotational",
+    "radius": "radi* rad r rp",
+    "diameter": "diam* dia d dp size vol volume*",
+    "density": "dens* rho",
+    "mass": "mass* m",
+    "body_id": "clump* molecule* mol",
+}
+_HINTS_OF_CONTACTS = {
+    "overlap": "overlap* penetr* delta gap",
+    "contact_point": "point*",
+    "tangential_force": "tang* shear* frict* ft fs",
+}
+_ENOUGH = {  # what is read in place of a variable
+    "radius": ("diameter", "volume"),
+    "diameter": ("radius", "volume"),
+    "tangential_force": ("contact_force",),
+}
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def resembling(
+    columns: Iterable[str], variables: Iterable[str], *, contacts: bool
+) -> dict[str, str]:
+    """Return columns whose names resemble a variable that is not among those that are read.
+
+    Parameters
+    ----------
+    columns : iterable of str
+        Columns that are not read.
+    variables : iterable of str
+        Variables or slots that are read.
+    contacts : bool
+        Whether the file holds contacts.
+    """
+    slots = tuple(variables)
+    likely: dict[str, str] = {}
+    hints = _HINTS_OF_CONTACTS if contacts else _HINTS_OF_PARTICLES
+    for variable, text in hints.items():
+        enough = (variable, *_ENOUGH.get(variable, ()))
+        if any(slot.startswith(enough) for slot in slots):
+            continue
+        stems = tuple(word[:-1] for word in text.split() if word.endswith("*"))
+        whole = set(text.split())
+        for column in columns:
+            words = [word.casefold() for word in _WORD.findall(column)]
+            if any(word in whole or (stems and word.startswith(stems)) for word in words):
+                likely.setdefault(column, variable)
+    return likely
