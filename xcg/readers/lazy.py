@@ -6,7 +6,7 @@ import math
 import os
 import threading
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -112,8 +112,6 @@ def read_step(
     engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False
 ) -> Frame:
     """Parse one body in the file's units."""
-    if ref.size:
-        _check_unchanged(ref)
     try:
         found = (
             engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
@@ -138,6 +136,10 @@ def read_step(
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
         ) from None
+    if not contacts and np.ndim(frame.get("position", 0.0)) != 2:
+        raise SceneError(
+            f"{source_of(ref)}: no positions; expected a variable 'position' with three components"
+        )
     wide = [
         name
         for name, values in frame.items()
@@ -171,6 +173,43 @@ def _check_unchanged(ref: StepRef) -> None:
     raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
+_MOST_OPENED = 1 << 28  # bytes of steps that are kept from opening to their first use
+
+
+class Opened:
+    """Particles that were read when a scene was opened, until they are used for the first time.
+
+    Not pickled: a copy in another process starts empty.
+    """
+
+    def __init__(self) -> None:
+        self._frames: dict[StepRef, Frame] = {}
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[Opened], tuple[()]]:
+        return Opened, ()
+
+    def __dask_tokenize__(self) -> str:
+        return type(self).__name__
+
+    def keep(self, ref: StepRef, frame: Frame) -> None:
+        """Keep the completed particles of a step, unless those that are kept would take too much memory."""
+        frames = [*self._frames.values(), frame]
+        if sum(array.nbytes for one in frames for array in one.values()) <= _MOST_OPENED:
+            self._frames[ref] = dict(frame)
+
+    def take(self, ref: StepRef, names: Iterable[str]) -> Frame | None:
+        """Return these variables of a step and forget them; None unless all of them are kept."""
+        with self._lock:
+            frame = self._frames.get(ref, {})
+            if not set(names) <= set(frame):
+                return None
+            taken = {name: frame.pop(name) for name in names}
+            if not frame:
+                self._frames.pop(ref, None)
+        return taken
+
+
 @dataclass(frozen=True)
 class Source:
     """Options of reading a step; they travel to the workers.
@@ -183,6 +222,8 @@ class Source:
         Species that are held in place; None where the caller said nothing.
     once : Once
         Gives warnings of the scene's steps once.
+    opened : Opened
+        Steps that were read when the scene was opened.
     """
 
     engine: Engine
@@ -191,6 +232,7 @@ class Source:
     frozen: tuple[int, ...] | None
     allow_unknown: bool
     once: Once = field(default_factory=Once, compare=False)
+    opened: Opened = field(default_factory=Opened, compare=False)
 
     def reading(self, **options: Any) -> Source:
         """Return the same with other options of reading: `alone`, or variables that are `unwanted`."""
@@ -213,6 +255,8 @@ class Source:
         parts = []
         for ref in refs:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
+            if ref.size:
+                _check_unchanged(ref)
             raw = read_step(self.engine, self.options, ref, contacts=True)
             if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
@@ -281,10 +325,13 @@ def read_particle_chunk(
     """Particles of the steps of a chunk, padded."""
 
     def read(_: int, step: Step) -> Frame:
-        frame = source.complete(
-            read_step(source.engine, source.options, step.particles), step.particles
-        )
-        _require(frame, list(types), step.particles)
+        ref = step.particles
+        if ref.size:
+            _check_unchanged(ref)
+        frame = source.opened.take(ref, types)
+        if frame is None:
+            frame = source.complete(read_step(source.engine, source.options, ref), ref)
+        _require(frame, list(types), ref)
         return frame
 
     return _chunk(steps, read, types, rows)

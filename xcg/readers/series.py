@@ -335,7 +335,10 @@ def open_scene(
         None if frozen is None else _frozen_species(frozen, raw),
         allow_unknown,
     )
-    ends = [source.complete(frame, ref) for ref, frame in raw.items()]
+    ends = []
+    for ref in list(raw):
+        ends.append(source.complete(raw.pop(ref), ref))
+        source.opened.keep(ref, ends[-1])
     check_sizes(ends[0], setup)
     types = {
         name: ends[0][name].dtype
@@ -401,12 +404,15 @@ def _ends(
 ) -> dict[StepRef, Frame]:
     """Particles of the first and the last step, or of the first and last readable steps where faults are tolerated."""
     raw: dict[StepRef, Frame] = {}
+    tolerant = errors.recorded() is not None
     for order in (steps, steps[::-1]):
         for step in order:
             ref = step.particles
             try:
-                raw.setdefault(ref, read_step(engine, options, ref))
-                complete_particles(raw[ref], setup(), source_of(ref))
+                if ref not in raw:
+                    raw[ref] = read_step(engine, options, ref)
+                    if tolerant:
+                        complete_particles(raw[ref], setup(), source_of(ref))
             except FAULTS as error:
                 raw.pop(ref, None)
                 if not errors.record_fault(source_of(ref), error):

@@ -58,7 +58,10 @@ def refuse_mask(name: str, values: Any, where: str = "") -> None:
 
 
 def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Convert arrays to their types and the scene's units; the result is a copy."""
+    """Convert arrays to their types and the scene's units.
+
+    Views are copied, so that the table of a reader, of which they are columns, can go.
+    """
     typed: Frame = {}
     for name, values in frame.items():
         refuse_mask(name, values, f"{source}: ")
@@ -78,7 +81,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
-            typed[name] = array.astype(row.dtype, order="C")
+            typed[name] = array.astype(row.dtype, order="C", copy=array.base is not None)
         except (TypeError, ValueError, OverflowError):  # the last of whole numbers beyond 64 bits
             raise SceneError(
                 f"{source}: '{name}' holds {array.dtype}, expected real numbers of 64 bits; give each text a number of "
@@ -86,7 +89,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
             ) from None
         factor = setup.factor(powers_of(row.units))
         if factor != 1.0:
-            typed[name] *= factor
+            typed[name] = typed[name] * factor
     return typed
 
 
@@ -121,21 +124,17 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
     _check_rows(given, "particle", source)
     if count:
-        order = None if (ids[1:] > ids[:-1]).all() else np.argsort(ids, kind="stable")
+        order = _order_of(ids, source)
         if order is not None:
             for name in given:  # one after the other, as each is there twice for a while
-                given[name] = given[name][order]
+                given[name] = np.take(given[name], order, axis=0)
             ids = given["particle_id"]
-            repeated = np.flatnonzero(ids[1:] == ids[:-1])
-            if repeated.size:
-                rows = order[repeated[0] : repeated[0] + 2]
-                twice = (
-                    f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
-                )
-                raise SceneError(f"{source}: {twice}; ids must be unique")
         if ids[0] < 0:
-            negative = f"particle id {ids[0]} in row {0 if order is None else order[0]} is negative"
-            raise SceneError(f"{source}: {negative}; negative ids are kept for walls and padding")
+            row = 0 if order is None else order[0]
+            raise SceneError(
+                f"{source}: particle id {ids[0]} in row {row} is negative; negative ids are kept for "
+                "walls and padding"
+            )
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
         if (
@@ -157,6 +156,35 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
                 f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
             )
     return given
+
+
+def _order_of(ids: NDArray, source: str) -> NDArray | None:
+    """Return the rows in the order of their ids (n,), None if they are in order.
+
+    Raises
+    ------
+    SceneError
+        If an id occurs twice.
+    """
+    if (ids[1:] > ids[:-1]).all():
+        return None
+    lowest, highest = int(ids.min()), int(ids.max())
+    if highest - lowest + 1 == len(ids):  # without gaps, each id has its place: nothing to sort
+        order = np.full(len(ids), -1)
+        order[ids - lowest] = np.arange(len(ids))
+        if order.min() >= 0:
+            return order
+    order = np.argsort(ids)
+    in_order = ids[order]
+    twice = np.flatnonzero(in_order[1:] == in_order[:-1])
+    if twice.size:
+        repeated = in_order[twice[0]]
+        first, second = np.flatnonzero(ids == repeated)[:2]
+        raise SceneError(
+            f"{source}: particle id {repeated} occurs twice (rows {first} and {second}); ids must be "
+            "unique"
+        )
+    return order
 
 
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:

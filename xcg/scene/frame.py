@@ -254,7 +254,7 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     """
     if not len(diameter):
         return dict.fromkeys(SIZES, float("nan"))
-    order = np.argsort(diameter, kind="stable")
+    order = np.argsort(diameter)
     d = diameter[order]
     share = d**3 if mass is None else mass[order]
     del order
@@ -294,10 +294,20 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     for name in frames[0] if frames else ():
         values = [f[name] for f in frames if f[name].dtype.kind == "i"]
         if values and name != "particle_id":
-            unique = np.unique(np.concatenate(values))
+            unique = np.unique(np.concatenate([_different(rows) for rows in values]))
             if 0 < len(unique) <= MAX_GROUPS:
                 measured[f"{name}_values"] = unique
     return measured
+
+
+def _different(values: NDArray) -> NDArray:
+    """Return the different values of whole numbers, sorted; by counting where they are few."""
+    if not len(values):
+        return values
+    lowest, highest = int(values.min()), int(values.max())
+    if highest - lowest < len(values):
+        return np.flatnonzero(np.bincount(values - lowest)) + lowest
+    return np.unique(values)
 
 
 _RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
