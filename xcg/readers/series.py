@@ -68,7 +68,7 @@ def open_scene(
     dimension: int | None = None,
     plane: str | None = None,
     thickness: float | None = None,
-    shape: Shape = "sphere",
+    shape: Shape | None = None,
     allow_unknown: bool = False,
     sides: Sides = "mean",
     missing: Missing = "raise",
@@ -135,13 +135,17 @@ def open_scene(
         (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing (LAMMPS: with a
         warning). What contradicts the headers is refused.
     dimension : {2, 3}, optional
-        By default 2 where all particles lie in one plane across an axis (and `plane` is that plane), else 3.
+        By default what the files say (2 in MercuryDPM's ``.data`` of 8 columns, and where its ``.restart`` states two
+        dimensions of the system or of the particles), or 2 where all particles lie in one plane across an axis (and
+        `plane` is that plane), else 3.
     plane : str, optional
         The two axes of a one-layer scene, for example "xz".
     thickness : float, optional
-        Depth of a one-layer scene (m); by default that of the box where it is finite, else the largest diameter.
-    shape : {"sphere", "disc"}
-        How volume follows from diameter.
+        Depth of a one-layer scene (m); by default 1 unit of length where files say that grains are discs, else that of
+        the box where it is finite, else the largest diameter.
+    shape : {"sphere", "disc"}, optional
+        How volume follows from diameter. By default what the files say (``particleDimensions`` in the ``.restart`` of
+        MercuryDPM), else spheres.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}
@@ -246,7 +250,10 @@ def open_scene(
             **engine_options,
             "missing": "raise" if missing != "skip" and on_error == "raise" else "skip",
         }
-        options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
+        answers = frozenset(
+            name for name in ("periodic", "lattice", "shape") if given[name] is not None
+        )
+        options = ReadOptions(dict(names or {}), extra, in_columns, answers, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(
             reader, files, options, [what for what, given in said.items() if given is None]
@@ -268,6 +275,11 @@ def open_scene(
         steps = [
             replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)
         ]
+    of_files = steps[0].particles
+    if shape is None and of_files.shape == "disc" and thickness is None:
+        unit_system = units_of_headers(indexed) if units is None else units
+        thickness = Setup.make(units=unit_system).scales[0]
+    shape = shape or of_files.shape or "sphere"
     with (
         tolerate()
     ):  # steps that cannot be read stay in the scene; their faults are told when they are computed
@@ -300,7 +312,8 @@ def open_scene(
         report_missing_ids(steps[0].particles, len(steps), contacts=contacts_by_id)
     first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
-    dimension = dimension or len(plane or flat or COMPONENTS)
+    if dimension is None:
+        dimension = len(plane) if plane else of_files.dimension or len(flat or COMPONENTS)
     if dimension == 2:
         plane = plane or flat or "xy"
     if periodic is not None and box is None and first.box is None:
@@ -474,6 +487,11 @@ def _domain(
             step.particles.lattice or cell.tolist()
             for step, cell in zip(steps, straight, strict=True)
         ]
+        if shear_rate is None and steps[0].particles.shear_rates:
+            rates = [dict(step.particles.shear_rates) for step in steps]
+            shear_rate = {
+                name: [step[name] / setup.scales[2] for step in rates] for name in rates[0]
+            }
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
     found = domain_of(box, lattice, shear_rate, setup.periodic, len(steps), time, setup.scales[0])
