@@ -116,6 +116,8 @@ class ReadOptions:
         exist.
     walls : mapping
         From names of walls to the columns of particles that hold their contacts: a pattern, or names of columns.
+    words : mapping
+        Words of the computes that wrote the files of "contacts" and "walls" (LIGGGHTS).
     given : frozenset of str
         Which of ``periodic``, ``lattice`` and ``shape`` of `xcg.open_scene` the caller gave.
     unwanted : tuple of str
@@ -127,6 +129,7 @@ class ReadOptions:
     names: Mapping[str, str | None] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
+    words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     given: frozenset[str] = frozenset()
     unwanted: tuple[str, ...] = ()
     alone: bool = False
@@ -275,7 +278,7 @@ class Engine(ABC):
 GROUP = "xcg.readers"
 _OWN = {
     "lammps": "xcg.readers.engines.lammps:Lammps",
-    "liggghts": "xcg.readers.engines.lammps:Liggghts",
+    "liggghts": "xcg.readers.engines.liggghts:Liggghts",
     "mercury": "xcg.readers.engines.mercury:Mercury",
     "mfix": "xcg.readers.engines.mfix:Mfix",
     "yade": "xcg.readers.engines.yade:Yade",

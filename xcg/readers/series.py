@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
-from xcg.readers.columns import report_missing_ids
+from xcg.readers.columns import report_missing_ids, split_names
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
@@ -55,7 +55,7 @@ def open_scene(
     contacts: Paths | None = None,
     walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
     engine: str | Engine | type[Engine] | None = None,
-    names: Mapping[str, str | None] | None = None,
+    names: Mapping[str, Any] | Sequence[str] | str | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str | None = None,
@@ -97,7 +97,7 @@ def open_scene(
     engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
-    names : mapping, optional
+    names : mapping, text or list, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
         ``contact_point_x``, ``contact_normal_x``, and so on for y and z. Further names are
@@ -109,6 +109,10 @@ def open_scene(
         - ``contact_branch_x`` for the vector from j to i as the code saw it: in periodic boxes of less than two
           diameters it is the side on which grains touch (LAMMPS: ``dx dy dz``, taken by themselves),
         - ``normal_force_x`` and ``tangential_force_x``, which add up to the contact force.
+
+        For LIGGGHTS, the words of ``compute pair/gran/local`` and ``wall/gran/local`` in any order, such as
+        ``"pos id force contactArea delta history"`` or a list of them; ``{"contacts": "pos id force delta", "walls":
+        "pos id force"}`` where they differ.
     times : array (t,), optional
         Time of each step in the particle files, in their order and in their unit of time.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
@@ -244,8 +248,16 @@ def open_scene(
         files = {
             kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
         }
+        mapped, words = split_names(names)
+        if words and engine is None:
+            engine = "liggghts"
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
+        if words and reader.name != "liggghts":
+            raise SceneError(
+                f"names={names!r}: expected a mapping from columns to variables; words of a compute are for the engine "
+                f"'liggghts', not {reader.name!r}"
+            )
         extra = {
             **engine_options,
             "missing": "raise" if missing != "skip" and on_error == "raise" else "skip",
@@ -253,7 +265,7 @@ def open_scene(
         answers = frozenset(
             name for name in ("periodic", "lattice", "shape") if given[name] is not None
         )
-        options = ReadOptions(dict(names or {}), extra, in_columns, answers, alone=True)
+        options = ReadOptions(mapped, extra, in_columns, words, answers, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(
             reader, files, options, [what for what, given in said.items() if given is None]
