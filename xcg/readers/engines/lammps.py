@@ -107,7 +107,7 @@ class Lammps(Dumps):
         return bool(form_of(path)) or (
             found is not None
             and ".liggghts" not in path
-            and not is_numbered(found[1])
+            and not (is_numbered(found[1]) and len(found[1]) >= _FEWEST_NUMBERED)
             and not is_twice(found[1])
         )
 
@@ -167,7 +167,7 @@ _NO_BODY = (
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
-_FEWEST_NUMBERED = 12
+_FEWEST_NUMBERED = 12  # of LIGGGHTS with positions, ids and forces; one compute of LAMMPS has fewer
 _TWIN = " (column "  # in the names of columns that occur before
 _SAMPLE, _TAIL = (
     1 << 14,
@@ -194,13 +194,9 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
 
 
 def is_numbered(names: Sequence[str]) -> bool:
-    """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts.
-
-    One compute of LAMMPS has fewer, as it does not know both ids and forces.
-    """
+    """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
     compute = names[0].removesuffix("[1]") if names else ""
-    numbered = [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
-    return len(names) >= _FEWEST_NUMBERED and list(names) == numbered
+    return list(names) == [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
 
 
 def is_twice(names: Sequence[str]) -> bool:

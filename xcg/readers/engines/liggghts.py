@@ -75,7 +75,7 @@ class Liggghts(Dumps):
 
     def _checked(self, refs: list[StepRef], options: ReadOptions) -> list[StepRef]:
         """Check the columns of the first step, and guessed words with some of its rows."""
-        first = refs[0]
+        first = next((ref for ref in refs if ref.rows), refs[0])
         filled = self.contact_columns(first, options)
         if not _words_of(first, options) and (guess := _guess(first, options)):
             _check_guess(first, guess)
@@ -158,6 +158,11 @@ def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
 def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the column of each slot of a contact."""
     places = _places(ref, words)
+    if "id" not in places or not {"force", "force_normal"} & set(places):
+        raise SceneError(
+            f"{source_of(ref)}: the words {' '.join(words)!r} lack 'id' or 'force', which contacts need; have LIGGGHTS "
+            "write both"
+        )
     slots: dict[str, tuple[str, ...]] = {}
 
     def fill(slot: str, word: str, offset: int = 0) -> None:
@@ -194,7 +199,7 @@ def _way_out(ref: StepRef) -> str:
 
 
 def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
-    """Raise SceneError if the first rows do not fit guessed words: ids, forces along and torques across normals."""
+    """Raise SceneError if the first rows do not fit guessed words: ids, and directions of forces and torques."""
     places, rows = _places(ref, words), _first_rows(ref)
     if not len(rows):
         return
@@ -210,21 +215,22 @@ def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
     normal = ends[:, :3] - ends[:, 3:]
     forces = _cosines(rows[:, places["force"] :][:, :3], normal)
     fits = fits and not (len(forces) and np.median(forces) < _ALONG)
-    if "torque" in places:
-        torques = _cosines(rows[:, places["torque"] :][:, :3], normal)
-        fits = fits and not (len(torques) and np.median(torques) > _ACROSS)
+    if "torque" in places:  # many words have as many columns; without torques, none is sure
+        moments = np.cross(normal, rows[:, places["force"] :][:, :3])
+        torques = _cosines(rows[:, places["torque"] :][:, :3], moments)
+        fits = fits and len(torques) > 0 and np.median(torques) > _PARALLEL
     if not fits:
         raise SceneError(
             f"{source_of(ref)}: {len(ref.columns)} columns suggest the words {' '.join(words)!r}, but ids are not "
-            f"whole numbers there, or forces do not point along the line between both positions; {_way_out(ref)}"
+            f"whole numbers there, or forces and torques do not fit the line between both positions; {_way_out(ref)}"
         )
 
 
-def _cosines(vectors: NDArray, normal: NDArray) -> NDArray:
+def _cosines(vectors: NDArray, directions: NDArray) -> NDArray:
     """Return the absolute cosines of the angles between vectors (n, 3), without those that are zero."""
-    lengths = np.linalg.norm(vectors, axis=1) * np.linalg.norm(normal, axis=1)
+    lengths = np.linalg.norm(vectors, axis=1) * np.linalg.norm(directions, axis=1)
     positive = lengths > 0
-    return np.abs((vectors * normal).sum(axis=1)[positive]) / lengths[positive]
+    return np.abs((vectors * directions).sum(axis=1)[positive]) / lengths[positive]
 
 
 def _first_rows(ref: StepRef) -> NDArray:
