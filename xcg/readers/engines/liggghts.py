@@ -43,10 +43,9 @@ _DEFAULT = ("pos", "vel", "id", "force", "torque", "history", "contactArea")
 _USUAL = {12: ("pos", "id", "force"), 13: ("pos", "id", "force", "delta")}
 _FEWEST_OF_DEFAULT = 23
 _SAMPLE = 100  # rows that a guess is checked with
-_ALONG = (
-    0.5  # cosine of force and normal that half of the contacts exceed, of any friction below 1.7
-)
-_ACROSS = 0.05  # cosine of torque and normal that half of the contacts fall below
+# Cosines that half of the contacts exceed, for any coefficient of friction below 1.7.
+_ALONG = 0.5  # of force and normal
+_PARALLEL = 0.9  # of the torque and normal x force
 
 
 class Liggghts(Dumps):
