@@ -134,8 +134,9 @@ def open_scene(
         Density of the material (kg m-3, or reduced) for files that hold neither mass nor density.
     frozen : int or sequence of int, optional
         Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
-    units : mapping, "SI" or "reduced", optional
-        Factors from the files' units to SI, for example ``{"length": 1e-3}``. By default what the headers say
+    units : mapping or str, optional
+        Factors from the files' units to SI, for example ``{"length": 1e-3}``; "SI", "reduced", or a unit system of
+        LAMMPS by name ("lj", "si", "cgs", "micro", "nano"). By default what the headers say
         (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing (LAMMPS: with a
         warning). What contradicts the headers is refused.
     dimension : {2, 3}, optional
@@ -173,7 +174,7 @@ def open_scene(
     **engine_options
         Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
         simulation, for files without times. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
-        ``restart``, the restart file with gravity, periodic boundaries and densities (by default the one beside the
+        ``restart``, the restart file with gravity, dimensions, boundaries and densities (by default the one beside the
         ``.data`` file).
 
     Returns
