@@ -94,7 +94,9 @@ class Mercury(Columnar):
         As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries of the restart file
         replace the edges in the headers of ``.data`` along axes where these are the same in all steps.
         """
-        for path in filter(is_restart, paths):
+        for path in paths:
+            if ".restart" not in os.path.basename(path) or not is_restart(path):
+                continue
             data, fstat = (path.replace(".restart", end) for end in (".data", ".fstat"))
             raise SceneError(
                 f"{path}: a restart file of MercuryDPM is not read for grains and contacts; open {data!r}, with "
