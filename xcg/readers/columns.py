@@ -7,7 +7,7 @@ import re
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,31 @@ _RIVALS = (
     ("normal_force", "contact_force"),
     ("tangential_force", "contact_force"),
 )
+
+
+def split_names(
+    names: Mapping[str, Any] | Sequence[str] | str | None,
+) -> tuple[dict[str, str | None], dict[str, tuple[str, ...]]]:
+    """Return ``names=`` as a mapping from columns, and as words of the computes that wrote the contacts.
+
+    Words are a text or a list, for files of contacts and of walls, or one of each in a mapping,
+    ``{"contacts": "pos id force", "walls": "pos id force delta"}``, beside columns.
+    """
+    if names is None:
+        return {}, {}
+    if not isinstance(names, Mapping):
+        names = dict.fromkeys(_KINDS_WITH_WORDS, names)
+    words = {}
+    for kind in _KINDS_WITH_WORDS:
+        given = names.get(kind)
+        if isinstance(given, str) and len(given.split()) > 1:
+            words[kind] = tuple(given.split())
+        elif isinstance(given, list | tuple):
+            words[kind] = tuple(map(str, given))
+    return {name: slot for name, slot in names.items() if name not in words}, words
+
+
+_KINDS_WITH_WORDS = ("contacts", "walls")
 
 
 def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
@@ -373,12 +398,15 @@ class Columnar(Engine):
         Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.names`.
     NEEDS_ID : bool
         Whether particles must have a column of ids.
+    MORE_DIGITS : str
+        Command of the code that writes numbers with more than six digits.
     """
 
     PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
     NEEDS_ID: ClassVar[bool] = True
     ROWS_ARE_IDS: ClassVar[bool] = False
+    MORE_DIGITS: ClassVar[str] = "dump_modify ... format float %.10g"
 
     @abstractmethod
     def list_steps(
@@ -434,7 +462,7 @@ class Columnar(Engine):
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | _own(ref, options, "particle")
 
-    def contact_slots(self, ref: StepRef) -> Slots:
+    def contact_slots(self, ref: StepRef, options: ReadOptions) -> Slots:
         """Return the columns that are taken for variables of contacts, where they depend on the file."""
         return self.CONTACT_SLOTS
 
@@ -445,7 +473,7 @@ class Columnar(Engine):
         the second, the first alone. Columns that `names` maps to other names that begin with "contact_" become
         variables of their own.
         """
-        filled = assign(ref, self.contact_slots(ref), options)
+        filled = assign(ref, self.contact_slots(ref, options), options)
         for slot in ("contact_i", "contact_j"):
             if slot not in filled:
                 raise _lacks(ref, "ids of both partners", slot)
@@ -553,6 +581,6 @@ class Columnar(Engine):
         if len(large) > 10 and (large % 10 == 0).all():
             raise SceneError(
                 f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits, the "
-                "default of 'dump local'; write the file anew with 'dump_modify ... format float %.10g'"
+                f"default of 'dump local'; write the file anew with '{self.MORE_DIGITS}'"
             )
         return frame

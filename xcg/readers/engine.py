@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from xcg.common.messages import SceneError, unknown, warn_user
-from xcg.scene.schema import Frame
+from xcg.scene.schema import Frame, Shape
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS
 
@@ -55,8 +55,14 @@ class StepRef:
     size, modified : int
         Size of the file (bytes) and time of its modification (ns) when it was indexed, so that a file that changed
         afterwards is noticed; `xcg.open_scene` fills them in.
+    shear_rates : tuple
+        Velocity gradients of the images as the file says, such as ``(("xy", 0.1),)`` for dv_x/dy, in the file's units.
     gravity : tuple of float or None
         Acceleration of gravity in the file's units, None where the file does not say.
+    dimension : int or None
+        2 or 3 as the file says, None where it does not.
+    shape : {"sphere", "disc"} or None
+        Shape of the grains as the file says. Discs have unit depth in the file's unit of length.
     kind : str
         A mark of the engine's own, for engines that read contacts from more than one kind of file.
     named : bool
@@ -78,7 +84,10 @@ class StepRef:
     units: str | None = None
     size: int = 0
     modified: int = 0
+    shear_rates: tuple[tuple[str, float], ...] = ()
     gravity: tuple[float, float, float] | None = None
+    dimension: int | None = None
+    shape: Shape | None = None
     kind: str = ""
     named: bool = False
     alone: bool = False
@@ -107,6 +116,10 @@ class ReadOptions:
         exist.
     walls : mapping
         From names of walls to the columns of particles that hold their contacts: a pattern, or names of columns.
+    words : mapping
+        Words of the computes that wrote the files of "contacts" and "walls" (LIGGGHTS).
+    given : frozenset of str
+        Which of ``periodic``, ``lattice`` and ``shape`` of `xcg.open_scene` the caller gave.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
     alone : bool
@@ -116,6 +129,8 @@ class ReadOptions:
     names: Mapping[str, str | None] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
+    words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    given: frozenset[str] = frozenset()
     unwanted: tuple[str, ...] = ()
     alone: bool = False
 
@@ -263,7 +278,7 @@ class Engine(ABC):
 GROUP = "xcg.readers"
 _OWN = {
     "lammps": "xcg.readers.engines.lammps:Lammps",
-    "liggghts": "xcg.readers.engines.lammps:Liggghts",
+    "liggghts": "xcg.readers.engines.liggghts:Liggghts",
     "mercury": "xcg.readers.engines.mercury:Mercury",
     "mfix": "xcg.readers.engines.mfix:Mfix",
     "yade": "xcg.readers.engines.yade:Yade",

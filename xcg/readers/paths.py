@@ -21,7 +21,7 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import Setup
+from xcg.scene.schema import UNIT_SYSTEMS, Setup, units_of_system
 from xcg.steps import faults as errors
 
 PathLike: TypeAlias = str | os.PathLike[str]
@@ -90,16 +90,6 @@ def _why_none(path: str) -> str:
     return f"{problem}; the folder {folder!r} holds {len(there)} files, among them {', '.join(map(repr, similar))}"
 
 
-# Factors to SI of the unit systems that headers name.
-UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
-    "si": None,
-    "lj": "reduced",
-    "cgs": {"length": 1e-2, "mass": 1e-3},
-    "micro": {"length": 1e-6, "mass": 1e-15, "time": 1e-6},
-    "nano": {"length": 1e-9, "mass": 1e-21, "time": 1e-9},
-}
-
-
 def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
     named = {
@@ -116,16 +106,6 @@ def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, f
     )
 
 
-def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None:
-    """Return the units of a system by name; `named` begins the message about one that is not known."""
-    if system not in UNIT_SYSTEMS:
-        raise SceneError(
-            f"{named} the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
-            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-        )
-    return UNIT_SYSTEMS[system]
-
-
 def not_against_headers(
     units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]
 ) -> Any:
@@ -137,7 +117,7 @@ def not_against_headers(
     for refs in indexed.values():
         system = refs[0].units
         scaled = (system == "lj" and isinstance(units, Mapping)) or (
-            system == "si" and units == "reduced"
+            system == "si" and given.unit_system == "reduced"
         )
         if system not in UNIT_SYSTEMS or scaled:
             continue

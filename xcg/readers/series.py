@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
-from xcg.readers.columns import report_missing_ids
+from xcg.readers.columns import report_missing_ids, split_names
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
@@ -55,7 +55,7 @@ def open_scene(
     contacts: Paths | None = None,
     walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
     engine: str | Engine | type[Engine] | None = None,
-    names: Mapping[str, str | None] | None = None,
+    names: Mapping[str, Any] | Sequence[str] | str | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str | None = None,
@@ -68,7 +68,7 @@ def open_scene(
     dimension: int | None = None,
     plane: str | None = None,
     thickness: float | None = None,
-    shape: Shape = "sphere",
+    shape: Shape | None = None,
     allow_unknown: bool = False,
     sides: Sides = "mean",
     missing: Missing = "raise",
@@ -97,7 +97,7 @@ def open_scene(
     engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
-    names : mapping, optional
+    names : mapping, text or list, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
         ``contact_point_x``, ``contact_normal_x``, and so on for y and z. Further names are
@@ -109,6 +109,10 @@ def open_scene(
         - ``contact_branch_x`` for the vector from j to i as the code saw it: in periodic boxes of less than two
           diameters it is the side on which grains touch (LAMMPS: ``dx dy dz``, taken by themselves),
         - ``normal_force_x`` and ``tangential_force_x``, which add up to the contact force.
+
+        For LIGGGHTS, the words of ``compute pair/gran/local`` and ``wall/gran/local`` in any order, such as
+        ``"pos id force contactArea delta history"`` or a list of them; ``{"contacts": "pos id force delta", "walls":
+        "pos id force"}`` where they differ.
     times : array (t,), optional
         Time of each step in the particle files, in their order and in their unit of time.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
@@ -130,18 +134,23 @@ def open_scene(
         Density of the material (kg m-3, or reduced) for files that hold neither mass nor density.
     frozen : int or sequence of int, optional
         Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
-    units : mapping, "SI" or "reduced", optional
-        Factors from the files' units to SI, for example ``{"length": 1e-3}``. By default what the headers say
+    units : mapping or str, optional
+        Factors from the files' units to SI, for example ``{"length": 1e-3}``; "SI", "reduced", or a unit system of
+        LAMMPS by name ("lj", "si", "cgs", "micro", "nano"). By default what the headers say
         (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing (LAMMPS: with a
         warning). What contradicts the headers is refused.
     dimension : {2, 3}, optional
-        By default 2 where all particles lie in one plane across an axis (and `plane` is that plane), else 3.
+        By default what the files say (2 in MercuryDPM's ``.data`` of 8 columns, and where its ``.restart`` states two
+        dimensions of the system or of the particles), or 2 where all particles lie in one plane across an axis (and
+        `plane` is that plane), else 3.
     plane : str, optional
         The two axes of a one-layer scene, for example "xz".
     thickness : float, optional
-        Depth of a one-layer scene (m); by default that of the box where it is finite, else the largest diameter.
-    shape : {"sphere", "disc"}
-        How volume follows from diameter.
+        Depth of a one-layer scene (m); by default 1 unit of length where files say that grains are discs, else that of
+        the box where it is finite, else the largest diameter.
+    shape : {"sphere", "disc"}, optional
+        How volume follows from diameter. By default what the files say (``particleDimensions`` in the ``.restart`` of
+        MercuryDPM), else spheres.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}
@@ -165,7 +174,7 @@ def open_scene(
     **engine_options
         Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
         simulation, for files without times. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
-        ``restart``, the restart file with gravity, periodic boundaries and densities (by default the one beside the
+        ``restart``, the restart file with gravity, dimensions, boundaries and densities (by default the one beside the
         ``.data`` file).
 
     Returns
@@ -240,13 +249,24 @@ def open_scene(
         files = {
             kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
         }
+        mapped, words = split_names(names)
+        if words and engine is None:
+            engine = "liggghts"
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
+        if words and reader.name != "liggghts":
+            raise SceneError(
+                f"names={names!r}: expected a mapping from columns to variables; words of a compute are for the engine "
+                f"'liggghts', not {reader.name!r}"
+            )
         extra = {
             **engine_options,
             "missing": "raise" if missing != "skip" and on_error == "raise" else "skip",
         }
-        options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
+        answers = frozenset(
+            name for name in ("periodic", "lattice", "shape") if given[name] is not None
+        )
+        options = ReadOptions(mapped, extra, in_columns, words, answers, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(
             reader, files, options, [what for what, given in said.items() if given is None]
@@ -268,6 +288,11 @@ def open_scene(
         steps = [
             replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)
         ]
+    of_files = steps[0].particles
+    if shape is None and of_files.shape == "disc" and thickness is None:
+        unit_system = units_of_headers(indexed) if units is None else units
+        thickness = Setup.make(units=unit_system).scales[0]
+    shape = shape or of_files.shape or "sphere"
     with (
         tolerate()
     ):  # steps that cannot be read stay in the scene; their faults are told when they are computed
@@ -300,7 +325,8 @@ def open_scene(
         report_missing_ids(steps[0].particles, len(steps), contacts=contacts_by_id)
     first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
-    dimension = dimension or len(plane or flat or COMPONENTS)
+    if dimension is None:
+        dimension = len(plane) if plane else of_files.dimension or len(flat or COMPONENTS)
     if dimension == 2:
         plane = plane or flat or "xy"
     if periodic is not None and box is None and first.box is None:
@@ -474,6 +500,11 @@ def _domain(
             step.particles.lattice or cell.tolist()
             for step, cell in zip(steps, straight, strict=True)
         ]
+        if shear_rate is None and steps[0].particles.shear_rates:
+            rates = [dict(step.particles.shear_rates) for step in steps]
+            shear_rate = {
+                name: [step[name] / setup.scales[2] for step in rates] for name in rates[0]
+            }
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
     found = domain_of(box, lattice, shear_rate, setup.periodic, len(steps), time, setup.scales[0])

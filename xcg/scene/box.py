@@ -96,7 +96,7 @@ def domain_of(
         rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(
             len(edges), shear_rate, "shear_rate"
         )
-    tilted = (vectors * (1 - np.eye(3)))[:, [COMPONENTS.index(a) for a in periodic]].any()
+    tilted = _tilts(vectors)[:, [COMPONENTS.index(a) for a in periodic]].any()
     if tilted or rates.any():
         found["lattice"] = vectors
     if rates.any():
@@ -148,6 +148,11 @@ def _vectors(
     return vectors
 
 
+def _tilts(vectors: NDArray) -> NDArray:
+    """Return lattice vectors (t, 3, 3) without their lengths along the axes, which may be infinite."""
+    return np.where(np.eye(3, dtype=bool), 0.0, vectors)
+
+
 def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
     """Rates (t, 3, 3) at which tilts change, from the steps before and after each.
 
@@ -155,7 +160,7 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
     that sum does.
     """
     axes = [COMPONENTS.index(a) for a in periodic]
-    cells = (vectors * (1 - np.eye(3)))[:, axes]
+    cells = _tilts(vectors)[:, axes]
     rates = np.zeros_like(vectors)
     if not cells.any() or (cells == cells[:1]).all():
         return rates

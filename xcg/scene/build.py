@@ -200,9 +200,9 @@ def scene_from_arrays(
         How volume follows from diameter.
     density : float or array
         Density of the material (kg m-3): one number, or one a particle.
-    units : mapping or "reduced", optional
+    units : mapping or str, optional
         Factors to SI of arrays, time, box and lattice, for example ``{"length": 1e-3}``; gravity, thickness, shear_rate
-        and a single density are in SI. "reduced" for scaled data.
+        and a single density are in SI. "reduced" for scaled data, or a unit system of LAMMPS by name, such as "cgs".
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}

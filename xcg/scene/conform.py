@@ -9,7 +9,7 @@ order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`)
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence, Set
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -94,7 +94,7 @@ def require_scene(
     if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
         shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
         raise SceneError(
-            f"{purpose} needs {sorted(missing)}: {_way_to(missing)}{instead} "
+            f"{purpose} needs {sorted(missing)}: {_way_to(missing, map(str, ds))}{instead} "
             f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
         )
 
@@ -114,7 +114,7 @@ def require_ids(ds: xr.Dataset, purpose: str) -> None:
         )
 
 
-def _way_to(missing: Set[str]) -> str:
+def _way_to(missing: Set[str], present: Iterable[str]) -> str:
     """Return what to do where these variables are missing, as the middle of a message."""
     if {"position", "particle_id"} <= missing:
         return "call it on a scene, from xcg.open_scene or xcg.scene_from_arrays, not on a result or another Dataset"
@@ -126,6 +126,13 @@ def _way_to(missing: Set[str]) -> str:
         ways.append(
             "contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays), or call "
             f"ds.cg.find_contacts({stiffness}) first"
+        )
+    no_sizes = not {"diameter", "volume"} & set(present)
+    if no_sizes and missing & {"mass", "volume", "diameter", "moment_of_inertia"}:
+        return (
+            "the files hold no sizes of the grains. Map their column in xcg.open_scene, names={'...': 'radius'} or "
+            "'diameter', with density=; for grains of one size d, d = xr.full_like(ds.position[..., 0], 0.001) gives "
+            "ds.assign(diameter=d, volume=np.pi / 6 * d**3, mass=2500 * np.pi / 6 * d**3)"
         )
     if missing & {"mass", "density", "moment_of_inertia"}:
         ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")

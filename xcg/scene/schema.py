@@ -193,6 +193,33 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
 
 
+# Factors to SI of LAMMPS's unit systems.
+UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
+    "si": None,
+    "lj": "reduced",
+    "cgs": {"length": 1e-2, "mass": 1e-3},
+    "micro": {"length": 1e-6, "mass": 1e-15, "time": 1e-6},
+    "nano": {"length": 1e-9, "mass": 1e-21, "time": 1e-9},
+}
+_UNIT_OF_FORCE = {"real": "kcal/mol/Angstrom", "metal": "eV/Angstrom", "electron": "Hartree/Bohr"}
+
+
+def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None:
+    """Return the units of a system of LAMMPS by name; `named` begins the message about another one."""
+    if system in _UNIT_OF_FORCE:
+        raise SceneError(
+            f"{named} the unit system {system!r}, whose unit of force, {_UNIT_OF_FORCE[system]}, does not follow from "
+            "those of length, mass and time, and forces would be wrong: convert forces to a consistent unit, and give "
+            "the factors to SI, for example units={'length': 1e-10, 'mass': 1.66054e-27, 'time': 1e-15}"
+        )
+    if system not in UNIT_SYSTEMS:
+        raise SceneError(
+            f"{named} the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
+            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
+        )
+    return UNIT_SYSTEMS[system]
+
+
 # --- lazy variables as measured --------------------------------------------------------------------------
 
 # A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
@@ -265,8 +292,13 @@ class Setup:
         plane: str | None = None,
         **given: Any,
     ) -> Setup:
-        """Check the arguments of the public calls (`units` as a mapping, "reduced", or None for SI)."""
+        """Check the arguments of the public calls.
+
+        `units` are a mapping, "reduced", the name of a unit system of LAMMPS, or None for SI.
+        """
         scales, unit_system = (1.0, 1.0, 1.0), "SI"
+        if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
+            units = units_of_system(units.lower(), f"units={units!r} is")
         if units == "reduced":
             unit_system = "reduced"
         elif isinstance(units, Mapping):
@@ -277,9 +309,10 @@ class Setup:
                     "and 'time' (s), for example units={'length': 1e-3}"
                 )
             scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
-        elif units is not None and str(units).upper() != "SI":
+        elif units is not None:
             raise SceneError(
-                f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
+                f"units={units!r}: expected 'SI', 'reduced', a unit system of LAMMPS ({', '.join(UNIT_SYSTEMS)}), or "
+                "factors like {'length': 1e-3}"
             )
         if gravity is not None:
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()

@@ -141,7 +141,6 @@ def test_times_follow_from_step_numbers(tmp_path):
         ),
         (dump_text().replace("ITEM: NUMBER OF ATOMS\n3\n", ""), "does not say how many rows"),
         (dump_text(count="many"), "'many' follows 'ITEM: NUMBER OF ATOMS', expected a number"),
-        (dump_text(columns="id x y z id"), r"columns \['id'\] occur twice"),
         (dump_text(columns=""), "names no columns"),
         (dump_text(columns="type x y z"), r"no id of the particle .*type x y z.*'particle_id'"),
         (dump_text(columns="id x z"), "no y of the position"),

@@ -7,7 +7,7 @@ from tests import shared_data
 from tests.dumps import dump_text, pairs_text, write
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions
-from xcg.readers.engines.lammps import Liggghts
+from xcg.readers.engines.liggghts import Liggghts
 from xcg.readers.series import open_scene
 from xcg.scene.lattice import minimum_image
 
@@ -72,7 +72,7 @@ def test_contacts_without_overlap_are_read(tmp_path):
 def test_other_layouts_of_columns_are_mapped(tmp_path):
     columns = " ".join(f"c_3[{k}]" for k in range(1, 7))
     path = str(write(tmp_path / "pair.txt", pairs_text(["1 2 0 4 5 6"], columns)))
-    with pytest.raises(SceneError, match=r"no ids of both partners .* c_3\[1\].*names="):
+    with pytest.raises(SceneError, match=r"6 columns .* not known; give the words .*names="):
         liggghts.index_contacts([path], DEFAULTS)
     names = {"c_3[1]": "contact_i", "c_3[2]": "contact_j"}
     names |= {f"c_3[{k}]": f"contact_force_{axis}" for k, axis in enumerate("xyz", 4)}

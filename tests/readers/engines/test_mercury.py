@@ -6,8 +6,8 @@ import pytest
 from tests import real_data
 from tests.dumps import write
 from xcg.common.messages import SceneError
-from xcg.readers.engine import ReadOptions
-from xcg.readers.engines.mercury import Mercury, read_restart
+from xcg.readers.engines.mercury import Mercury
+from xcg.readers.engines.mercury_restart import restart_beside
 from xcg.readers.series import open_scene
 
 mercury = Mercury()
@@ -162,7 +162,7 @@ def test_contacts_across_a_periodic_boundary_have_branches_over_its_edges(run):
 def test_a_run_in_two_dimensions_is_read(tmp_path):
     rows = ["1 1 0.1 0.2 0.5 0 3 0", "2 1.5 0 0 0.5 0 0 1", "1 2 0 0 0.5 0 0 0"]
     text = "3 0.5 0 0 4 4\n" + "".join(f"{row}\n" for row in rows)
-    scene = open_scene(write(tmp_path / "flat.data", text), density=2.0).compute()
+    scene = open_scene(write(tmp_path / "flat.data", text), density=2.0, shape="sphere").compute()
     assert (scene.attrs["dimension"], scene.attrs["plane"]) == (2, "xy")
     np.testing.assert_array_equal(scene.position[0, 1], [2, 1.5, 0])
     np.testing.assert_array_equal(scene.velocity[0, 0], [0.1, 0.2, 0])
@@ -199,7 +199,10 @@ def test_names_map_columns(run):
             {"run.restart": RESTART.replace("normal 0 1 0", "normal 0.7071 0.7071 0")},
             "not along x, y or z",
         ),
-        ({"run.restart": RESTART.replace("shift 0 4 0", "shift 1 4 0")}, "not along x, y or z"),
+        (
+            {"run.restart": RESTART.replace("shift 0 4 0", "shift 1 5 0")},
+            "not as long as its period 4",
+        ),
         (
             {"run.restart": RESTART.replace("distanceRight 4 ", "")},
             "a number after 'distanceRight'",
@@ -216,7 +219,7 @@ def test_damaged_files_raise(run, change, match):
 def test_runs_are_recognised(run):
     assert mercury.recognises(str(run / "run.data"))
     assert mercury.recognises(str(run / "run.fstat"))
-    assert not mercury.recognises(str(run / "run.restart"))
+    assert mercury.recognises(str(run / "run.restart"))
     assert not mercury.recognises(str(write(run / "table.data", "x y z\n1 2 3\n")))
 
 
@@ -266,4 +269,4 @@ def test_unit_gravity_is_scaled(run):
 
 
 def test_a_missing_restart_file_is_none():
-    assert read_restart("nowhere/run.data", ReadOptions()) is None
+    assert restart_beside("nowhere/run.data") is None

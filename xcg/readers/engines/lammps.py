@@ -1,22 +1,21 @@
-"""LAMMPS and LIGGGHTS dumps: text, binary or NetCDF for particles, and rows of pairs for contacts."""
+"""LAMMPS dumps: text, binary or NetCDF for particles, and rows of pairs for contacts; text of LIGGGHTS, too."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers import columns, names
+from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps_binary, lammps_netcdf
@@ -64,25 +63,52 @@ class Dumps(Columnar):
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
-        """Read columns of one step, in whatever form it is written."""
+        """Read columns of one step, in whatever form it is written.
+
+        Raises
+        ------
+        SceneError
+            If a column occurs twice in a text, with other values.
+        """
         form = form_of(ref.path)
-        return (
-            form.read_columns(ref, wanted)
-            if form
-            else super().read_columns(ref, wanted, rows, options)
-        )
+        if form:
+            return form.read_columns(ref, wanted)
+        wanted = list(wanted)
+        twins = {name: _twins(ref, name, options) for name in wanted}
+        table = super().read_columns(ref, [*wanted, *chain(*twins.values())], rows, options)
+        for name, others in twins.items():
+            for other in others:
+                row = np.flatnonzero(table[name] != table[other])
+                if row.size:
+                    raise SceneError(
+                        f"{source_of(ref)}: two columns are called {name!r}, and in row {row[0]} one is "
+                        f"{table[name][row[0]]:g} and the other {table[other][row[0]]:g}; drop the second by "
+                        f"names={{{other!r}: None}}, or take it in place of the first by names={{{name!r}: None, "
+                        f"{other!r}: ...}}"
+                    )
+        return {name: table[name] for name in wanted}
+
+    def ignored_columns(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
+    ) -> list[str]:
+        """Columns of a step that are not read, each name once."""
+        ignored = super().ignored_columns(ref, options, contacts=contacts)
+        return [name for name in ignored if _TWIN not in name]
 
 
 class Lammps(Dumps):
     """Dumps of LAMMPS."""
 
-    UNNAMED_UNITS = "have the files say it by 'dump_modify ... units yes'"
+    UNNAMED_UNITS = "have the files say it by 'dump_modify ... units yes'; for files of LIGGGHTS give engine='liggghts'"
 
     def recognises(self, path: str) -> bool:
         """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
         found = body_columns(path)
         return bool(form_of(path)) or (
-            found is not None and ".liggghts" not in path and not is_numbered(found[1])
+            found is not None
+            and ".liggghts" not in path
+            and not (is_numbered(found[1]) and len(found[1]) >= _FEWEST_NUMBERED)
+            and not is_twice(found[1])
         )
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -128,75 +154,6 @@ class Lammps(Dumps):
         ]
 
 
-def _vector(slot: str, first: int) -> dict[str, int]:
-    return {f"{slot}_{axis}": first + k for k, axis in enumerate(COMPONENTS)}
-
-
-# Positions give the normal, with other digits than the particles' where a pair crosses a periodic boundary. The flag
-# of such pairs is not read: it misses some and marks others that do not cross.
-_PAIR = {
-    "contact_i": 6,
-    "contact_j": 7,
-    **_vector("end_i", 0),
-    **_vector("end_j", 3),
-    **_vector("contact_force", 9),
-    "overlap": 12,
-}
-_WALL = {
-    "contact_i": 8,
-    "contact_j": 6,
-    **_vector("contact_point", 0),
-    **_vector("end_i", 3),
-    **_vector("end_j", 0),
-    **_vector("contact_force", 9),
-    "overlap": 12,
-}
-
-
-class Liggghts(Dumps):
-    """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
-
-    PARTICLE_SLOTS: ClassVar[names.Slots] = {
-        **names.PARTICLE_SLOTS,
-        **names.components("half_axis", "half axis ?", "shape ?"),
-        **names.components("whole_axis", "whole axis ?"),
-    }
-
-    def recognises(self, path: str) -> bool:
-        """Return whether the first lines identify a dump; local ones have numbered columns."""
-        found = body_columns(path)
-        return found is not None and (found[0] == "ATOMS" or is_numbered(found[1]))
-
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``pair/gran/local`` files."""
-        refs = self.list_steps(paths, options, contacts=True)
-        self.contact_columns(refs[0], options)
-        return refs
-
-    def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``wall/gran/local`` files."""
-        refs = [replace(ref, kind="wall") for ref in self.list_steps(paths, options, contacts=True)]
-        self.contact_columns(refs[0], options)
-        return refs
-
-    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the contacts of one step; mesh k is the partner -(k + 1)."""
-        frame = super().read_contacts(ref, options)
-        if ref.kind == "wall":
-            frame["contact_j"] = -(frame["contact_j"] + 1)
-        return frame
-
-    def contact_slots(self, ref: StepRef) -> names.Slots:
-        """Return the columns that fill each slot, by their place where they have numbers for names."""
-        if not is_numbered(ref.columns):
-            return self.CONTACT_SLOTS
-        layout = _WALL if ref.kind == "wall" else _PAIR
-        return {
-            slot: ref.columns[layout[slot] :][:1] if slot in layout else ()
-            for slot in self.CONTACT_SLOTS
-        }
-
-
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------
 
 _FORMS = (lammps_binary, lammps_netcdf)
@@ -210,6 +167,8 @@ _NO_BODY = (
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
+_FEWEST_NUMBERED = 12  # of LIGGGHTS with positions, ids and forces; one compute of LAMMPS has fewer
+_TWIN = " (column "  # in the names of columns that occur before
 _SAMPLE, _TAIL = (
     1 << 14,
     1 << 16,
@@ -236,9 +195,13 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
 
 def is_numbered(names: Sequence[str]) -> bool:
     """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
-    return len(names) in (12, 13) and all(
-        re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1)
-    )
+    compute = names[0].removesuffix("[1]") if names else ""
+    return list(names) == [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
+
+
+def is_twice(names: Sequence[str]) -> bool:
+    """Return whether columns occur twice, as in what LIGGGHTS's tutorials write."""
+    return len(set(names)) < len(names)
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
@@ -321,7 +284,7 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
         item = line.removeprefix("ITEM:").strip()
         if not item.startswith(_NO_BODY):
             _check_header(ref, item.split(), atoms=atoms)
-            return replace(ref, columns=tuple(item.split()[1:]), offset=scanner.offset)
+            return replace(ref, columns=_apart(item.split()[1:]), offset=scanner.offset)
         ref = (
             _box(ref, scanner, item)
             if item.startswith("BOX BOUNDS")
@@ -352,7 +315,6 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     label, names = words[0] if words else "", words[1:]
-    twice = sorted(column for column, count in Counter(names).items() if count > 1)
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
         msg = f"{source_of(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
@@ -362,11 +324,26 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
         msg = f"{source_of(ref)}: 'ITEM: {label}' names no columns"
     elif len(names) > _MOST_COLUMNS:
         msg = f"{source_of(ref)}: 'ITEM: {label}' names {len(names)} columns, expected {_MOST_COLUMNS} at most"
-    elif twice:
-        msg = f"{source_of(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
     else:
         return
     raise SceneError(msg)
+
+
+def _apart(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of columns of which those that occur before get the number of their column."""
+    return tuple(
+        f"{name}{_TWIN}{place + 1})" if name in names[:place] else name
+        for place, name in enumerate(names)
+    )
+
+
+def _twins(ref: StepRef, name: str, options: ReadOptions) -> list[str]:
+    """Return the columns of the same name as one, unless the caller maps them."""
+    return [
+        column
+        for column in ref.columns
+        if column.startswith(name + _TWIN) and column not in options.names
+    ]
 
 
 def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:

@@ -1,4 +1,4 @@
-"""MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts), and the head of ``.restart`` (density, gravity).
+"""MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts), and the head of ``.restart``.
 
 Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair is listed in ``.fstat`` once
 or twice; of two rows, the one with i < j is read, as the other has fewer digits.
@@ -7,19 +7,18 @@ or twice; of two rows, the one with i < j is read, as the other has fewer digits
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers import names
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines.mercury_restart import Restart, is_restart, read_restart, restart_beside
 from xcg.readers.files.table import parse_table, read_table
 from xcg.readers.files.text import Scanner, check_rows, first_lines, scanned, source_of
 from xcg.readers.paths import index_steps
@@ -41,7 +40,8 @@ _ROW_3D = (
     "omz",
     "species",
 )
-_ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
+_SPIN_2D = "om"  # minus the angular velocity about z
+_ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", _SPIN_2D, "species")
 _CONTACT = (
     "t",
     "i",
@@ -74,12 +74,17 @@ class Mercury(Columnar):
     }
 
     def recognises(self, path: str) -> bool:
-        """Return whether a file is ``.data`` (header of 8, in 2D 6, numbers) or ``.fstat`` (three comment lines)."""
+        """Return whether a file is ``.data`` (header of 8, in 2D 6, numbers) or ``.fstat`` (three comment lines).
+
+        A restart file is recognised, too, so that `list_steps` can say what to give instead.
+        """
         name = os.path.basename(path)
         lines = first_lines(path)
         if ".fstat" in name:
             return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
-        return ".data" in name and bool(lines) and _header(lines[0]) is not None
+        if ".data" in name:
+            return bool(lines) and _header(lines[0]) is not None
+        return is_restart(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -89,27 +94,31 @@ class Mercury(Columnar):
         As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries of the restart file
         replace the edges in the headers of ``.data`` along axes where these are the same in all steps.
         """
+        for path in paths:
+            if ".restart" not in os.path.basename(path) or not is_restart(path):
+                continue
+            data, fstat = (path.replace(".restart", end) for end in (".data", ".fstat"))
+            raise SceneError(
+                f"{path}: a restart file of MercuryDPM is not read for grains and contacts; open {data!r}, with "
+                f"contacts={fstat!r}. The restart file beside it, or restart={path!r}, then gives densities, gravity "
+                "and boundaries"
+            )
         if contacts:
             return [
                 replace(ref, step=k)
                 for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))
             ]
         refs = index_steps(paths, "mercury data", _data_steps)
-        restarts = {
-            path: read_restart(path, options) or Restart(path, periodic=None) for path in paths
-        }
+        runs = {path: _restart_of(path, options) for path in paths}
+        _warn_of_boundaries([run for run in runs.values() if run is not None], refs, options)
+        _check_shifts(refs, runs, options)
         lasting = [
             len(set(edges)) == 1 for edges in zip(*(ref.box or () for ref in refs), strict=True)
         ]
-        for number, ref in enumerate(refs):
-            run = restarts[ref.path]
-            box = tuple(
-                run.edges.get(k, own) if lasting[k] else own for k, own in enumerate(ref.box or ())
-            )
-            refs[number] = replace(
-                ref, step=number, box=box, periodic=run.periodic, gravity=run.gravity
-            )
-        return refs
+        return [
+            replace(_with_restart(ref, runs[ref.path], lasting), step=number)
+            for number, ref in enumerate(refs)
+        ]
 
     def contact_columns(
         self, ref: StepRef, options: ReadOptions, slots: names.Slots | None = None
@@ -129,23 +138,33 @@ class Mercury(Columnar):
         ]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the particles of one step; the restart file knows the density of each species."""
+        """Parse the particles of one step. The restart file states the density of each species.
+
+        Discs get a mass, as MercuryDPM computes it for unit depth.
+        """
         frame = super().read_particles(ref, options)
-        restart = read_restart(ref.path, options)
+        if self.particle_columns(ref, options).get("angular_velocity_z") == _SPIN_2D:
+            frame["angular_velocity"] *= -1.0
+        restart = _restart_of(ref.path, options)
         if (
-            restart
-            and restart.density
-            and "species" in frame
-            and not {"density", "mass"} & set(frame)
+            restart is None
+            or not restart.density
+            or "species" not in frame
+            or {"density", "mass"} & set(frame)
         ):
-            unknown = set(np.unique(frame["species"])) - set(restart.density)
-            if unknown:
-                raise SceneError(
-                    f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
-                    f"{sorted(restart.density)}; name the restart file of this run with restart="
-                )
-            kinds, kind = np.unique(frame["species"], return_inverse=True)
-            frame["density"] = np.array([restart.density[k] for k in kinds])[kind]
+            return frame
+        unknown = set(np.unique(frame["species"])) - set(restart.density)
+        if unknown:
+            raise SceneError(
+                f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
+                f"{sorted(restart.density)}; name the restart file of this run with restart="
+            )
+        kinds, kind = np.unique(frame["species"], return_inverse=True)
+        density = np.array([restart.density[k] for k in kinds])[kind]
+        if not restart.has_discs:
+            frame["density"] = density
+        elif "diameter" in frame:
+            frame["mass"] = density * np.pi / 4 * frame["diameter"] ** 2
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -224,6 +243,102 @@ def _header(line: str) -> list[float] | None:
     )
 
 
+# --- what the restart file says of the run ---------------------------------------------------------------
+
+_SAME_SHIFT = 1e-6  # of a shift: less is rounding
+
+
+def _restart_of(data: str, options: ReadOptions) -> Restart | None:
+    """Read the restart file that the caller names, or that lies beside a ``.data`` file."""
+    named = options.extra.get("restart")
+    path = restart_beside(data) if named is None else str(named)
+    return None if path is None else read_restart(path)
+
+
+def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) -> StepRef:
+    """Return a step with what its restart file says."""
+    edges_of_data = ref.box or ()
+    is_flat = ref.columns == _ROW_2D
+    if run is None:
+        return replace(ref, dimension=2 if is_flat else None)
+    box = tuple(
+        (run.edges.get(k) or edges) if lasting[k] else edges
+        for k, edges in enumerate(edges_of_data)
+    )
+    dimensions = (run.dimension, run.particle_dimension)
+    ref = replace(
+        ref,
+        box=box,
+        periodic=run.periodic,
+        gravity=run.gravity,
+        dimension=2 if is_flat or 2 in dimensions else None,
+        shape="disc" if run.has_discs else "sphere",
+    )
+    vectors = np.diag([high - low for low, high in box])
+    for axis, vector in run.vectors.items():
+        vectors[axis] = vector
+    images = run.lees_edwards
+    if images is not None:
+        length, height = vectors[0, 0], vectors[1, 1]
+        shift = _shift_at(run, ref.time)
+        vectors[1, 0] += shift - length * np.rint(shift / length)
+        ref = replace(ref, shear_rates=(("xy", images.velocity / height),))
+    if run.vectors or images:
+        a, b, c = map(tuple, vectors.tolist())
+        ref = replace(ref, lattice=(a, b, c))
+    return ref
+
+
+def _shift_at(run: Restart, time: float | None) -> float:
+    """Return the shift of Lees-Edwards images at some time, from that in the restart file and its velocity."""
+    images = run.lees_edwards
+    assert images is not None
+    if run.time is None or time is None:
+        return images.shift
+    return images.shift + images.velocity * (time - run.time)
+
+
+def _warn_of_boundaries(
+    runs: Sequence[Restart], refs: Sequence[StepRef], options: ReadOptions
+) -> None:
+    """Warn of boundaries that are not read, or not read completely, unless the caller gives what they lack."""
+    doubts = [doubt for run in runs for doubt in run.doubts]
+    for doubt in dict.fromkeys(doubts):
+        if not options.given & set(doubt.answers):
+            warn_user(doubt.message)
+    if not runs and refs[0].columns == _ROW_2D and "shape" not in options.given:
+        warn_user(
+            f"{source_of(refs[0])}: no restart file states whether these grains in two dimensions are discs or "
+            "spheres, and spheres are taken; give restart=, or shape='disc' with thickness=1, MercuryDPM's unit depth"
+        )
+
+
+def _check_shifts(
+    refs: Sequence[StepRef], runs: Mapping[str, Restart | None], options: ReadOptions
+) -> None:
+    """Warn where shifts of Lees-Edwards images follow from their velocity. Raise SceneError where they cannot."""
+    if "lattice" in options.given:
+        return
+    for ref in refs:
+        run = runs[ref.path]
+        images = None if run is None else run.lees_edwards
+        if run is None or images is None or not images.velocity:
+            continue
+        way_out = "give lattice={'xy': shifts}, one for each step, and shear_rate="
+        if run.time is None and len(refs) > 1:
+            raise SceneError(
+                f"{run.path}: the LeesEdwardsBoundary has the shift {images.shift:g} at a time that is not stated; "
+                f"{way_out}"
+            )
+        if abs(_shift_at(run, ref.time) - images.shift) > _SAME_SHIFT * abs(images.shift):
+            warn_user(
+                f"{run.path}: the LeesEdwardsBoundary has the shift {images.shift:g} at time {run.time:g}; at other "
+                f"steps, such as time {ref.time:g}, it follows from the velocity {images.velocity:g}, taken as "
+                f"constant. If it is not, {way_out}"
+            )
+            return
+
+
 # --- contacts --------------------------------------------------------------------------------------------
 
 
@@ -262,85 +377,3 @@ def _once(i: NDArray, j: NDArray) -> NDArray:
         pair = np.minimum(i, j) * (max(i.max(), j.max()) + 1) + np.maximum(i, j)
         keep[~keep] = ~np.isin(pair[~keep], pair[keep & (j >= 0)])
     return keep
-
-
-# --- the restart file ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Restart:
-    """Header of a restart file: what holds for the whole run."""
-
-    path: str
-    gravity: tuple[float, float, float] | None = None
-    periodic: str | None = ""
-    density: Mapping[float, float] = field(default_factory=dict)
-    edges: Mapping[int, tuple[float, float]] = field(default_factory=dict)  # of periodic axes
-
-
-def read_restart(data: str, options: ReadOptions) -> Restart | None:
-    """Read the restart file that the caller names, or that lies next to a ``.data`` file.
-
-    Only its head, down to the particles, is read.
-    """
-    given = options.extra.get("restart")
-    path = str(given) if given else re.sub(r"\.data\b.*$", ".restart", data)
-    if given is None and not Path(path).is_file():
-        return None
-    restart, density, edges = Restart(path), {}, dict[int, tuple[float, float]]()
-    with scanned(path) as scanner:
-        while raw := scanner.line():
-            words = raw.decode("utf-8", "replace").split()
-            if words[:1] == ["Particles"]:
-                break
-            if "gravity" in words:
-                x, y, z = _numbers_after(words, "gravity", 3, path)
-                restart = replace(restart, gravity=(x, y, z))
-            if words and words[0].endswith("Species") and {"id", "density"} <= set(words):
-                (number,), (value,) = (
-                    _numbers_after(words, word, 1, path) for word in ("id", "density")
-                )
-                density[number] = value
-            if words and words[0] == "PeriodicBoundary":
-                edges |= _period(words, path)
-    return replace(
-        restart,
-        density=density,
-        periodic="".join(COMPONENTS[k] for k in sorted(edges)),
-        edges=edges,
-    )
-
-
-def _period(words: Sequence[str], path: str) -> dict[int, tuple[float, float]]:
-    """Return the two edges of a periodic boundary by its axis; names of the distances depend on the version."""
-    given = ("normal", "shift") if "shift" in words else ("normal",)
-    vectors = np.array([_numbers_after(words, name, 3, path) for name in given])
-    axis = int(np.argmax(np.abs(vectors[0])))
-    along, across = vectors[:, axis], np.delete(vectors, axis, axis=1)
-    if (np.abs(across) > 1e-9 * np.abs(along[:, None])).any() or not along[0]:
-        raise SceneError(
-            f"{path}: the normal or shift of {' '.join(words)[:160]!r} is not along x, y or z; such a period is not "
-            "read. Name a restart file without it in restart="
-        )
-    distances = [
-        next((w for w in words if w.lower().endswith(end)), f"distance{end.title()}")
-        for end in ("left", "right")
-    ]
-    low, high = sorted(
-        _numbers_after(words, name, 1, path)[0] / float(along[0]) for name in distances
-    )
-    return {axis: (low, high)}
-
-
-def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> list[float]:
-    start = words.index(word) + 1 if word in words else len(words)
-    try:
-        found = [float(text) for text in words[start : start + count]]
-    except ValueError:
-        found = []
-    if len(found) != count or not np.isfinite(found).all():
-        expected = "a number" if count == 1 else "three numbers"
-        raise SceneError(
-            f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}"
-        )
-    return found

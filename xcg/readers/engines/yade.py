@@ -1,8 +1,8 @@
 """YADE: text by scripts of its users (docs/other_codes.md has one) and by ``yade.export``.
 
-Lines of comments come first. The last one names the columns; ``fn(3)`` means three columns. One before it may hold
-the time, the number of the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose columns are the
-vectors to the next images. Positions are not wrapped. The forces that YADE keeps act on the second body of a contact.
+Lines of comments come first. One names the columns; ``fn(3)`` means three columns. One may hold the time, the number of
+the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose columns are the vectors to the next images.
+Others are comments. Positions are not wrapped. The forces that YADE keeps act on the second body of a contact.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
 _MOST_COMMENTS = 1000
+_LONGEST_ROW = 1 << 14  # bytes
 _MOST_COMPONENTS = 9
 _SHEARED = 1e-12  # of an edge: less is rounding
 _WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
@@ -48,10 +49,14 @@ class Yade(Columnar):
     }
 
     def recognises(self, path: str) -> bool:
-        """Return whether the first line is a ``#`` with format, time or columns in YADE's words."""
-        lines = first_lines(path)
-        words = lines[0].lstrip("#").split() if lines and lines[0].startswith("#") else []
-        return words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words)
+        """Return whether a line of comments holds a format, time or columns in YADE's words."""
+        for line in first_lines(path):
+            if not line.startswith("#"):
+                return False
+            words = line.lstrip("#").split()
+            if words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words):
+                return True
+        return False
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -60,11 +65,19 @@ class Yade(Columnar):
         return index_steps(paths, "yade", _steps)
 
 
+_KNOWN = {
+    alias
+    for slots in (Yade.PARTICLE_SLOTS, Yade.CONTACT_SLOTS)
+    for found in slots.values()
+    for alias in found
+}
+
+
 def _steps(path: str) -> Iterator[StepRef]:
     """Return the step of a file, from its comments, and count its rows."""
     told: dict[str, Any] = {}
     with scanned(path) as scanner:
-        columns: tuple[str, ...] = ()
+        comments: list[list[str]] = []
         for _ in range(_MOST_COMMENTS):
             if scanner.sample(1) != b"#":
                 break
@@ -72,11 +85,9 @@ def _steps(path: str) -> Iterator[StepRef]:
             if words[:1] == ["time"]:
                 told = _told(words, path)
             elif words:
-                columns = _names(words)
-        if not columns or len(set(columns)) != len(columns):
-            raise SceneError(
-                f"{path}: expected a comment that names each column once, such as '# id x y z r', found {columns}"
-            )
+                comments.append(words)
+        values = len(scanner.sample(_LONGEST_ROW).partition(b"\n")[0].split())
+        columns = _columns(comments, values, path)
         ref = StepRef(path, 0, columns=columns, offset=scanner.offset)
         length, rows, last = 0, 0, b"\n"
         for piece in filter(None, scanner.until(b"#")):
@@ -91,10 +102,36 @@ def _steps(path: str) -> Iterator[StepRef]:
     yield ref
 
 
-def _names(words: Sequence[str]) -> tuple[str, ...]:
-    """Names of columns, one for each component."""
+def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple[str, ...]:
+    """Return the names of the columns: those of the format, or the comment with most names of variables.
+
+    It has as many names as the first row has values (0 without rows).
+    """
+    formats = [words for words in comments if words[0] == "format"]
+    lines = [_names(words, values) for words in formats or comments]
+    fitting = [
+        columns
+        for columns in lines
+        if len(set(columns)) == len(columns) and (not values or len(columns) == values)
+    ]
+    if not fitting:
+        found = "; ".join(" ".join(words)[:60] for words in comments) or "none"
+        raise SceneError(
+            f"{path}: expected a comment that names each column once, such as '# id x y z r', one for each of the "
+            f"{values} values of the first row, found {found}"
+        )
+    return max(
+        reversed(fitting), key=lambda columns: len(_KNOWN & set(map(names.canonical, columns)))
+    )
+
+
+def _names(words: Sequence[str], values: int) -> tuple[str, ...]:
+    """Names of columns, one for each component; attributes of the caller's own fill a row of so many values."""
     if words[0] == "format":  # yade.export.text
         words = words[1].split("_") if len(words) > 1 else ()
+        if words and words[-1] == "attrs":
+            own = values - len(words) + 1
+            words = [*words[:-1], *(f"attribute_{k + 1}" for k in range(own))]
     columns: list[str] = []
     for word in words:
         several = re.fullmatch(r"(\w+)\((\d)\)", word)

@@ -6,6 +6,7 @@ blanks between values. Of Parquet, pyarrow reads the columns and row groups that
 
 from __future__ import annotations
 
+import codecs
 import importlib
 import math
 from collections import Counter, deque
@@ -29,6 +30,7 @@ _SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
+_LONGEST_ROW = 1 << 14  # bytes
 
 
 def read_table(
@@ -228,7 +230,7 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
         If the first line names no columns, or one of them twice, or a time is not a number.
     """
     with scanned(path) as scanner:
-        first = scanner.line()
+        first = _header_line(scanner)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator = next((mark for mark in _SEPARATORS if mark in line), " ")
         words = line.split(None if separator == " " else separator)
@@ -255,6 +257,37 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
     return TableIndex(names, len(starts) - 1, clock, starts, separator)
+
+
+def _header_line(scanner: Scanner) -> bytes:
+    """Return the line that names the columns, and pass over comments above and below it.
+
+    It is the first line without "#", or, where that holds numbers, the last comment of as many words.
+    """
+    comments = _comments(scanner)
+    below = scanner.sample(_LONGEST_ROW)
+    first = _cells(below.partition(b"\n")[0])
+    if below.strip() and not all(math.isfinite(_number(cell)) for cell in first):
+        header = scanner.line()
+        _comments(scanner)
+        return header
+    names = [line for line in comments if len(_cells(line)) == len(first)]
+    return (names or comments or [scanner.line()])[-1]
+
+
+def _comments(scanner: Scanner) -> list[bytes]:
+    """Take lines that begin with "#", and return them."""
+    lines = []
+    while scanner.sample(_LONGEST_ROW).removeprefix(codecs.BOM_UTF8).startswith(b"#"):
+        lines.append(scanner.line())
+    return lines
+
+
+def _cells(line: bytes) -> list[bytes]:
+    """Return what is between separators of a line."""
+    line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#").strip()
+    separators = [mark.encode() for mark in _SEPARATORS if mark.encode() in line]
+    return [cell.strip() for cell in line.split(separators[0] if separators else None)]
 
 
 def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:

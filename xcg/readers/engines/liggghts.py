@@ -1,0 +1,242 @@
+"""Dumps of LIGGGHTS. Columns of contacts have the order of the words of their compute.
+
+``compute pair/gran/local`` and ``wall/gran/local`` write the values of the words that they are given, whatever the
+order of these, in the order of `WORDS`. The columns have numbers for names (``c_cpl[1] c_cpl[2] ...``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import SceneError, unknown, warn_user
+from xcg.readers import names
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered
+from xcg.readers.files.text import body_of, source_of
+from xcg.scene.schema import COMPONENTS, Frame
+
+# Columns of each word, in their order. The history has as many as the contact model needs (0 here).
+WORDS = {
+    "pos": 6,
+    "vel": 6,
+    "id": 3,
+    "force": 3,
+    "force_normal": 3,
+    "force_tangential": 3,
+    "torque": 3,
+    "torque_normal": 3,
+    "torque_tangential": 3,
+    "history": 0,
+    "contactArea": 1,
+    "delta": 1,
+    "contactPoint": 3,
+    "ms_id": 2,
+    "heatFlux": 1,
+}
+# Words that are guessed from the number of columns: those of LIGGGHTS without words, and the usual ones.
+_DEFAULT = ("pos", "vel", "id", "force", "torque", "history", "contactArea")
+_USUAL = {12: ("pos", "id", "force"), 13: ("pos", "id", "force", "delta")}
+_FEWEST_OF_DEFAULT = 23
+_SAMPLE = 100  # rows that a guess is checked with
+# Cosines that half of the contacts exceed, for any coefficient of friction below 1.7.
+_ALONG = 0.5  # of force and normal
+_PARALLEL = 0.9  # of the torque and normal x force
+
+
+class Liggghts(Dumps):
+    """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
+
+    MORE_DIGITS = 'dump_modify ... format "%.10g %.10g ...", with one %.10g for each column'
+    PARTICLE_SLOTS: ClassVar[names.Slots] = {
+        **names.PARTICLE_SLOTS,
+        **names.components("half_axis", "half axis ?", "shape ?"),
+        **names.components("whole_axis", "whole axis ?"),
+    }
+
+    def recognises(self, path: str) -> bool:
+        """Return whether the first lines identify a dump; local ones have numbered columns."""
+        body = body_columns(path)
+        return body is not None and (body[0] == "ATOMS" or is_numbered(body[1]))
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``pair/gran/local`` files."""
+        return self._checked(self.list_steps(paths, options, contacts=True), options)
+
+    def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``wall/gran/local`` files."""
+        refs = [replace(ref, kind="wall") for ref in self.list_steps(paths, options, contacts=True)]
+        return self._checked(refs, options)
+
+    def _checked(self, refs: list[StepRef], options: ReadOptions) -> list[StepRef]:
+        """Check the columns of the first step, and guessed words with some of its rows."""
+        first = next((ref for ref in refs if ref.rows), refs[0])
+        filled = self.contact_columns(first, options)
+        if not _words_of(first, options) and (guess := _guess(first, options)):
+            _check_guess(first, guess)
+        if "normal_force_x" in filled and "tangential_force_x" not in filled:
+            warn_user(
+                f"{source_of(first)}: only normal forces were found, and they are taken as the contact forces; have "
+                "LIGGGHTS write the word 'force'"
+            )
+        return refs
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step; mesh k is the partner -(k + 1)."""
+        frame = super().read_contacts(ref, options)
+        if ref.kind == "wall":
+            frame["contact_j"] = -(frame["contact_j"] + 1)
+        return frame
+
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Return no hint: the columns of all words are known."""
+        return ""
+
+    def contact_slots(self, ref: StepRef, options: ReadOptions) -> names.Slots:
+        """Return the columns that fill each slot, by the words of their compute."""
+        words = _words_of(ref, options) or _guess(ref, options)
+        if words:
+            filled = _slots_of(ref, words)
+            return {slot: filled.get(slot, ()) for slot in self.CONTACT_SLOTS}
+        if is_numbered(ref.columns) and "contact_i" not in options.names.values():
+            raise SceneError(
+                f"{source_of(ref)}: {len(ref.columns)} columns with numbers for names, and which words the compute was "
+                f"given is not known; {_way_out(ref)}"
+            )
+        return self.CONTACT_SLOTS
+
+
+def _words_of(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
+    """Return the words that the caller gives for a kind of file."""
+    return tuple(options.words.get("walls" if ref.kind == "wall" else "contacts", ()))
+
+
+def _guess(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
+    """Return the words that the number of columns suggests, unless the caller maps columns; () without a guess."""
+    count = len(ref.columns)
+    if not is_numbered(ref.columns) or "contact_i" in options.names.values():
+        return ()
+    if count in _USUAL:
+        return _USUAL[count]
+    return _DEFAULT if count >= _FEWEST_OF_DEFAULT else ()
+
+
+def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
+    """Return the place of the first column of each word.
+
+    Raises
+    ------
+    SceneError
+        If a word is not known, or they do not have as many columns as the file.
+    """
+    spelt = {word.casefold(): word for word in WORDS}
+    wrong = [word for word in words if word.casefold() not in spelt]
+    if wrong:
+        raise SceneError(f"names={' '.join(words)!r}: {unknown('word', wrong[0], WORDS)}")
+    meant = {spelt[word.casefold()] for word in words}
+    history = len(ref.columns) - sum(WORDS[word] for word in meant)
+    if history < 0 or (history > 0) != ("history" in meant):
+        more = " and at least one of the history" if "history" in meant else ""
+        raise SceneError(
+            f"{source_of(ref)}: the words {' '.join(words)!r} have {len(ref.columns) - history} columns{more}, but the "
+            f"file has {len(ref.columns)}; {_way_out(ref)}"
+        )
+    places: dict[str, int] = {}
+    place = 0
+    for word, count in WORDS.items():
+        if word in meant:
+            places[word] = place
+            place += history if word == "history" else count
+    return places
+
+
+def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the column of each slot of a contact."""
+    places = _places(ref, words)
+    if "id" not in places or not {"force", "force_normal"} & set(places):
+        raise SceneError(
+            f"{source_of(ref)}: the words {' '.join(words)!r} lack 'id' or 'force', which contacts need; have LIGGGHTS "
+            "write both"
+        )
+    slots: dict[str, tuple[str, ...]] = {}
+
+    def fill(slot: str, word: str, offset: int = 0) -> None:
+        if word in places:
+            slots[slot] = (ref.columns[places[word] + offset],)
+
+    # Positions give the normal, with other digits than the particles' where a pair crosses a periodic boundary. The
+    # flag of such pairs is not read: it misses some and marks others that do not cross.
+    is_wall = ref.kind == "wall"
+    for k, axis in enumerate(COMPONENTS):
+        fill(f"end_i_{axis}", "pos", 3 + k if is_wall else k)
+        fill(f"end_j_{axis}", "pos", k if is_wall else 3 + k)
+        # LIGGGHTS does not fill contactPoint at walls, where pos has it
+        fill(f"contact_point_{axis}", "pos" if is_wall else "contactPoint", k)
+        fill(f"contact_force_{axis}", "force", k)
+        fill(f"normal_force_{axis}", "force_normal", k)
+        fill(f"tangential_force_{axis}", "force_tangential", k)
+    fill("contact_i", "id", 2 if is_wall else 0)
+    fill("contact_j", "id", 0 if is_wall else 1)
+    fill("overlap", "delta")
+    return slots
+
+
+def _way_out(ref: StepRef) -> str:
+    """Return what to do about columns of unknown words."""
+    compute = "wall/gran/local" if ref.kind == "wall" else "pair/gran/local"
+    return (
+        f"give the words of 'compute {compute}' in the input script, for example names='pos id force history "
+        f"contactArea delta' (docs/other_codes.md; known are {' '.join(WORDS)})"
+    )
+
+
+# --- checks of guessed words -----------------------------------------------------------------------------
+
+
+def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
+    """Raise SceneError if the first rows do not fit guessed words: ids, and directions of forces and torques."""
+    places, rows = _places(ref, words), _first_rows(ref)
+    if not len(rows):
+        return
+    ids = rows[:, places["id"] :][:, :3]
+    # a pair has two ids and a flag; a contact with a wall has mesh, triangle and id
+    limits = (0, 0, 1) if ref.kind == "wall" else (1, 1, 0)
+    fits = bool((ids == np.rint(ids)).all() and (ids >= limits).all())
+    if ref.kind != "wall":
+        fits = fits and bool((ids[:, 2] <= 1).all())
+        crosses = ids[:, 2] != 0
+        rows = rows[~crosses]
+    ends = rows[:, places["pos"] :][:, :6]
+    normal = ends[:, :3] - ends[:, 3:]
+    forces = _cosines(rows[:, places["force"] :][:, :3], normal)
+    fits = fits and not (len(forces) and np.median(forces) < _ALONG)
+    if "torque" in places:  # many words have as many columns; without torques, none is sure
+        moments = np.cross(normal, rows[:, places["force"] :][:, :3])
+        torques = _cosines(rows[:, places["torque"] :][:, :3], moments)
+        fits = fits and len(torques) > 0 and np.median(torques) > _PARALLEL
+    if not fits:
+        raise SceneError(
+            f"{source_of(ref)}: {len(ref.columns)} columns suggest the words {' '.join(words)!r}, but ids are not "
+            f"whole numbers there, or forces and torques do not fit the line between both positions; {_way_out(ref)}"
+        )
+
+
+def _cosines(vectors: NDArray, directions: NDArray) -> NDArray:
+    """Return the absolute cosines of the angles between vectors (n, 3), without those that are zero."""
+    lengths = np.linalg.norm(vectors, axis=1) * np.linalg.norm(directions, axis=1)
+    positive = lengths > 0
+    return np.abs((vectors * directions).sum(axis=1)[positive]) / lengths[positive]
+
+
+def _first_rows(ref: StepRef) -> NDArray:
+    """Return the first rows (n, columns) of a step; none if they are no numbers, which reading them says."""
+    lines = next(iter(body_of(ref)), b"").split(b"\n")[: ref.rows][:_SAMPLE]
+    rows = [line.split() for line in lines]
+    try:
+        return np.array([row for row in rows if len(row) == len(ref.columns)], float)
+    except ValueError:
+        return np.empty((0, len(ref.columns)))
