@@ -69,6 +69,8 @@ class StepRef:
         Whether `step` is the number in the name of the file, which does not say it.
     alone : bool
         Whether the step was taken for the only one of its file, without reading on.
+    pieces : tuple of StepRef
+        The parts of a step that was written to several files, which are read one after the other; engines get these.
     """
 
     path: str
@@ -91,6 +93,12 @@ class StepRef:
     kind: str = ""
     named: bool = False
     alone: bool = False
+    pieces: tuple[StepRef, ...] = ()
+
+    @property
+    def parts(self) -> tuple[StepRef, ...]:
+        """The pieces, or the step itself if it has none."""
+        return self.pieces or (self,)
 
     def __post_init__(self) -> None:
         """Make tuples of lists and arrays, as steps are hashed."""

@@ -277,12 +277,14 @@ def open_scene(
             [str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None
         )
         missing = "skip" if missing == "raise" and left_out else missing
-        steps = pair_steps(indexed, times, missing, together=together)
+        steps = pair_steps(reader, options, indexed, times, missing, together=together)
         if in_columns:
-            beside = [reader.wall_step(step.particles, options) for step in steps]
+            beside = [
+                [reader.wall_step(ref, options) for ref in step.particles.parts] for step in steps
+            ]
             steps = [
-                replace(step, contacts=(*step.contacts, ref))
-                for step, ref in zip(steps, beside, strict=True)
+                replace(step, contacts=(*step.contacts, *refs))
+                for step, refs in zip(steps, beside, strict=True)
             ]
     if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
         steps = [
@@ -531,7 +533,8 @@ def _recovered_box(
     Edges are put about the middle of the grains: sums over images depend on the period alone.
     """
     found: dict[str, float] = {}
-    for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
+    refs = [part for step in steps for ref in step.contacts for part in ref.parts]
+    for ref in refs[:_RECOVERY_STEPS]:
         if set(periodic) <= set(found):
             break
         try:
@@ -579,6 +582,6 @@ def _contact_names(source: Source, step: Step) -> list[str]:
     """Variables that the contacts of all files have."""
     common: list[str] = []
     for ref in step.contacts:
-        found = {*source.engine.contact_variables(ref, source.options), "contact_point"}
+        found = {*source.engine.contact_variables(ref.parts[0], source.options), "contact_point"}
         common = [name for name in common or found if name in found]
     return [*(name for name in VARIABLES if name in common), *sorted(set(common) - set(VARIABLES))]
