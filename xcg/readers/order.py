@@ -131,11 +131,11 @@ def _check_runs(steps: Sequence[Step], kind: str) -> None:
             one, other = ({k for k in keys[run] if low <= k <= high} for run in (latest, name))
             begins_with = min(keys[latest]) == low and len(keys[name]) > 1
             if one != other or begins_with:
-                first, second = runs[latest][0], runs[name][0]
+                last, first = max(runs[latest], key=_key), min(runs[name], key=_key)
                 raise SceneError(
-                    f"{kind}: the steps from {_said(second)} on ({source_of(second.particles)}) lie between those of "
-                    f"another run, which begins at {_said(first)} ({source_of(first.particles)}); open the runs one by "
-                    f"one, leave out the files that were written again, or {_way_out(steps, kind)}"
+                    f"{kind}: steps of two runs would be mixed, as {first.particles.path} ({_said(first)}) begins one "
+                    f"before {last.particles.path} ({_said(last)}) ends the other; open the runs one by one, leave out "
+                    f"the files of steps that were computed again, or {_way_out(steps, kind)}"
                 )
         if not latest or max(keys[name]) > max(keys[latest]):
             latest = name
@@ -190,13 +190,13 @@ def _joined(groups: dict[float, list[Step]], kind: str) -> list[Step]:
         refs = [step.particles for step in groups[key]]
         problem = ""
         if len(refs) != usual:
-            problem = f"has {len(refs)} pieces, and other steps have {usual}"
+            problem = f"is in {len(refs)} of the files, and other steps are in {usual}"
         elif len({(ref.box, ref.lattice) for ref in refs}) > 1:
             problem = f"has pieces of different boxes, as in {refs[-1].path}"
         if problem:
             error = SceneError(
-                f"{kind}: {source_of(refs[0])} {problem}; give the files of this step that are missing, leave out what "
-                "is not of this run, or leave out the step (on_error='skip')"
+                f"{kind}: {source_of(refs[0])} {problem}; the files hold pieces of steps: add the missing ones, leave "
+                "out what is not of this run, or leave out the step (on_error='skip')"
             )
             if not errors.record_fault(source_of(refs[0]), error):
                 raise error

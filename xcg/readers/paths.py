@@ -134,7 +134,7 @@ def not_against_headers(
 # ``XCG_INDEX_CACHE=0`` turns it off.
 
 
-_VERSION = 5  # of the entries; raise it when headers are read in another way
+_VERSION = 6  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
 _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
@@ -188,8 +188,14 @@ def remembered(
                     "steps": [_entry(ref) for ref in steps]
                 }
         except errors.FAULTS as error:
+            if steps and isinstance(error, SceneError):
+                first, last = steps[0].step, steps[-1].step
+                way = "" if errors.recorded() is not None else " with on_error='skip'"
+                error = SceneError(
+                    f"{error}; {len(steps)} whole steps before it (step {first} to {last}) are kept{way}"
+                )
             if not errors.record_fault(path, error):
-                raise
+                raise error from None
     for folder, entries in learnt.items():
         place, before = known[folder]
         if place is not None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
-from xcg.readers.columns import report_missing_ids, split_names
+from xcg.readers.columns import read_names, report_missing_ids, split_names
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
@@ -55,7 +55,7 @@ def open_scene(
     contacts: Paths | None = None,
     walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
     engine: str | Engine | type[Engine] | None = None,
-    names: Mapping[str, Any] | Sequence[str] | str | None = None,
+    names: Mapping[str, Any] | Sequence[str | None] | str | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str | None = None,
@@ -97,7 +97,7 @@ def open_scene(
     engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
-    names : mapping, text or list, optional
+    names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
         ``contact_point_x``, ``contact_normal_x``, and so on for y and z. Further names are
@@ -113,6 +113,9 @@ def open_scene(
         For LIGGGHTS, the words of ``compute pair/gran/local`` and ``wall/gran/local`` in any order, such as
         ``"pos id force contactArea delta history"`` or a list of them; ``{"contacts": "pos id force delta", "walls":
         "pos id force"}`` where they differ.
+        For tables without a line of names (CSV, or text with blanks) a list of the names of all columns in their
+        order, ``["id", "x", "y", "z", None, "radius"]``, where None skips a column; with files of contacts
+        ``{"particles": [...], "contacts": [...]}``.
     times : array (t,), optional
         Time of each step in the particle files, in their order and in their unit of time.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
@@ -249,15 +252,23 @@ def open_scene(
         files = {
             kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
         }
-        mapped, words = split_names(names)
-        if words and engine is None:
-            engine = "liggghts"
+        engine = engine or _engine_of_names(names, files)
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
+        words, in_order = {}, {}
+        if reader.name == "liggghts" or isinstance(names, str):
+            mapped, words = split_names(names)
+        else:
+            mapped, in_order = read_names(names)
         if words and reader.name != "liggghts":
             raise SceneError(
                 f"names={names!r}: expected a mapping from columns to variables; words of a compute are for the engine "
                 f"'liggghts', not {reader.name!r}"
+            )
+        if in_order and not reader.NAMES_IN_ORDER:
+            raise SceneError(
+                f"names={names!r}: the engine '{reader.name}' reads the names of columns from the files; map them, "
+                "names={'column': 'variable'}"
             )
         extra = {
             **engine_options,
@@ -266,7 +277,9 @@ def open_scene(
         answers = frozenset(
             name for name in ("periodic", "lattice", "shape") if given[name] is not None
         )
-        options = ReadOptions(mapped, extra, in_columns, words, answers, alone=True)
+        options = ReadOptions(
+            mapped, extra, in_columns, words, answers, columns=in_order, alone=True
+        )
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(
             reader, files, options, [what for what, given in said.items() if given is None]
@@ -400,6 +413,16 @@ def open_scene(
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(skipped)
     return scene
+
+
+def _engine_of_names(names: object, files: Mapping[str, Sequence[str]]) -> str | None:
+    """Return the engine that takes names in the order of the columns; None where names are a mapping or absent."""
+    lists = names if isinstance(names, Mapping) else {"": names}
+    if not any(isinstance(given, list | tuple | str) for given in lists.values()):
+        return None
+    if isinstance(names, str) or load_engine("liggghts").recognises(files["particles"][0]):
+        return "liggghts"
+    return "table" if any(isinstance(given, list | tuple) for given in lists.values()) else None
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
