@@ -84,9 +84,9 @@ def open_scene(
     Parameters
     ----------
     particles : path, glob or list of them
-        Files with particles. Globs are sorted by the numbers in the names (9 before 10). Or one scene that xcg saved
-        (``.zarr``, or ``.nc``, which may be called ``.nc4``, ``.h5`` or ``.hdf5``), beside which there are `chunks` and
-        `on_error` only.
+        Files with particles. Globs are sorted by the numbers in them (9 before 10, 0.15 before
+        0.2). Or one scene that xcg saved (``.zarr``, or ``.nc``, which may be called ``.nc4``,
+        ``.h5`` or ``.hdf5``), beside which there are `chunks` and `on_error` only.
     contacts : path, glob or list of them, optional
         Files with contacts.
     walls : path, glob or list of them, or mapping, optional
@@ -117,7 +117,8 @@ def open_scene(
         order, ``["id", "x", "y", "z", None, "radius"]``, where None skips a column; with files of contacts
         ``{"particles": [...], "contacts": [...]}``.
     times : array (t,), optional
-        Time of each step in the particle files, in their order and in their unit of time.
+        Time of each step in the particle files, in their order and in their unit of time. Pieces of one step have the
+        same time. Contacts whose steps are listed as those of the particles get these times, too.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain in the files' unit of length, in place of the headers'.
     periodic : str, optional
@@ -194,19 +195,25 @@ def open_scene(
         If a path does not exist or a glob matches nothing.
     SceneError
         If the files are not what they should be; the message names file, step and row or column. Faults in
-        bodies appear when they are read.
+        bodies appear when they are read. Also if names of files do not tell which of their numbers is the step, if
+        steps go back within a file, if steps of two runs would be mixed, or if a piece of a step is missing.
 
     Warns
     -----
     SceneWarning
-        If a step occurs twice (the later one counts), steps are left out, a LAMMPS file does not name its units, files
-        of contacts are of another box, or columns look like forces or contacts with walls and are not read.
+        If a step occurs twice with the same particles (the later one counts), steps are left out, a
+        LAMMPS file does not name its units, files of contacts are of another box, or columns look
+        like forces or contacts with walls and are not read.
 
     Notes
     -----
-    Particles and contacts are paired by time where both kinds of file hold it, else by step number, which is that in
-    the name of a file that states none. One file of particles and one of contacts, given by name, are paired whatever
-    the numbers in their names. Contacts of steps without particles are left out with a warning.
+    A file of one step that states neither time nor number has them in its name: a decimal is a time, and of several
+    numbers the one that varies from file to file counts. Files of one step that have no particle (or no pair of
+    grains in contact) in common are its pieces, and are joined.
+
+    Particles and contacts are paired by time where both kinds of file hold it, else by step number.
+    One file of particles and one of contacts, given by name, are paired whatever the numbers in
+    their names. Contacts of steps without particles are left out with a warning.
 
     Steps that share one text file are read from where they begin. In a gzipped file they are reached by
     decompressing all before them, going on from the last step that was read.
@@ -415,14 +422,12 @@ def open_scene(
     return scene
 
 
-def _engine_of_names(names: object, files: Mapping[str, Sequence[str]]) -> str | None:
+def _engine_of_names(names: Any, files: Mapping[str, Sequence[str]]) -> str | None:
     """Return the engine that takes names in the order of the columns; None where names are a mapping or absent."""
-    lists = names if isinstance(names, Mapping) else {"": names}
-    if not any(isinstance(given, list | tuple | str) for given in lists.values()):
-        return None
-    if isinstance(names, str) or load_engine("liggghts").recognises(files["particles"][0]):
-        return "liggghts"
-    return "table" if any(isinstance(given, list | tuple) for given in lists.values()) else None
+    given = names.values() if isinstance(names, Mapping) else [names]
+    if not any(isinstance(of_kind, list | tuple) for of_kind in given):
+        return "liggghts" if split_names(names)[1] else None
+    return "liggghts" if load_engine("liggghts").recognises(files["particles"][0]) else "table"
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
