@@ -11,15 +11,18 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from xcg.readers.files.text import plain_name
 
 _NUMBER = re.compile(
     r"(?<!\d)(?<!\d\.)\d+\.\d+(?:[eE][-+]?\d{1,2})?(?!\.?\d)"  # 0.05, but no part of 2024.01.05
     r"|(?<!\d)\d+[eE][-+]\d{1,2}(?!\d)"  # 5e-05
-    r"|\d+"
+    r"|\d+",
+    re.ASCII,
 )
-_WHOLE = re.compile(r"\d+")
+_WHOLE = re.compile(r"\d+", re.ASCII)
+_POINT = re.compile(r"\d(\.|[eE][-+])\d", re.ASCII)
 _ENDING = re.compile(r"\.[A-Za-z]\w*$")  # ".h5" holds no number
 _OF_TIME = re.compile(r"(?:^|[^a-z])t(?:ime)?[^a-z0-9]*$", re.IGNORECASE)  # before a number
 
@@ -46,8 +49,7 @@ class FileNumbers:
     problem: str = ""
 
 
-@dataclass(frozen=True)
-class _Number:
+class _Number(NamedTuple):
     """Number in a name: its text, and where it begins."""
 
     text: str
@@ -70,14 +72,14 @@ def sort_by_numbers(paths: Iterable[str]) -> list[str]:
     return sorted(listed, key=keys.__getitem__)
 
 
-def _natural_key(path: str, row: Sequence[_Number]) -> list[tuple[str, float, str]]:
-    """Return the texts before the numbers, and the numbers by value."""
-    key = []
+def _natural_key(path: str, row: Sequence[_Number]) -> list[str | float]:
+    """Return texts and the numbers between them in turn, numbers by value."""
+    key: list[str | float] = []
     end = 0
     for number in row:
-        key.append((path[end : number.start], number.value, number.text))
+        key += path[end : number.start], number.value
         end = number.start + len(number.text)
-    return [*key, (path[end:], -1.0, "")]
+    return [*key, path[end:]]
 
 
 def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
@@ -86,6 +88,9 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
     If no number varies among the names, those in the folders are taken; if these do not vary either, the last number
     of each name.
     """
+    usual = _read_one_number(paths)
+    if usual:
+        return usual
     folders = [os.path.join(os.path.dirname(path), "") for path in paths]
     names = [_ENDING.sub("", plain_name(path)) for path in paths]
     columns: list[list[_Number]] | list[list[_Number | None]]
@@ -102,12 +107,38 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
         if all(number is None or number.is_whole for number in numbers):
             steps = [None if number is None else int(number.text) for number in numbers]
         else:
-            times = [None if number is None else number.value for number in numbers]
+            times = [None if number is None else float(number.text) for number in numbers]
     runs = []
     for folder, name, number in zip(folders, names, columns[-1], strict=True):
         without = _without(folder if in_folders else name, number)
         runs.append(without + name if in_folders else folder + without)
     return FileNumbers(steps, times, runs, problem)
+
+
+def _read_one_number(paths: Sequence[str]) -> FileNumbers | None:
+    """Read the steps of paths that differ in one whole number only; None for all others.
+
+    This is the usual case, and takes a tenth of the time.
+    """
+    if len(paths) < 2:
+        return None
+    before = _common_start(paths).rstrip("0123456789")
+    after = _common_start([path[::-1] for path in paths])[::-1].lstrip("0123456789")
+    digits = [path[len(before) : len(path) - len(after)] for path in paths]
+    beside = f"{before[-3:]}0{after[:3]}"
+    may_be_other = _POINT.search(beside) or _ENDING.search(f"{before}0")
+    if may_be_other or not all(map(_WHOLE.fullmatch, digits)):
+        return None
+    if not _are_whole(digits) or len(set(map(int, digits))) < len(paths):
+        return None
+    runs = [f"{before}#{after}"] * len(paths)
+    return FileNumbers([int(text) for text in digits], [None] * len(paths), runs)
+
+
+def _common_start(texts: Sequence[str]) -> str:
+    first, last = min(texts), max(texts)
+    length = next((k for k in range(len(first)) if first[k] != last[k]), len(first))
+    return first[:length]
 
 
 def _without(text: str, number: _Number | None) -> str:
@@ -138,7 +169,7 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
         few, many = min(counts), max(counts)
         return [], f"{counts[few]!r} holds {few} numbers, and {counts[many]!r} {many}"
     columns = [list(numbers) for numbers in zip(*rows, strict=True)]
-    columns = [numbers for numbers in columns if len({number.value for number in numbers}) > 1]
+    columns = [numbers for numbers in columns if not _are_equal(numbers)]
     if not all(_rise_together(column, columns[-1]) for column in columns[:-1]):
         ranges = " and ".join(_range(column) for column in columns)
         columns = _without_ranks(columns)
@@ -148,6 +179,11 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
         if not _are_whole([number.text for number in column if number.is_whole]):
             return [], f"the numbers in the names ({_range(column)}) are not padded to one length"
     return columns, ""
+
+
+def _are_equal(numbers: Sequence[_Number]) -> bool:
+    texts = {number.text for number in numbers}
+    return len(texts) < 2 or len({float(text) for text in texts}) < 2
 
 
 def _range(column: Sequence[_Number]) -> str:
@@ -183,10 +219,10 @@ def _without_ranks(columns: Sequence[list[_Number]]) -> list[list[_Number]]:
 
 def _numbers_of(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     """Return the numbers in each text, and what is in doubt about them: a dot may be a point or stand between two."""
-    rows = [[_Number(m[0], m.start()) for m in _NUMBER.finditer(text)] for text in texts]
-    if all(number.is_whole for row in rows for number in row):
-        return rows, ""
     whole = [[_Number(m[0], m.start()) for m in _WHOLE.finditer(text)] for text in texts]
+    if not _POINT.search("\n".join(texts)):
+        return whole, ""
+    rows = [[_Number(m[0], m.start()) for m in _NUMBER.finditer(text)] for text in texts]
     if len(set(map(len, rows))) > 1:
         return whole, ""
     doubt = ""
