@@ -189,6 +189,14 @@ def test_a_piece_that_is_missing_is_an_error(tmp_path):
         assert xcg.open_scene(f"{tmp_path}/piece*", on_error="skip").step.values == [0]
 
 
+def test_a_piece_that_changed_after_opening_is_noticed(tmp_path):
+    write_text_pieces(tmp_path)
+    scene = xcg.open_scene(f"{tmp_path}/piece*")
+    write(tmp_path / "piece.1.1000.gz", grains([3, 5], 1000))
+    with pytest.raises(SceneError, match=r"piece\.1\.1000\.gz .* after the scene was opened"):
+        scene.compute()
+
+
 def test_pieces_without_ids_are_an_error(tmp_path):
     write_tables(tmp_path, ["p_100_0.csv", "p_100_1.csv", "p_200_0.csv", "p_200_1.csv"], "charge")
     with pytest.raises(SceneError, match="have the same time or step number, and hold no ids"):
