@@ -45,7 +45,7 @@ _RIVALS = (
 
 
 def split_names(
-    names: Mapping[str, Any] | Sequence[str] | str | None,
+    names: Mapping[str, Any] | Sequence[str | None] | str | None,
 ) -> tuple[dict[str, str | None], dict[str, tuple[str, ...]]]:
     """Return ``names=`` as a mapping from columns, and as words of the computes that wrote the contacts.
 

@@ -262,7 +262,8 @@ def open_scene(
         engine = engine or _engine_of_names(names, files)
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
-        words, in_order = {}, {}
+        words: dict[str, tuple[str, ...]] = {}
+        in_order: dict[str, Sequence[str | None]] = {}
         if reader.name == "liggghts" or isinstance(names, str):
             mapped, words = split_names(names)
         else:

@@ -342,7 +342,6 @@ def test_contacts_without_names_have_a_list_of_their_own(tmp_path):
         (None, r"name the 6 columns in their order, such as names=\['id', "),
         (["id", "x", "y", "z"], r"names= lists 4 columns .* the first row has 6 values"),
         (["id", "x", "x", "z", "c", "radius"], "'x' stands there 2 times"),
-        ("id x y z c radius", "expected a mapping or a list"),
         ({"particles": ["id"], "contact": ["x"]}, "lists of all columns in their order"),
     ],
 )
