@@ -40,10 +40,12 @@ INSIDE = {
     "readers": [
         ["engine", "names"],
         ["files"],
+        ["filenames"],
         ["paths"],
         ["columns"],
         ["engines"],
         ["lazy"],
+        ["order"],
         ["pairs"],
         ["saved"],
         ["series"],

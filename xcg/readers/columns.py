@@ -17,6 +17,7 @@ from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
 from xcg.readers.names import (
+    CLOCK_SLOTS,
     CONTACT_SLOTS,
     PARTICLE_SLOTS,
     Slots,
@@ -44,7 +45,7 @@ _RIVALS = (
 
 
 def split_names(
-    names: Mapping[str, Any] | Sequence[str] | str | None,
+    names: Mapping[str, Any] | Sequence[str | None] | str | None,
 ) -> tuple[dict[str, str | None], dict[str, tuple[str, ...]]]:
     """Return ``names=`` as a mapping from columns, and as words of the computes that wrote the contacts.
 
@@ -387,6 +388,52 @@ def _own(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
         and slot not in known
         and variable(slot).dims == (dim,)
     }
+
+
+def read_names(
+    names: Mapping[str, Any] | Sequence[str | None] | None,
+) -> tuple[dict[str, str | None], dict[str, Sequence[str | None]]]:
+    """Return ``names=`` as a mapping from columns, and as the columns of each kind of file in their order.
+
+    Raises
+    ------
+    SceneError
+        If names in their order are not texts or None, or one occurs twice.
+    """
+    if names is None:
+        return {}, {}
+    in_order: dict[str, Sequence[str | None]]
+    if isinstance(names, Mapping):
+        in_order = {kind: given for kind, given in names.items() if isinstance(given, list | tuple)}
+        if not in_order:
+            return dict(names), {}
+        if set(names) != set(in_order) or not set(names) <= set(_KINDS):
+            raise SceneError(
+                f"names={dict(names)!r}: expected a mapping from columns to variables, or lists of all "
+                "columns in their order, names={'particles': [...], 'contacts': [...]}"
+            )
+    elif isinstance(names, list | tuple):
+        in_order = dict.fromkeys(_KINDS, names)
+    else:
+        raise SceneError(f"names={names!r}: expected a mapping or a list of names")
+    aliases = {alias for slots in _ALL_SLOTS for found in slots.values() for alias in found}
+    mapping: dict[str, str | None] = {}
+    for given in in_order.values():
+        for name, count in Counter(given).items():
+            if name is None:
+                continue
+            if not isinstance(name, str) or count > 1:
+                raise SceneError(
+                    f"names={list(given)!r}: {name!r} stands there {count} times; expected the name of each column "
+                    "once, in the order of the file, and None for a column to skip"
+                )
+            if canonical(name) not in aliases:  # a slot, or a variable of the caller's own
+                mapping[name] = name
+    return mapping, in_order
+
+
+_KINDS = ("particles", "contacts")
+_ALL_SLOTS = (PARTICLE_SLOTS, CONTACT_SLOTS, CLOCK_SLOTS)
 
 
 class Columnar(Engine):

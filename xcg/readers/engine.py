@@ -69,6 +69,8 @@ class StepRef:
         Whether `step` is the number in the name of the file, which does not say it.
     alone : bool
         Whether the step was taken for the only one of its file, without reading on.
+    pieces : tuple of StepRef
+        The parts of a step that was written to several files, which are read one after the other; engines get these.
     """
 
     path: str
@@ -91,6 +93,12 @@ class StepRef:
     kind: str = ""
     named: bool = False
     alone: bool = False
+    pieces: tuple[StepRef, ...] = ()
+
+    @property
+    def parts(self) -> tuple[StepRef, ...]:
+        """The pieces, or the step itself if it has none."""
+        return self.pieces or (self,)
 
     def __post_init__(self) -> None:
         """Make tuples of lists and arrays, as steps are hashed."""
@@ -122,6 +130,8 @@ class ReadOptions:
         Which of ``periodic``, ``lattice`` and ``shape`` of `xcg.open_scene` the caller gave.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
+    columns : mapping
+        Names of all columns of files without a line of names, by kind ("particles", "contacts"); None skips a column.
     alone : bool
         Whether nothing else is read or computed meanwhile, so that one step may take all threads of the process.
     """
@@ -132,6 +142,7 @@ class ReadOptions:
     words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     given: frozenset[str] = frozenset()
     unwanted: tuple[str, ...] = ()
+    columns: Mapping[str, Sequence[str | None]] = field(default_factory=dict)
     alone: bool = False
 
 
@@ -149,6 +160,8 @@ class Engine(ABC):
     ----------
     OPTIONS : tuple of str
         Names of the keyword arguments of its own that `xcg.open_scene` takes; they come as ``options.extra``.
+    NAMES_IN_ORDER : bool
+        Whether files may lack names of columns, which are then in ``options.columns``.
     UNNAMED_UNITS : str
         What to do about files that do not name their units, for the warning that such files get; without it they are
         taken as SI without a word.
@@ -169,6 +182,7 @@ class Engine(ABC):
     """
 
     OPTIONS: ClassVar[tuple[str, ...]] = ()
+    NAMES_IN_ORDER: ClassVar[bool] = False
     UNNAMED_UNITS: ClassVar[str] = ""
     ROWS_ARE_IDS: ClassVar[bool] = True
 
@@ -357,8 +371,9 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
             f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')"
         )
     raise SceneError(
-        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
-        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
+        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. Tables "
+        "of numbers without a line of names need names=['id', 'x', 'y', 'z', ...] in the order of the columns. For "
+        "other formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
     )
 
 

@@ -111,7 +111,13 @@ class Step:
 def read_step(
     engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False
 ) -> Frame:
-    """Parse one body in the file's units."""
+    """Parse one body in the file's units, or those of its pieces one after the other."""
+    if ref.pieces:
+        frames = [read_step(engine, options, piece, contacts=contacts) for piece in ref.pieces]
+        return {
+            name: np.concatenate([frame[name] for frame in frames]) if np.ndim(values) else values
+            for name, values in frames[0].items()
+        }
     try:
         found = (
             engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
@@ -155,6 +161,8 @@ def read_step(
 
 def _check_unchanged(ref: StepRef) -> None:
     """Raise SceneError for a file that changed since its headers were read."""
+    for piece in ref.pieces:
+        _check_unchanged(piece)
     again = "open it again"
     try:
         state = os.stat(ref.path)
@@ -391,9 +399,8 @@ class Series:
 
     def token(self) -> str:
         """Token of a series, from the files and options that it reads."""
-        paths = sorted(
-            {ref.path for step in self.steps for ref in (step.particles, *step.contacts)}
-        )
+        refs = [ref for step in self.steps for ref in (step.particles, *step.contacts)]
+        paths = sorted({piece.path for ref in refs for piece in ref.parts})
         modified = [os.stat(path).st_mtime_ns for path in paths]
         # as text, which dask digests ten times as fast as thousands of objects
         steps = repr(self.steps)

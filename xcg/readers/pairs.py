@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneError, printable, unknown, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Step
+from xcg.readers.lazy import Step, read_step
+from xcg.readers.order import order_steps
 from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
@@ -128,7 +129,13 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
 
 
 def pair_steps(
-    indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str, *, together: bool
+    reader: Engine,
+    options: ReadOptions,
+    indexed: Mapping[str, list[StepRef]],
+    times: ArrayLike | None,
+    missing: str,
+    *,
+    together: bool,
 ) -> list[Step]:
     """Order the steps of particles by time, each with its contacts.
 
@@ -143,41 +150,42 @@ def pair_steps(
                 f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step"
             )
         known = given.tolist()
-    steps = _in_order(
-        [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles"
-    )
+    steps = [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)]
+    read = partial(read_step, reader, options)
+    steps = order_steps(steps, "particles", read, timed=times is not None)
+    read = partial(read, contacts=True)
     for kind in ("contacts", "walls"):
-        if kind in indexed:
-            steps = _join(steps, kind, indexed[kind], missing, together=together)
+        if kind not in indexed:
+            continue
+        # with the caller's times, contacts that are listed as the particles are have the same ones
+        alike = times is not None and [ref.step for ref in indexed[kind]] == [r.step for r in refs]
+        clock = known if alike else [ref.time for ref in indexed[kind]]
+        others = [Step(ref, (), time) for ref, time in zip(indexed[kind], clock, strict=True)]
+        others = order_steps(others, kind, read, timed=alike)
+        refs_of_kind = [step.particles for step in others]
+        steps = _join(steps, kind, refs_of_kind, missing, together=together, alike=alike)
     return steps
 
 
-def _in_order(steps: list[Step], kind: str) -> list[Step]:
-    """Sort by time (without times, by number), and keep the last of equal ones."""
-    unique: dict[float, Step] = {}
-    for step in steps:
-        key = step.particles.step if step.time is None else step.time
-        if key in unique:
-            old, new = source_of(unique[key].particles), source_of(step.particles)
-            warn_user(
-                f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=)"
-            )
-        unique[key] = step
-    return [unique[key] for key in sorted(unique)]
-
-
 def _join(
-    steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, together: bool
+    steps: list[Step],
+    kind: str,
+    others: list[StepRef],
+    missing: str,
+    *,
+    together: bool,
+    alike: bool,
 ) -> list[Step]:
-    """Match contacts to steps: by time where both have one, else by number."""
-    others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
+    """Match contacts to steps: by time where both have one, else by number; one by one where they are listed alike."""
     timed = others[0].time is not None and steps[0].particles.time is not None
     one = (
         together
         and len(steps) == len(others) == 1
         and (steps[0].particles.named or others[0].named)
     )
-    if timed:
+    if alike and len(steps) == len(others):
+        partner = list(range(len(others)))
+    elif timed:
         partner = _same_time(steps, others)
     elif one or (
         others[-1].step < 0 and len(others) == len(steps)

@@ -7,7 +7,6 @@ import glob
 import hashlib
 import json
 import os
-import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -20,19 +19,12 @@ import numpy as np
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
+from xcg.readers.filenames import read_file_numbers, sort_by_numbers
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import UNIT_SYSTEMS, Setup, units_of_system
 from xcg.steps import faults as errors
 
 PathLike: TypeAlias = str | os.PathLike[str]
-
-
-def natural_key(path: str) -> list[tuple[int, int, str]]:
-    """Key that sorts the numbers in names by value: ``step9`` comes before ``step10``."""
-    return [
-        (1, int(part), part) if part.isdecimal() else (0, 0, part)
-        for part in re.split(r"(\d+)", path)
-    ]
 
 
 def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[str]:
@@ -41,7 +33,7 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
     Parameters
     ----------
     paths : str, path or iterable of them
-        Globs are sorted naturally; a list keeps its order. A file named twice counts once.
+        Globs are sorted by the numbers in them; a list keeps its order. A file named twice counts once.
     argument : str
         Name of the argument, for messages.
 
@@ -56,7 +48,7 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
         path = os.path.expanduser(os.fspath(given))
         files = [path]
         if not os.path.isfile(path):
-            files = sorted(filter(os.path.isfile, glob.glob(path, recursive=True)), key=natural_key)
+            files = sort_by_numbers(filter(os.path.isfile, glob.glob(path, recursive=True)))
         if not files:
             error = FileNotFoundError(f"{argument}={path!r}{_why_none(path)}")
             if single or not errors.record_fault(os.fspath(given), error):
@@ -81,9 +73,7 @@ def _why_none(path: str) -> str:
         return problem
     if not os.path.isdir(folder):
         return f"{problem}; the folder {folder!r} does not exist"
-    there = sorted(
-        (entry.name for entry in Path(folder).iterdir() if entry.is_file()), key=natural_key
-    )
+    there = sort_by_numbers(entry.name for entry in Path(folder).iterdir() if entry.is_file())
     if not there:
         return f"{problem}; the folder {folder!r} holds no files"
     similar = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or there[:3]
@@ -144,7 +134,7 @@ def not_against_headers(
 # ``XCG_INDEX_CACHE=0`` turns it off.
 
 
-_VERSION = 5  # of the entries; raise it when headers are read in another way
+_VERSION = 6  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
 _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
@@ -198,8 +188,14 @@ def remembered(
                     "steps": [_entry(ref) for ref in steps]
                 }
         except errors.FAULTS as error:
+            if steps and isinstance(error, SceneError):
+                first, last = steps[0].step, steps[-1].step
+                way = "" if errors.recorded() is not None else " with on_error='skip'"
+                error = SceneError(
+                    f"{error}; {len(steps)} whole steps before it (step {first} to {last}) are kept{way}"
+                )
             if not errors.record_fault(path, error):
-                raise
+                raise error from None
     for folder, entries in learnt.items():
         place, before = known[folder]
         if place is not None:
@@ -228,25 +224,15 @@ def index_steps(
 ) -> list[StepRef]:
     """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
 
-    Steps without a number (-1) get the last one in the name of a file that holds no others, else negative ones in
-    their order. With a `timestep`, steps without time get one.
+    Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time get one.
     """
-    refs: list[StepRef] = []
-    for path, steps in zip(paths, remembered(paths, kind, scan), strict=True):
-        name = Path(path)
-        digits = re.findall(
-            r"\d+", name.name if name.suffix[1:].isdecimal() else name.stem
-        )  # ".h5" is no number
-        if len(steps) == 1 and steps[0].step < 0 and digits:
-            steps = [replace(steps[0], step=int(digits[-1]), named=True)]
-        refs += steps
+    found = remembered(paths, kind, scan)
+    for path, steps in zip(paths, found, strict=True):
         if not steps:
             errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
+    refs = number_steps(paths, found)
     if not refs:
         errors.raise_recorded()
-    refs = [
-        ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)
-    ]
     if timestep is None:
         return refs
     if not is_positive(timestep):
@@ -257,6 +243,27 @@ def index_steps(
     return [
         replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref
         for ref in refs
+    ]
+
+
+def number_steps(paths: Sequence[str], found: Sequence[Sequence[StepRef]]) -> list[StepRef]:
+    """Return the steps of all files, each with a number.
+
+    A step without a number (-1) gets the number or the time in the name of its file if it is the only one there, see
+    `read_file_numbers`; else a negative number, in the order of the files.
+    """
+    by_name = read_file_numbers(paths)
+    refs: list[StepRef] = []
+    for steps, number, time_in_name in zip(found, by_name.steps, by_name.times, strict=True):
+        for ref in steps:
+            of_name = ref.step < 0 and len(steps) == 1
+            if of_name and ref.time is None and time_in_name is not None:
+                ref = replace(ref, time=time_in_name, named=True)
+            if of_name and number is not None:
+                ref = replace(ref, step=number, named=True)
+            refs.append(ref)
+    return [
+        ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)
     ]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
-from xcg.readers.columns import report_missing_ids, split_names
+from xcg.readers.columns import read_names, report_missing_ids, split_names
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
@@ -55,7 +55,7 @@ def open_scene(
     contacts: Paths | None = None,
     walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
     engine: str | Engine | type[Engine] | None = None,
-    names: Mapping[str, Any] | Sequence[str] | str | None = None,
+    names: Mapping[str, Any] | Sequence[str | None] | str | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str | None = None,
@@ -84,9 +84,9 @@ def open_scene(
     Parameters
     ----------
     particles : path, glob or list of them
-        Files with particles. Globs are sorted by the numbers in the names (9 before 10). Or one scene that xcg saved
-        (``.zarr``, or ``.nc``, which may be called ``.nc4``, ``.h5`` or ``.hdf5``), beside which there are `chunks` and
-        `on_error` only.
+        Files with particles. Globs are sorted by the numbers in them (9 before 10, 0.15 before
+        0.2). Or one scene that xcg saved (``.zarr``, or ``.nc``, which may be called ``.nc4``,
+        ``.h5`` or ``.hdf5``), beside which there are `chunks` and `on_error` only.
     contacts : path, glob or list of them, optional
         Files with contacts.
     walls : path, glob or list of them, or mapping, optional
@@ -97,7 +97,7 @@ def open_scene(
     engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
-    names : mapping, text or list, optional
+    names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
         ``contact_point_x``, ``contact_normal_x``, and so on for y and z. Further names are
@@ -113,8 +113,12 @@ def open_scene(
         For LIGGGHTS, the words of ``compute pair/gran/local`` and ``wall/gran/local`` in any order, such as
         ``"pos id force contactArea delta history"`` or a list of them; ``{"contacts": "pos id force delta", "walls":
         "pos id force"}`` where they differ.
+        For tables without a line of names (CSV, or text with blanks) a list of the names of all columns in their
+        order, ``["id", "x", "y", "z", None, "radius"]``, where None skips a column; with files of contacts
+        ``{"particles": [...], "contacts": [...]}``.
     times : array (t,), optional
-        Time of each step in the particle files, in their order and in their unit of time.
+        Time of each step in the particle files, in their order and in their unit of time. Pieces of one step have the
+        same time. Contacts whose steps are listed as those of the particles get these times, too.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain in the files' unit of length, in place of the headers'.
     periodic : str, optional
@@ -191,19 +195,25 @@ def open_scene(
         If a path does not exist or a glob matches nothing.
     SceneError
         If the files are not what they should be; the message names file, step and row or column. Faults in
-        bodies appear when they are read.
+        bodies appear when they are read. Also if names of files do not tell which of their numbers is the step, if
+        steps go back within a file, if steps of two runs would be mixed, or if a piece of a step is missing.
 
     Warns
     -----
     SceneWarning
-        If a step occurs twice (the later one counts), steps are left out, a LAMMPS file does not name its units, files
-        of contacts are of another box, or columns look like forces or contacts with walls and are not read.
+        If a step occurs twice with the same particles (the later one counts), steps are left out, a
+        LAMMPS file does not name its units, files of contacts are of another box, or columns look
+        like forces or contacts with walls and are not read.
 
     Notes
     -----
-    Particles and contacts are paired by time where both kinds of file hold it, else by step number, which is that in
-    the name of a file that states none. One file of particles and one of contacts, given by name, are paired whatever
-    the numbers in their names. Contacts of steps without particles are left out with a warning.
+    A file of one step that states neither time nor number has them in its name: a decimal is a time, and of several
+    numbers the one that varies from file to file counts. Files of one step that have no particle (or no pair of
+    grains in contact) in common are its pieces, and are joined.
+
+    Particles and contacts are paired by time where both kinds of file hold it, else by step number.
+    One file of particles and one of contacts, given by name, are paired whatever the numbers in
+    their names. Contacts of steps without particles are left out with a warning.
 
     Steps that share one text file are read from where they begin. In a gzipped file they are reached by
     decompressing all before them, going on from the last step that was read.
@@ -249,15 +259,24 @@ def open_scene(
         files = {
             kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
         }
-        mapped, words = split_names(names)
-        if words and engine is None:
-            engine = "liggghts"
+        engine = engine or _engine_of_names(names, files)
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
+        words: dict[str, tuple[str, ...]] = {}
+        in_order: dict[str, Sequence[str | None]] = {}
+        if reader.name == "liggghts" or isinstance(names, str):
+            mapped, words = split_names(names)
+        else:
+            mapped, in_order = read_names(names)
         if words and reader.name != "liggghts":
             raise SceneError(
                 f"names={names!r}: expected a mapping from columns to variables; words of a compute are for the engine "
                 f"'liggghts', not {reader.name!r}"
+            )
+        if in_order and not reader.NAMES_IN_ORDER:
+            raise SceneError(
+                f"names={names!r}: the engine '{reader.name}' reads the names of columns from the files; map them, "
+                "names={'column': 'variable'}"
             )
         extra = {
             **engine_options,
@@ -266,7 +285,9 @@ def open_scene(
         answers = frozenset(
             name for name in ("periodic", "lattice", "shape") if given[name] is not None
         )
-        options = ReadOptions(mapped, extra, in_columns, words, answers, alone=True)
+        options = ReadOptions(
+            mapped, extra, in_columns, words, answers, columns=in_order, alone=True
+        )
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(
             reader, files, options, [what for what, given in said.items() if given is None]
@@ -277,12 +298,14 @@ def open_scene(
             [str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None
         )
         missing = "skip" if missing == "raise" and left_out else missing
-        steps = pair_steps(indexed, times, missing, together=together)
+        steps = pair_steps(reader, options, indexed, times, missing, together=together)
         if in_columns:
-            beside = [reader.wall_step(step.particles, options) for step in steps]
+            beside = [
+                [reader.wall_step(ref, options) for ref in step.particles.parts] for step in steps
+            ]
             steps = [
-                replace(step, contacts=(*step.contacts, ref))
-                for step, ref in zip(steps, beside, strict=True)
+                replace(step, contacts=(*step.contacts, *refs))
+                for step, refs in zip(steps, beside, strict=True)
             ]
     if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
         steps = [
@@ -398,6 +421,14 @@ def open_scene(
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(skipped)
     return scene
+
+
+def _engine_of_names(names: Any, files: Mapping[str, Sequence[str]]) -> str | None:
+    """Return the engine that takes names in the order of the columns; None where names are a mapping or absent."""
+    given = names.values() if isinstance(names, Mapping) else [names]
+    if not any(isinstance(of_kind, list | tuple) for of_kind in given):
+        return "liggghts" if split_names(names)[1] else None
+    return "liggghts" if load_engine("liggghts").recognises(files["particles"][0]) else "table"
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
@@ -531,7 +562,8 @@ def _recovered_box(
     Edges are put about the middle of the grains: sums over images depend on the period alone.
     """
     found: dict[str, float] = {}
-    for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
+    refs = [part for step in steps for ref in step.contacts for part in ref.parts]
+    for ref in refs[:_RECOVERY_STEPS]:
         if set(periodic) <= set(found):
             break
         try:
@@ -579,6 +611,6 @@ def _contact_names(source: Source, step: Step) -> list[str]:
     """Variables that the contacts of all files have."""
     common: list[str] = []
     for ref in step.contacts:
-        found = {*source.engine.contact_variables(ref, source.options), "contact_point"}
+        found = {*source.engine.contact_variables(ref.parts[0], source.options), "contact_point"}
         common = [name for name in common or found if name in found]
     return [*(name for name in VARIABLES if name in common), *sorted(set(common) - set(VARIABLES))]

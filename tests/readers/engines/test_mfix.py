@@ -206,7 +206,7 @@ def test_last_frame_written_twice_counts_once(tmp_path):
 def test_the_later_of_two_files_of_one_time_is_read_with_a_warning(tmp_path):
     """Also where both have equally many bytes."""
     paths = [
-        write_particles(tmp_path / f"P_{n}.vtp", ids) for n, ids in ((1, (1, 2, 3)), (2, (4, 5, 6)))
+        write_particles(tmp_path / f"P_{n}.vtp", ids) for n, ids in ((1, (1, 2, 3)), (2, (3, 5, 6)))
     ]
     listed = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.5", "P_2.vtp": "0.5"})
     for given in (paths, listed):
@@ -214,7 +214,7 @@ def test_the_later_of_two_files_of_one_time_is_read_with_a_warning(tmp_path):
             SceneWarning, match=r"P_1\.vtp .*is left out, as .*P_2\.vtp .*has its time"
         ):
             ds = xcg.open_scene(given, density=1.0)
-        np.testing.assert_array_equal(ds.particle_id, [[4, 5, 6]])
+        np.testing.assert_array_equal(ds.particle_id, [[3, 5, 6]])
 
 
 def test_lists_with_several_parts_of_one_time_raise(tmp_path):

@@ -26,6 +26,7 @@ class Table(Columnar):
     """CSV and Parquet."""
 
     OPTIONS = ("timestep",)
+    NAMES_IN_ORDER = True
     NEEDS_ID = False
 
     def recognises(self, path: str) -> bool:
@@ -37,9 +38,10 @@ class Table(Columnar):
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
         clock = {name: target for name, target in options.names.items() if target in CLOCK_SLOTS}
-        return index_steps(
-            paths, f"table {clock}", partial(_steps, given=clock), options.extra.get("timestep")
-        )
+        in_order = options.columns.get("contacts" if contacts else "particles", ())
+        names = [name or f"column {k}" for k, name in enumerate(in_order)]
+        scan = partial(_steps, given=clock, in_order=names)
+        return index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -75,8 +77,11 @@ def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[st
     return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
 
 
-def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
-    scan = scan_parquet if _suffix(path) == ".parquet" else scan_csv
+def _steps(
+    path: str, given: Mapping[str, str | None], in_order: Sequence[str]
+) -> Iterator[StepRef]:
+    is_parquet = _suffix(path) == ".parquet"
+    scan = scan_parquet if is_parquet else partial(scan_csv, in_order=in_order)
     found = scan(path, lambda names: clock_of(names, given))
     clock = clock_of(found.columns, given)
     runs = runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path)
@@ -123,6 +128,7 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     if len(set(firsts)) < len(firsts):
         twice = next(value for value in firsts if firsts.count(value) > 1)
         raise SceneError(
-            f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
+            f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by "
+            "it, or split it where another run begins and open the runs one by one"
         )
     return list(pairwise(edges))

@@ -28,7 +28,7 @@ from xcg.readers.names import (
     canonical_columns,
     components,
 )
-from xcg.readers.paths import remembered
+from xcg.readers.paths import number_steps, remembered
 from xcg.scene.schema import COMPONENTS, Frame, variable
 from xcg.steps import faults as errors
 
@@ -50,13 +50,11 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     """List the steps of files and collections without copies; of lines where files hold some and they are wanted."""
     there = _existing(paths, options)
     found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
-    refs = []
-    for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
-        digits = re.findall(r"\d+", os.path.basename(path))
-        for ref in steps:  # one, or none where the file is at fault
-            step = int(digits[-1]) if digits else number
-            refs.append(replace(ref, time=_time(ref.time, listed), step=step, named=True))
-    return _once(refs)
+    timed = [
+        [replace(ref, time=_time(ref.time, time)) for ref in steps]
+        for (_, time), steps in zip(there, found, strict=True)
+    ]
+    return _once(number_steps([path for path, _ in there], timed))
 
 
 def _header(path: str, *, lines: bool) -> list[StepRef]:
@@ -67,6 +65,7 @@ def _header(path: str, *, lines: bool) -> list[StepRef]:
         StepRef(
             path,
             rows=header.rows,
+            step=-1,
             time=header.time,
             columns=header.names,
             size=header.size,

@@ -221,8 +221,17 @@ class TableIndex:
         return int(self.starts[first]), int(self.starts[stop] - self.starts[first])
 
 
-def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> TableIndex:
+def scan_csv(
+    path: str,
+    clock_of: Callable[[Sequence[str]], Mapping[str, str]],
+    in_order: Sequence[str] = (),
+) -> TableIndex:
     """Read the names, count the rows, and read the columns of times.
+
+    Parameters
+    ----------
+    in_order : sequence of str
+        Names of all columns, for a file whose rows begin without a line of names.
 
     Raises
     ------
@@ -230,17 +239,30 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
         If the first line names no columns, or one of them twice, or a time is not a number.
     """
     with scanned(path) as scanner:
-        first = _header_line(scanner)
+        if in_order:
+            _comments(scanner)
+            first = scanner.sample(PIECE).partition(b"\n")[0] + b"\n"
+        else:
+            first = _header_line(scanner)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator = next((mark for mark in _SEPARATORS if mark in line), " ")
         words = line.split(None if separator == " " else separator)
         names = tuple(word.strip().strip("\"'") for word in words)
         twice = [name for name, count in Counter(names).items() if count > 1]
         named = any(math.isnan(_number(name.encode())) for name in names)
-        if not line or twice or not named or len(names) > _MOST_COLUMNS:
-            why = f"{twice[0]!r} twice" if twice else repr(line[:60])
+        if in_order:
+            names = _names_in_order(path, in_order, names)
+        elif not line or twice or not named or len(names) > _MOST_COLUMNS:
+            why = f"{twice[0]!r} twice" if named and twice else repr(line[:60])
+            way_out = ""
+            if line and not named:
+                way_out = (
+                    f"; name the {len(names)} columns in their order, such as names=['id', 'x', 'y', 'z', 'radius'], "
+                    "None for a column to skip"
+                )
             raise SceneError(
-                f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
+                f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found "
+                f"{why}{way_out}"
             )
         found = [np.array([scanner.offset])]
         pieces = _pieces(scanner, found)
@@ -288,6 +310,22 @@ def _cells(line: bytes) -> list[bytes]:
     line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#").strip()
     separators = [mark.encode() for mark in _SEPARATORS if mark.encode() in line]
     return [cell.strip() for cell in line.split(separators[0] if separators else None)]
+
+
+def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) -> tuple[str, ...]:
+    """Return the caller's names of all columns; raise SceneError if the first row does not fit them."""
+    texts = [word for word in words if math.isnan(_number(word.encode())) and word.lower() != "nan"]
+    if words and len(texts) == len(words):
+        raise SceneError(
+            f"{path}: names= is a list for files without names of columns, and the first line names them "
+            f"({' '.join(words[:10])}); say names={{{words[0]!r}: {in_order[0]!r}, ...}}"
+        )
+    if len(words) != len(in_order):
+        raise SceneError(
+            f"{path}: names= lists {len(in_order)} columns ({', '.join(in_order[:10])}), and the first row has "
+            f"{len(words)} values; name each column in its order, None for a column to skip"
+        )
+    return tuple(in_order)
 
 
 def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:

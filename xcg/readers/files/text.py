@@ -239,7 +239,8 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
 
 def source_of(ref: StepRef) -> str:
     """File and step, for messages; the file alone where the step is unknown."""
-    return f"{ref.path} (step {ref.step})" if ref.step >= 0 else ref.path
+    path = f"{ref.path} and {len(ref.pieces) - 1} more" if ref.pieces else ref.path
+    return f"{path} (step {ref.step})" if ref.step >= 0 else path
 
 
 # --- compressed files ------------------------------------------------------------------------------------

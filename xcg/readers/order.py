@@ -1,0 +1,211 @@
+"""Order of the steps of one kind: runs one after the other, pieces of a step joined, no step twice."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import SceneError, warn_user
+from xcg.readers.engine import StepRef
+from xcg.readers.filenames import read_file_numbers
+from xcg.readers.files.text import source_of
+from xcg.readers.lazy import Step
+from xcg.scene.schema import Frame
+from xcg.steps import faults as errors
+
+Read: TypeAlias = Callable[[StepRef], Frame]
+"""Reads the rows of one step."""
+
+
+def order_steps(steps: Sequence[Step], kind: str, read: Read, *, timed: bool) -> list[Step]:
+    """Return the steps in the order of time (without times, of their numbers), each once.
+
+    Steps of one time or number are pieces of one step if they have no particle or contact in common; they are joined.
+    Else the later one counts.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Steps of particles or of contacts, in the order of the files.
+    kind : str
+        What they hold, for messages.
+    read : callable
+        Reads one of them; called for steps of one time or number only.
+    timed : bool
+        Whether the caller gave the times, which then decide.
+
+    Raises
+    ------
+    SceneError
+        If the names of files are all that numbers the steps, and do not tell which number counts; if times or numbers
+        go back within a file; if steps of two runs would lie between each other; if a piece of a step is missing.
+
+    Warns
+    -----
+    SceneWarning
+        If a step occurs twice.
+    """
+    if not timed:
+        _check_names(steps, kind)
+        _check_files(steps, kind)
+    groups: dict[float, list[Step]] = {}
+    for step in steps:
+        groups.setdefault(_key(step), []).append(step)
+    if len(groups) < len(steps) and _are_pieces(list(groups.values()), kind, read):
+        return _joined(groups, kind)
+    if not timed:
+        _check_runs(steps, kind)
+    repeated = [same for same in groups.values() if len(same) > 1]
+    if repeated:
+        old, new = source_of(repeated[0][-2].particles), source_of(repeated[0][-1].particles)
+        others = len(steps) - len(groups) - 1
+        more = f"; so are {others} further steps that occur again" if others else ""
+        warn_user(
+            f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=){more}"
+        )
+    return [groups[key][-1] for key in sorted(groups)]
+
+
+def _key(step: Step) -> float:
+    return step.particles.step if step.time is None else step.time
+
+
+def _said(step: Step) -> str:
+    """Return the time or number of a step, for messages."""
+    return f"step {step.particles.step}" if step.time is None else f"time {step.time:g}"
+
+
+def _way_out(steps: Sequence[Step], kind: str) -> str:
+    if kind == "particles":
+        return f"give times=, one for each of the {len(steps)} steps in the order of the files"
+    return "give times= for the steps of the particles, if contacts are listed in the same order"
+
+
+def _check_names(steps: Sequence[Step], kind: str) -> None:
+    """Raise SceneError if only the names of files could number the steps, and they do not."""
+    unnumbered = [step for step in steps if step.time is None and step.particles.step < 0]
+    paths = list(dict.fromkeys(step.particles.path for step in unnumbered))
+    problem = read_file_numbers(paths).problem if len(paths) > 1 else ""
+    if problem:
+        raise SceneError(
+            f"{kind}: {problem}, so the steps of {paths[0]}, {paths[1]}, ... are not known; open the files of one run "
+            f"alone, with one number that varies, or {_way_out(steps, kind)} (pieces of a step have the same time)"
+        )
+
+
+def _check_files(steps: Sequence[Step], kind: str) -> None:
+    """Raise SceneError if times or numbers go back within a file."""
+    for before, after in pairwise(steps):
+        path = after.particles.path
+        if before.particles.path == path and _key(after) < _key(before):
+            raise SceneError(
+                f"{kind}: {path}: {_said(after)} follows {_said(before)}, as where steps were counted anew or another "
+                f"run was appended; split the file there and open the runs one by one, or {_way_out(steps, kind)}"
+            )
+
+
+# --- runs ------------------------------------------------------------------------------------------------
+
+
+def _check_runs(steps: Sequence[Step], kind: str) -> None:
+    """Raise SceneError if steps of one run lie between those of another, and are not the same steps.
+
+    A run is a file of several steps, or files whose names differ in one number. A run that was restarted may repeat
+    the last steps of an earlier one.
+    """
+    names = run_names([step.particles.path for step in steps])
+    runs: dict[str, list[Step]] = {}
+    for step, name in zip(steps, names, strict=True):
+        runs.setdefault(name, []).append(step)
+    keys = {name: {_key(step) for step in run} for name, run in runs.items()}
+    latest = ""  # the run that ends last
+    for name in sorted(runs, key=lambda name: min(keys[name])):
+        if latest and min(keys[name]) < max(keys[latest]):
+            low, high = min(keys[name]), min(max(keys[name]), max(keys[latest]))
+            one, other = ({k for k in keys[run] if low <= k <= high} for run in (latest, name))
+            begins_with = min(keys[latest]) == low and len(keys[name]) > 1
+            if one != other or begins_with:
+                last, first = max(runs[latest], key=_key), min(runs[name], key=_key)
+                raise SceneError(
+                    f"{kind}: steps of two runs would be mixed, as {first.particles.path} ({_said(first)}) begins one "
+                    f"before {last.particles.path} ({_said(last)}) ends the other; open the runs one by one, leave out "
+                    f"the files of steps that were computed again, or {_way_out(steps, kind)}"
+                )
+        if not latest or max(keys[name]) > max(keys[latest]):
+            latest = name
+
+
+def run_names(paths: Sequence[str]) -> list[str]:
+    """Return what the files of one run share: the path of a file of several steps, else the path without a number."""
+    steps = Counter(paths)
+    runs = dict(zip(steps, read_file_numbers(list(steps)).runs, strict=True))
+    return [runs[path] if steps[path] == 1 else path for path in paths]
+
+
+# --- pieces of one step ----------------------------------------------------------------------------------
+
+
+def _are_pieces(groups: Sequence[Sequence[Step]], kind: str, read: Read) -> bool:
+    """Return whether steps of one time or number have no rows in common, from the first that hold any."""
+    repeated = [same for same in groups if len(same) > 1]
+    repeated.sort(key=lambda same: any(step.particles.rows == 0 for step in same))
+    for same in repeated:
+        refs = [step.particles for step in same]
+        try:
+            frames = [read(ref) for ref in refs]
+        except errors.FAULTS:
+            if errors.recorded() is None:
+                raise
+            continue
+        rows = [_identities(frame, refs, kind) for frame in frames]
+        different = len(np.unique(np.concatenate(rows), axis=0))
+        return different == sum(len(np.unique(own, axis=0)) for own in rows)
+    return False
+
+
+def _identities(frame: Frame, refs: Sequence[StepRef], kind: str) -> NDArray:
+    """Return the id of each particle (n, 1), or the ids of each pair (n, 2), the smaller first."""
+    names = ("particle_id",) if kind == "particles" else ("contact_i", "contact_j")
+    if any(name not in frame for name in names):
+        raise SceneError(
+            f"{kind}: {source_of(refs[0])} and {source_of(refs[1])} have the same time or step number, and hold no ids "
+            "to tell pieces of a step from a step that was written twice; leave one out, give times=, or map the "
+            f"column of ids with names={{'column': {names[0]!r}}}"
+        )
+    return np.sort(np.stack([frame[name] for name in names], axis=1), axis=1)
+
+
+def _joined(groups: dict[float, list[Step]], kind: str) -> list[Step]:
+    """Join the pieces of each step; raise SceneError if one is missing, or they are of different boxes."""
+    counts = Counter(map(len, groups.values()))
+    usual = max(counts, key=lambda count: (counts[count], count))
+    whole = []
+    for key in sorted(groups):
+        refs = [step.particles for step in groups[key]]
+        problem = ""
+        if len(refs) != usual:
+            problem = f"is in {len(refs)} of the files, and other steps are in {usual}"
+        elif len({(ref.box, ref.lattice) for ref in refs}) > 1:
+            problem = f"has pieces of different boxes, as in {refs[-1].path}"
+        if problem:
+            error = SceneError(
+                f"{kind}: {source_of(refs[0])} {problem}; the files hold pieces of steps: add the missing ones, leave "
+                "out what is not of this run, or leave out the step (on_error='skip')"
+            )
+            if not errors.record_fault(source_of(refs[0]), error):
+                raise error
+            continue
+        pieces = replace(
+            refs[0],
+            rows=sum(ref.rows for ref in refs),
+            length=sum(ref.length for ref in refs),
+            pieces=tuple(refs),
+        )
+        whole.append(replace(groups[key][0], particles=pieces))
+    return whole
