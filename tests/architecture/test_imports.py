@@ -40,8 +40,8 @@ INSIDE = {
     "readers": [
         ["engine", "names"],
         ["files"],
-        ["paths"],
-        ["columns"],
+        ["paths", "unread"],
+        ["columns", "recognise"],
         ["engines"],
         ["lazy"],
         ["pairs"],

@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.columns import report_missing_ids, split_names
-from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
+from xcg.readers.engine import Engine, ReadOptions, StepRef, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, not_against_headers, units_of_headers
+from xcg.readers.recognise import guess_engine
 from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
