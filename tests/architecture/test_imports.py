@@ -39,7 +39,7 @@ INSIDE = {
     ],
     "readers": [
         ["engine", "names"],
-        ["files"],
+        ["files", "cells"],
         ["paths", "unread"],
         ["columns", "recognise"],
         ["engines"],

@@ -95,9 +95,11 @@ def open_scene(
         whose ``fix wall/gran ... contacts`` puts them into columns of the particles, a mapping from names of walls to
         these columns: ``{"side": "f_side[*]"}``, or the names of six columns, force and point. The walls are partners
         -2, -3, ... in their order; see `xcg.select_walls`.
-    engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
-        What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
-        registers; or a class or object derived from `xcg.readers.Engine`.
+    engine : str or Engine, optional
+        What wrote the files, one of {"lammps", "liggghts", "mercury", "mfix", "yade", "xyz",
+        "table", "h5md", "hdf5", "vtk"}, guessed from their first bytes by default; the name of an
+        engine that an installed package registers; or a class or object derived from
+        `xcg.readers.Engine`.
     names : mapping, text or list, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
@@ -173,8 +175,9 @@ def open_scene(
         ``skipped_files``; the whole steps of a file of many steps stay. Faults in bodies appear when these are
         computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
-        Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
-        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
+        Of one engine only. LAMMPS, LIGGGHTS, XYZ, tables and HDF5: ``timestep``, the time between two steps of the
+        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. H5MD: ``group``, the name of
+        the group of particles, where there are several. MercuryDPM:
         ``restart``, the restart file with gravity, dimensions, boundaries and densities (by default the one beside the
         ``.data`` file).
 
@@ -253,6 +256,8 @@ def open_scene(
         mapped, words = split_names(names)
         if words and engine is None:
             engine = "liggghts"
+        if engine is None and "mapping" in engine_options:
+            engine = "hdf5"
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
         if words and reader.name != "liggghts":
