@@ -39,10 +39,10 @@ INSIDE = {
     ],
     "readers": [
         ["engine", "names"],
-        ["files"],
+        ["files", "cells"],
         ["filenames"],
-        ["paths"],
-        ["columns"],
+        ["paths", "unread"],
+        ["columns", "recognise"],
         ["engines"],
         ["lazy"],
         ["order"],

@@ -171,7 +171,7 @@ def _hdf5(folder: Path) -> dict[str, bytes]:
             group["x"] = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
             group.create_dataset("v", data=np.ones((2, 3)), compression="gzip")
             group["r"], group["f"] = [0.1, 0.1], [[1.0, 2, 3]]
-            group["i"], group["j"] = [0], [1]
+            group["n"], group["i"], group["j"] = [0, 1], [0], [1]
     return {"run.h5": (folder / "run.h5").read_bytes()}
 
 
@@ -180,12 +180,82 @@ def _use_hdf5(folder: Path) -> None:
         "position": "x",
         "velocity": "v",
         "radius": "r",
+        "particle_id": "n",
         "contact_i": "i",
         "contact_j": "j",
         "contact_force": "f",
     }
     path, places = folder / "run.h5", {name: f"/S{{step}}/{word}" for name, word in mapping.items()}
     fields_of(xcg.open_scene(path, contacts=path, engine="hdf5", mapping=places, density=2.0))
+
+
+def _xyz(folder: Path) -> dict[str, bytes]:
+    lattice = 'Lattice="2 0 0 0.1 2 0 0 0 2" Origin="0 0 0" pbc="T T F"'
+    head = f"{lattice} Properties=species:S:1:pos:R:3:velo:R:3:radius:R:1:id:I:1 Time="
+    rows = "A 0.4 0.5 0.5 1 0 0 0.1 1\nA 0.59 0.5 0.5 0 1 0 0.1 2\n"
+    frames = "".join(f"2\n{head}{time}\n{rows}" for time in (0.0, 0.5))
+    plain = "".join(f"2\nAtoms. Timestep: {k}\n1 0.4 0.5 0.5\n2 0.6 0.5 0.5\n" for k in (0, 10))
+    return {"e.xyz": frames.encode(), "p.xyz": plain.encode()}
+
+
+def _use_xyz(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "e.xyz", density=2.0, shear_rate={}))
+    names = {"species": "particle_id"}
+    fields_of(xcg.open_scene(folder / "p.xyz", names=names, timestep=0.1))
+
+
+def _h5md(folder: Path) -> dict[str, bytes]:
+    x = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
+    with h5py.File(folder / "h.h5", "w") as file:
+        file.create_group("h5md").attrs["version"] = [1, 1]
+        group = file.create_group("particles/all")
+        for name, values in (("position", np.stack([x, x])), ("velocity", np.ones((2, 2, 3)))):
+            group[f"{name}/value"] = values
+            group[f"{name}/step"] = [0, 10]
+            group[f"{name}/time"] = [0.0, 0.5]
+        group["diameter"] = [0.2, 0.2]
+        ids = group.create_dataset("id/value", (2, 2), "i4", fillvalue=-1)
+        ids[:] = [[1, 2], [2, 1]]
+        group["id/step"] = 10
+        box = group.create_group("box")
+        box.attrs["boundary"] = np.array(["periodic", "periodic", "none"], "S")
+        box["edges"] = [[2.0, 0, 0], [0.1, 2, 0], [0, 0, 2]]
+    return {"h.h5": (folder / "h.h5").read_bytes()}
+
+
+def _use_h5md(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "h.h5", density=2.0, shear_rate={}))
+
+
+def _edem(folder: Path) -> dict[str, bytes]:
+    with h5py.File(folder / "0.h5", "w") as file:
+        for name, first in (("0", 0), ("1", 2)):
+            group = file.create_group(f"TimestepData/0.05/ParticleTypes/{name}")
+            group["position"] = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]]) + first
+            group["ids"] = [first, first + 1]
+            group["r"] = [0.1, 0.1]
+    return {"0.h5": (folder / "0.h5").read_bytes()}
+
+
+def _use_edem(folder: Path) -> None:
+    base = "/TimestepData/{time}/ParticleTypes/*"
+    mapping = {
+        "position": f"{base}/position",
+        "particle_id": f"{base}/ids",
+        "radius": f"{base}/r",
+        "species": base,
+    }
+    fields_of(xcg.open_scene(folder / "0.h5", mapping=mapping, density=2.0))
+
+
+def _text(folder: Path) -> dict[str, bytes]:
+    grains = "x;y;z;vx;vy;vz;radius;id\n0.4;0.5;0.5;0;0;1;0.1;1\n0.59;0.5;0.5;0;0;1;0.1;2\n"
+    return {"p.txt": grains.encode(), "c.dat": b"id1 id2 fx fy fz\n1 2 1 2 3\n"}
+
+
+def _use_text(folder: Path) -> None:
+    """Without engine=: damaged headers are compared with the formats that are not read."""
+    fields_of(xcg.open_scene(folder / "p.txt", contacts=folder / "c.dat", density=2.0))
 
 
 def _vtu(folder: Path) -> dict[str, bytes]:
@@ -379,6 +449,10 @@ TARGETS = {
     "yade": Target(_yade, _use_yade),
     "csv": Target(_csv, _use_csv),
     "hdf5": Target(_hdf5, _use_hdf5),
+    "xyz": Target(_xyz, _use_xyz),
+    "h5md": Target(_h5md, _use_h5md),
+    "edem": Target(_edem, _use_edem),
+    "text": Target(_text, _use_text),
     "vtu": Target(_vtu, _use_vtu),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),

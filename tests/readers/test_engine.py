@@ -16,7 +16,8 @@ from xcg.readers.engine import _OWN, Engine, StepRef, load_engine
 
 
 def test_engines_are_called_by_the_name_that_they_have_in_messages():
-    named = re.search(r"engine : \{(.*?)\}", xcg.open_scene.__doc__)[1].replace('"', "").split(", ")
+    listed = re.search(r"one of \{(.*?)\}", xcg.open_scene.__doc__, re.DOTALL)[1]
+    named = listed.replace('"', "").replace(",", " ").split()
     assert named == list(_OWN)
     assert [load_engine(name).name for name in _OWN] == named
 
@@ -93,7 +94,8 @@ except xcg.SceneError as error:
     shown = run(code, site, tmp_path)
     assert shown.startswith(2 * told)
     assert shown.endswith(
-        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, table, hdf5, vtk, grit\n"
+        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, xyz, table, h5md, "
+        "hdf5, vtk, grit\n"
     )
 
 

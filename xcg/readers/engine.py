@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,8 +13,6 @@ import numpy as np
 
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.scene.schema import Frame, Shape
-from xcg.steps import faults as errors
-from xcg.steps.faults import FAULTS
 
 
 def _tuples(values: Any) -> Any:
@@ -296,7 +293,9 @@ _OWN = {
     "mercury": "xcg.readers.engines.mercury:Mercury",
     "mfix": "xcg.readers.engines.mfix:Mfix",
     "yade": "xcg.readers.engines.yade:Yade",
+    "xyz": "xcg.readers.engines.xyz:Xyz",
     "table": "xcg.readers.engines.tabular:Table",
+    "h5md": "xcg.readers.engines.h5md:H5md",
     "hdf5": "xcg.readers.engines.hdf5:Hdf5",
     "vtk": "xcg.readers.engines.vtk:Vtk",
 }
@@ -356,30 +355,3 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
             f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
         )
     return given
-
-
-def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
-    """Return the first engine that recognises the first file of each kind; where faults are tolerated, a good one."""
-    firsts = [paths[0] for paths in files.values()]
-    if errors.recorded() is not None:
-        firsts = [next(filter(is_recognised, paths), paths[0]) for paths in files.values()]
-    for engine in all_engines():
-        if all(engine.recognises(path) for path in firsts):
-            return engine
-    if empty := [path for path in firsts if not os.path.getsize(path)]:
-        raise SceneError(
-            f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')"
-        )
-    raise SceneError(
-        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. Tables "
-        "of numbers without a line of names need names=['id', 'x', 'y', 'z', ...] in the order of the columns. For "
-        "other formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
-    )
-
-
-def is_recognised(path: str) -> bool:
-    """Return whether any engine reads a file; False if it is damaged."""
-    try:
-        return any(engine.recognises(path) for engine in all_engines())
-    except FAULTS:
-        return False

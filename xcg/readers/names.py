@@ -94,7 +94,7 @@ _PARTICLE_VECTORS = {
     ),
     "scaled": ("scaled ?", "?s", "?su"),
     "velocity": (
-        "velocity ?", "v?", "vel ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
+        "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
         "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
     ),
     "angular_velocity": (
@@ -192,7 +192,7 @@ PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
 _HINTS_OF_PARTICLES = {
     "particle_id": "id ids label tag number index identifier",
     "species": "species type material mat phase",
-    "velocity": "vel veloc* speed u v",
+    "velocity": "vel veloc* speed u v momenta",
     "angular_velocity": "angvel angular* omega spin rot rotational",
     "radius": "radi* rad r rp",
     "diameter": "diam* dia d dp size vol volume*",

@@ -67,7 +67,7 @@ def _may_be_saved(path: Path) -> bool:
         return True
     import h5py
 
-    with suppress(OSError), h5py.File(path) as held:
+    with suppress(*DAMAGED), h5py.File(path) as held:
         return held.keys() >= _OF_SCENES
     return False
 

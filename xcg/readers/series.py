@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.columns import read_names, report_missing_ids, split_names
-from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
+from xcg.readers.engine import Engine, ReadOptions, StepRef, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, not_against_headers, units_of_headers
+from xcg.readers.recognise import guess_engine
 from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
@@ -94,9 +95,11 @@ def open_scene(
         whose ``fix wall/gran ... contacts`` puts them into columns of the particles, a mapping from names of walls to
         these columns: ``{"side": "f_side[*]"}``, or the names of six columns, force and point. The walls are partners
         -2, -3, ... in their order; see `xcg.select_walls`.
-    engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
-        What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
-        registers; or a class or object derived from `xcg.readers.Engine`.
+    engine : str or Engine, optional
+        What wrote the files, one of {"lammps", "liggghts", "mercury", "mfix", "yade", "xyz",
+        "table", "h5md", "hdf5", "vtk"}, guessed from their first bytes by default; the name of an
+        engine that an installed package registers; or a class or object derived from
+        `xcg.readers.Engine`.
     names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
@@ -176,8 +179,9 @@ def open_scene(
         ``skipped_files``; the whole steps of a file of many steps stay. Faults in bodies appear when these are
         computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
-        Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
-        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
+        Of one engine only. LAMMPS, LIGGGHTS, XYZ, tables and HDF5: ``timestep``, the time between two steps of the
+        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. H5MD: ``group``, the name of
+        the group of particles, where there are several. MercuryDPM:
         ``restart``, the restart file with gravity, dimensions, boundaries and densities (by default the one beside the
         ``.data`` file).
 
@@ -259,6 +263,8 @@ def open_scene(
         files = {
             kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None
         }
+        if engine is None and "mapping" in engine_options:
+            engine = "hdf5"
         engine = engine or _engine_of_names(names, files)
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)

@@ -118,8 +118,8 @@ def test_one_file_per_step_with_own_names(tmp_path, scene):
             r"shape \(2, 3\), expected \(n\) for 'radius'",
         ),
         (
-            {"position": "/many", "radius": "/S0/n"},
-            r"'/S0/n' has the shape \(3,\), expected \(steps, n\) for 'radius'",
+            {"position": "/many", "radius": "/S0/wide"},
+            r"'/S0/wide' has the shape \(2, 5\), expected \(steps, n\) for 'radius'",
         ),
         ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
     ],

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,24 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.filenames import sort_by_numbers
+from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened
 from xcg.readers.files.text import source_of
+from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS, Slots
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
 if TYPE_CHECKING:
     import h5py
 
-_MAGIC = b"\x89HDF\r\n\x1a\n"
 _PLACES = {"{time}": r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)", "{step}": r"(\d+)"}
-_PACKED, _SLACK = (
-    1 << 15,
-    1 << 26,
-)  # times that compressed bytes may grow, and bytes that any dataset may have
-_ONE = ("position", "contact_i")  # of each kind, what tells the steps
+_FIRST = ("position", "position_x", "contact_i")  # one of them tells the steps and the rows
 _STACKED = "stacked"  # steps along the first dimension; else `kind` of a step is what stands in the name of its group
+
+
+_NO_MAPPING = (
+    "engine='hdf5' needs to be told where variables are: "
+    "mapping={'position': '/Step{time}/Particles/Position', ...}"
+)
 
 
 class Hdf5(Columnar):
@@ -46,21 +48,21 @@ class Hdf5(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix and the first bytes identify HDF5."""
-        if Path(path).suffix.lower() not in (".h5", ".hdf5"):
-            return False
-        with open(path, "rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
+        return Path(path).suffix.lower() in (".h5", ".hdf5") and is_hdf5(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles, or of contacts, in the same files or others."""
+        if not options.extra.get("mapping"):
+            with opened(paths[0]) as file:
+                raise SceneError(f"{paths[0]}: {_NO_MAPPING}; the file holds {listing(file)}")
         places = _mapping(options)
         time = places.pop("time", None)
         mine = {name: path for name, path in places.items() if _of_contacts(name) is contacts}
-        one = _ONE[contacts]
-        if one not in mine and f"{one}_x" not in mine:
-            raise SceneError(f"mapping= lacks {one!r}; it has {', '.join(places)}")
+        if not any(name in mine for name in _FIRST):
+            lacking = "contact_i" if contacts else "position"
+            raise SceneError(f"mapping= lacks {lacking!r}; it has {', '.join(places)}")
         scan = partial(_steps, mine=mine, time=time)
         return index_steps(paths, f"hdf5 {mine} {time}", scan, options.extra.get("timestep"))
 
@@ -69,20 +71,25 @@ class Hdf5(Columnar):
     ) -> dict[str, NDArray]:
         """Read the datasets of the wanted columns."""
         places = _mapping(options)
-        found: dict[str, NDArray] = {}
-        with _opened(ref.path) as file:
+        table: dict[str, NDArray] = {}
+        with opened(ref.path) as file:
             for column in sorted(set(wanted)):
                 name = column if column in places else column[: -len("_x")]
                 part = None if column in places else COMPONENTS.index(column[-1])
-                found[column] = _values(file, _filled(places[name], ref), ref, part)
-        return found
+                path = _filled(places[name], ref)
+                if path.endswith("/*"):
+                    first = _filled(places[_first_of(places)], ref)
+                    table[column] = _numbers_of_members(file, path, first, ref)
+                else:
+                    table[column] = _values(file, path, ref, part)
+        return table
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that particles are read from: all of them."""
         return super().particle_columns(ref, _by_themselves(ref, options))
 
     def contact_columns(
-        self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None
+        self, ref: StepRef, options: ReadOptions, slots: Slots | None = None
     ) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
@@ -96,20 +103,15 @@ def _by_themselves(ref: StepRef, options: ReadOptions) -> ReadOptions:
 
 
 def _of_contacts(name: str) -> bool:
-    return name.startswith("contact_") or (
-        name in columns.CONTACT_SLOTS or f"{name}_x" in columns.CONTACT_SLOTS
-    )
+    return name.startswith("contact_") or (name in CONTACT_SLOTS or f"{name}_x" in CONTACT_SLOTS)
 
 
 def _mapping(options: ReadOptions) -> dict[str, str]:
     """Paths of datasets by variable, checked."""
     given = options.extra.get("mapping")
-    example = "mapping={'position': '/Step{time}/Particles/Position', ...}"
     if not isinstance(given, Mapping) or not given:
-        raise SceneError(
-            f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists a file"
-        )
-    slots = {**columns.PARTICLE_SLOTS, **columns.CONTACT_SLOTS}
+        raise SceneError(_NO_MAPPING)
+    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
     known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
     for name, path in given.items():
         if not isinstance(path, str) or sum(path.count(place) for place in _PLACES) > 1:
@@ -134,24 +136,30 @@ def _filled(path: str, ref: StepRef) -> str:
 
 
 def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
-    with _opened(path) as file:
-        first = next(iter(mine.values()))
-        place = next((place for place in _PLACES if place in first), None)
+    with opened(path) as file:
+        first = _first_of(mine)
+        place = next((place for place in _PLACES if place in mine[first]), None)
         if place is not None:
-            for text, number in _numbers_of_groups(file, first, place):
+            for text, number in _numbers_of_groups(file, mine[first], place):
                 ref = StepRef(path, 0, kind=text, step=int(text) if place == "{step}" else -1)
                 ref = replace(ref, time=number if place == "{time}" else _time(file, time, ref))
                 yield _with_columns(file, ref, mine)
             return
-        name, data = _ONE[_of_contacts(next(iter(mine)))], _dataset(file, first)
-        wide = next(iter(mine)) == name == "position"
-        if len(data.shape) > 1 + wide:
+        data = dataset(file, _members(file, mine[first])[0])
+        if len(data.shape) > (2 if first == "position" else 1):
             for k in range(data.shape[0]):
                 ref = StepRef(path, 0, kind=_STACKED, offset=k, step=k)
-                yield _with_columns(file, replace(ref, time=_time(file, time, ref)), mine)
+                ref = replace(ref, time=_time(file, time, ref))
+                yield _with_columns(file, ref, mine, steps=data.shape[0])
             return
         ref = StepRef(path, 0, step=-1)
         yield _with_columns(file, replace(ref, time=_time(file, time, ref)), mine)
+
+
+def _first_of(mine: Mapping[str, str]) -> str:
+    """Return the variable of a mapping that tells the steps and the number of rows."""
+    firsts = [name for name in _FIRST if name in mine]
+    return firsts[0]
 
 
 def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str, float]]:
@@ -176,29 +184,75 @@ def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str
     return sorted(numbers, key=lambda entry: entry[1])
 
 
-def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> StepRef:
-    """Names of the columns that the datasets of a step have, and the number of its rows."""
+def _with_columns(
+    file: h5py.File, ref: StepRef, mine: Mapping[str, str], steps: int = 0
+) -> StepRef:
+    """Return the step with the columns that its datasets have, and the number of its rows.
+
+    `steps` is the length of the first dimension where that counts the steps, else 0.
+    """
     names: list[str] = []
-    rows: dict[str, int] = {}
+    rows: dict[str, list[int]] = {}
+    first = _filled(mine[_first_of(mine)], ref)
+    firsts = [dataset(file, member).shape for member in _members(file, first)]
+    stacks = {shape[:2] for shape in firsts if steps}
     for name, path in mine.items():
-        whole, stacked = _dataset(file, _filled(path, ref)).shape, ref.kind == _STACKED
-        shape, scalar = (
-            whole[stacked:],
-            name in columns.PARTICLE_SLOTS or name in columns.CONTACT_SLOTS,
-        )
-        if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3) and not scalar)):
-            n = "(steps, n" if stacked else "(n"
-            expected = f"{n})" if scalar else f"{n}), {n}, 2) or {n}, 3)"
-            raise SceneError(
-                f"{source_of(ref)}: {_filled(path, ref)!r} has the shape {whole}, expected {expected} for {name!r}"
-            )
-        names += (
-            [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
-        )
-        rows[_filled(path, ref)] = shape[0]
-    if len(set(rows.values())) > 1:
+        filled = _filled(path, ref)
+        if filled.endswith("/*"):  # the member that a row is from, not a dataset
+            names.append(name)
+            continue
+        shapes = [dataset(file, member).shape for member in _members(file, filled)]
+        row_shapes = {_shape_of_row(name, shape, ref, filled, stacks) for shape in shapes}
+        if len(row_shapes) > 1:
+            raise SceneError(f"{source_of(ref)}: {filled!r} has the shapes {shapes}, of two kinds")
+        width, by_step = row_shapes.pop()
+        names += [f"{name}_{axis}" for axis in COMPONENTS[:width]] if width else [name]
+        rows[filled] = [shape[1 if by_step else 0] for shape in shapes]
+    if any(counts != rows[first] for counts in rows.values()):
         raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
-    return replace(ref, columns=tuple(names), rows=next(iter(rows.values())))
+    return replace(ref, columns=tuple(names), rows=sum(rows[first]))
+
+
+def _shape_of_row(
+    name: str, shape: tuple[int, ...], ref: StepRef, path: str, stacks: set[tuple[int, ...]]
+) -> tuple[int, bool]:
+    """Return the number of components, 0 for a number, and whether the first dimension counts steps.
+
+    What does not begin with steps and rows of the positions (`stacks`) does not change in time.
+    """
+    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
+    by_step = shape[:2] in stacks
+    of_row = shape[2:] if by_step else shape[1:]
+    if by_step and f"{name}_x" in slots and len(shape) == 2:  # as many rows as steps
+        by_step, of_row = False, shape[1:]
+    if shape and not of_row:
+        return 0, by_step
+    if len(of_row) == 1 and of_row[0] in (2, 3) and name not in slots:
+        return of_row[0], by_step
+    n = "(steps, n" if stacks else "(n"
+    expected = f"{n})" if name in slots else f"{n}), {n}, 2) or {n}, 3)"
+    raise SceneError(
+        f"{source_of(ref)}: {path!r} has the shape {shape}, expected {expected} for {name!r}"
+    )
+
+
+def _members(file: h5py.File, path: str) -> list[str]:
+    """Return the datasets that a path with ``*`` for a group means, in the order of numbers in their names.
+
+    Members of the group that lack the dataset are left out, as types without particles.
+    """
+    before, star, after = path.partition("/*/")
+    if not star:
+        return [path]
+    if before not in file:
+        raise SceneError(f"{file.filename}: no group {before!r}, which {path!r} names")
+    names = sort_by_numbers(file[before])
+    members = [f"{before}/{name}/{after}" for name in names if f"{before}/{name}/{after}" in file]
+    if not members:
+        raise SceneError(
+            f"{file.filename}: none of the members of {before!r} ({', '.join(names[:5])}) has {after!r}"
+        )
+    return members
 
 
 def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
@@ -207,7 +261,7 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
         return None
     filled, _, attribute = _filled(path, ref).partition("@")
     value = np.ravel(
-        file[filled or "/"].attrs[attribute] if attribute else _dataset(file, filled)[()]
+        file[filled or "/"].attrs[attribute] if attribute else dataset(file, filled)[()]
     )
     place = ref.offset if ref.kind == _STACKED and len(value) > 1 else 0
     number = float(value[place]) if place < len(value) and value.dtype.kind in "fiu" else np.nan
@@ -218,60 +272,44 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
     return number
 
 
-# --- datasets --------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _opened(path: str) -> Iterator[h5py.File]:
-    """Open a file; what the library finds wrong with it is said with its name."""
-    import h5py  # slow to import
-
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except SceneError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        raise SceneError(
-            f"{path}: cannot be read as HDF5 ({str(error)[:200]}); leave the file out, or write it again"
-        ) from None
-
-
-def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
-    import h5py
-
-    found = file.get(path)
-    if not isinstance(found, h5py.Dataset):
-        parent = path
-        while parent and parent not in file:
-            parent = parent.rpartition("/")[0]
-        group = file[parent or "/"]
-        there = ", ".join(list(group)[:8]) if isinstance(group, h5py.Group) else ""
-        raise SceneError(
-            f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {there or 'no others'}"
-        )
-    if found.dtype.kind not in "fiub":
-        raise SceneError(f"{file.filename}: {path!r} holds {found.dtype}, expected numbers")
-    if found.nbytes > _PACKED * found.id.get_storage_size() + _SLACK:
-        raise SceneError(
-            f"{file.filename}: {path!r} promises {found.nbytes} bytes, and {found.id.get_storage_size()} are stored"
-        )
-    return found
+# --- the rows of a step ----------------------------------------------------------------------------------
 
 
 def _values(file: h5py.File, path: str, ref: StepRef, part: int | None) -> NDArray:
-    """Numbers of a step, of one component of a vector."""
-    data = _dataset(file, path)
-    selection = (
-        *((ref.offset,) if ref.kind == _STACKED else ()),
-        slice(None),
-        *(() if part is None else (part,)),
-    )
-    values = np.asarray(data[selection], "float64")
-    if values.shape != (ref.rows,):
+    """Return the numbers of a step (n,), of one component of a vector."""
+    values = []
+    for member in _members(file, path):
+        data = dataset(file, member)
+        selection: list[int | slice] = [slice(None)]
+        if part is not None:
+            selection.append(part)
+        if len(data.shape) > len(selection):
+            selection.insert(0, ref.offset)
+        values.append(np.asarray(data[tuple(selection)], "float64"))
+    joined = np.concatenate(values)
+    if joined.shape != (ref.rows,):
         raise SceneError(
-            f"{source_of(ref)}: {path!r} has the shape {data.shape}, and {ref.rows} rows were promised"
+            f"{source_of(ref)}: {path!r} has {joined.shape} values, and {ref.rows} rows were promised"
         )
-    return values
+    return joined
+
+
+def _numbers_of_members(file: h5py.File, path: str, first: str, ref: StepRef) -> NDArray:
+    """Return for each row the number of the member of a group that it is from.
+
+    The number is the name of the member; names that are words are numbered in their order, from 1 on.
+    """
+    group = path.removesuffix("*")
+    members = _members(file, first)
+    if not first.startswith(path + "/"):
+        raise SceneError(
+            f"{source_of(ref)}: {path!r} is no group of the positions, {first!r}; a path that ends in "
+            "'*' numbers the types that '*' stands for there"
+        )
+    names = [member[len(group) :].partition("/")[0] for member in members]
+    numbers = [float(k) for k in range(1, len(names) + 1)]
+    if all(name.isdecimal() for name in names):
+        numbers = [float(name) for name in names]
+    axis = 1 if ref.kind == _STACKED else 0
+    counts = [dataset(file, member).shape[axis] for member in members]
+    return np.repeat(numbers, counts)

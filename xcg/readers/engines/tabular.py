@@ -5,6 +5,7 @@ A file holds one step, or several that a column of times separates, whose rows a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -14,12 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers.columns import Columnar
+from xcg.readers.columns import Columnar, assign
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.table import read_csv, read_parquet, scan_csv, scan_parquet
-from xcg.readers.files.text import plain_name
+from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv, scan_parquet
+from xcg.readers.files.text import first_lines, plain_name
 from xcg.readers.names import CLOCK_SLOTS, canonical_columns
 from xcg.readers.paths import index_steps
+
+_POSITION = ("position_x", "position_y")
+_ENDS = ("contact_i", "contact_j")
+# also with a decimal comma, which is an error by name when it is read
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
+_NO_OPTIONS = ReadOptions()
 
 
 class Table(Columnar):
@@ -30,8 +37,8 @@ class Table(Columnar):
     NEEDS_ID = False
 
     def recognises(self, path: str) -> bool:
-        """Return whether the suffix is that of a table."""
-        return _suffix(path) in (".csv", ".tsv", ".parquet")
+        """Return whether the suffix is that of a table, or the first line of a text names its columns."""
+        return _suffix(path) in (".csv", ".tsv", ".parquet") or _has_header(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -63,6 +70,25 @@ class Table(Columnar):
 def _suffix(path: str) -> str:
     """Return the suffix of a file, before that of its compression."""
     return Path(plain_name(path)).suffix.lower()
+
+
+def _has_header(path: str) -> bool:
+    """Return whether a text names a position, or both ends of contacts, above a row of numbers."""
+    if not first_lines(path):
+        return False
+    try:
+        names, words = first_row(path)
+    except SceneError:  # a line without an end
+        return False
+    if len(words) not in (len(names), len(names) + 1):  # one more: an index without a name
+        return False
+    row = dict(zip(reversed(names), reversed(words), strict=False))
+    ref = StepRef(path, 0, columns=names)
+    for slots, needed in ((Table.PARTICLE_SLOTS, _POSITION), (Table.CONTACT_SLOTS, _ENDS)):
+        found = assign(ref, {slot: slots[slot] for slot in needed}, _NO_OPTIONS)
+        if len(found) == 2 and all(_NUMBER.fullmatch(row[name]) for name in found.values()):
+            return True
+    return False
 
 
 def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:

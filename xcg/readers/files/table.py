@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import importlib
 import math
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +32,7 @@ _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
 def read_table(
@@ -182,9 +184,18 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
     if len(words) != len(columns):
         cut = last and line.count(b" ") < len(columns) - 1  # else cells are empty
         hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
+        if len(words) == len(columns) + 1:
+            hint += "; if the first value is an index without a name, write the table without it"
         return f"has {len(words)} values, expected {len(columns)} ({_shown(line)}); {hint}"
     wrong = next(column for column in wanted if math.isnan(_number(words[columns.index(column)])))
-    return f"has {words[columns.index(wrong)].decode('utf-8', 'replace')!r} in column '{wrong}', expected a number"
+    word = words[columns.index(wrong)].decode("utf-8", "replace")
+    fault = f"has {word!r} in column '{wrong}', expected a number"
+    if _DECIMAL_COMMA.fullmatch(word):
+        fault += (
+            "; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv(file, sep=';', "
+            "decimal=','), ...)"
+        )
+    return fault
 
 
 # --- CSV: tables that name their columns in the first line -----------------------------------------------
@@ -245,9 +256,7 @@ def scan_csv(
         else:
             first = _header_line(scanner)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
-        separator = next((mark for mark in _SEPARATORS if mark in line), " ")
-        words = line.split(None if separator == " " else separator)
-        names = tuple(word.strip().strip("\"'") for word in words)
+        separator, names = split_header(line)
         twice = [name for name, count in Counter(names).items() if count > 1]
         named = any(math.isnan(_number(name.encode())) for name in names)
         if in_order:
@@ -326,6 +335,22 @@ def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) ->
             f"{len(words)} values; name each column in its order, None for a column to skip"
         )
     return tuple(in_order)
+
+
+def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
+    """Return the names of the columns of a text, and the words of its first row."""
+    with scanned(path) as scanner:
+        header = _header_line(scanner).decode("utf-8-sig", "replace").lstrip("#").strip()
+        separator, names = split_header(header)
+        row = scanner.line().decode("utf-8", "replace").strip()
+        return names, row.split(None if separator == " " else separator)
+
+
+def split_header(line: str) -> tuple[str, tuple[str, ...]]:
+    """Return what stands between the names of columns in a line, and the names."""
+    separator = next((mark for mark in _SEPARATORS if mark in line), " ")
+    words = line.split(None if separator == " " else separator)
+    return separator, tuple(word.strip().strip("\"'") for word in words)
 
 
 def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
