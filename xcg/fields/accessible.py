@@ -2,8 +2,8 @@
 
 ``chi(r) = int Psi(r - r') dr'`` over the accessible side. Near a single plane it is the integral of the kernel's
 marginal. Elsewhere the kernel is integrated exactly along rays from the node, between their crossings of the walls, and
-over the directions of the rays by Gauss's rule about the normal of the nearest wall. Averaged axes are a sum of such
-fractions over points on them, because the marginal is the kernel integrated over these axes.
+over the directions of the rays by Gauss's rule about the normal of the nearest wall. Averages along axes on which
+walls vary come from `xcg.fields.grids.sections`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
+from xcg.fields.grids.sections import Span, averaged_fraction
 from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
@@ -32,7 +33,6 @@ _POLAR, _TURNS = (
     12,
     24,
 )  # rays: directions towards and away from the nearest wall, and around its normal
-_STEPS = 5  # points on averaged axes, in a cutoff
 _BATCH = 256  # points at a time
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
@@ -124,10 +124,8 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     points = np.zeros((int(np.prod(shape)), 3))
     for a, values in zip(seen, nodes, strict=True):
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
-    averaged, faces = _averaged(plan, walls, scene.edges)
-    compute = partial(
-        _fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape
-    )
+    averaged = _averaged(plan, walls, scene.edges)
+    compute = partial(_fractions, points, walls, kernel, plan.setup.plane, seen, averaged, shape)
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
@@ -158,46 +156,32 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
 
 def _averaged(
     plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float, float]]
-) -> tuple[dict[int, NDArray], list[Wall]]:
-    """Points and their weight (n, 2) on each averaged axis that matters, and faces of the box, which bound it there.
+) -> dict[int, Span]:
+    """Return the bounds of each averaged axis along which walls vary.
 
-    Surfaces may be open, so that only planes and cylinders bound an axis by themselves.
+    Surfaces may be open, so that they bound an axis only where nothing else does.
     """
-    found: dict[int, NDArray] = {}
-    faces: list[Wall] = []
-    cutoff = plan.kernel.cutoff
+    spans: dict[int, Span] = {}
+    closed = [wall for wall in walls if not isinstance(wall, Surface)]
     for a in plan.deposit.grid.averaged:
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue
-        box, ends = edges.get(a, (-np.inf, np.inf)), []
-        closed = [wall for wall in walls if not isinstance(wall, Surface)]
-        for side, sign in ((0, 1), (1, -1)):  # inward
-            edge = sign * box[side]
-            nearest = max((sign * wall.span(k)[side] for wall in closed), default=-np.inf)
-            if nearest == edge == -np.inf:
-                nearest = max(sign * wall.span(k)[side] for wall in walls)
-            if nearest >= edge:
-                end = nearest - cutoff
-            elif a in plan.setup.periodic:
-                end = edge  # one period, without what lies beyond
-            else:
-                place, normal = np.zeros((2, 3))
-                place[k], normal[k] = box[side], sign
-                faces.append(Plane(tuple(place), tuple(normal)))
-                end = edge - cutoff
-            ends.append(sign * end)
-        low, high = ends
+        box = edges.get(a, (-np.inf, np.inf))
+        low = max([box[0], *(wall.span(k)[0] for wall in closed)])
+        high = min([box[1], *(wall.span(k)[1] for wall in closed)])
+        ends = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
+        if ends and low == -np.inf:
+            low = min(first for first, _ in ends)
+        if ends and high == np.inf:
+            high = max(last for _, last in ends)
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(
                 f"fields are averaged along {a!r}, where the walls differ, and neither they nor a box bound the space "
                 f"that is accessible: give the scene a box, or resolve or fix the axis (axes=, at=)"
             )
-        extent = plan.extent[a] or edges[a][1] - edges[a][0]
-        count = max(1, int(np.ceil((high - low) / cutoff * _STEPS)))
-        place = low + (high - low) * (np.arange(count) + 0.5) / count
-        found[k] = np.stack([place, np.full(count, (high - low) / count / extent)], axis=1)
-    return found, faces
+        spans[k] = Span(low, high, plan.extent[a] or edges[a][1] - edges[a][0])
+    return spans
 
 
 def _fractions(
@@ -205,19 +189,15 @@ def _fractions(
     walls: Sequence[Wall],
     kernel: Kernel,
     plane: str,
-    averaged: Mapping[int, NDArray],
+    seen: Sequence[str],
+    averaged: Mapping[int, Span],
     shape: tuple[int, ...],
 ) -> NDArray:
-    """Fractions at nodes (n, 3), summed over points on averaged axes."""
-    offset, weight = np.zeros((1, 3)), np.ones(1)
-    for k, samples in averaged.items():
-        unit = np.eye(3)[k]
-        offset = (offset[:, None] + samples[:, 0, None] * unit).reshape(-1, 3)
-        weight = (weight[:, None] * samples[:, 1]).ravel()
-    out = np.empty(len(nodes))
-    for n, node in enumerate(nodes) if averaged else ():
-        out[n] = weight @ fraction_at(node + offset, walls, kernel, plane)
-    return (out if averaged else fraction_at(nodes, walls, kernel, plane)).reshape(shape)
+    """Return the fractions at nodes (n, 3), averaged where walls vary along averaged axes."""
+    if averaged:
+        axes = [COMPONENTS.index(a) for a in seen]
+        return averaged_fraction(nodes, walls, kernel, axes, averaged).reshape(shape)
+    return fraction_at(nodes, walls, kernel, plane).reshape(shape)
 
 
 def fraction_at(

@@ -85,6 +85,19 @@ class Wall(ABC):
         Crossings farther than `reach` (m) may be left out.
         """
 
+    def crossings_along(self, starts: NDArray, axis: int, reach: float) -> tuple[NDArray, NDArray]:
+        """Return where rays from `starts` (n, 3) along x, y or z cross the surface.
+
+        Returns
+        -------
+        is_open : array of bool (n,)
+            Whether the start is on the side of the grains.
+        distance : array (n, k)
+            Distances of the crossings (m) in any order, infinity for none. Those beyond `reach` may be left out.
+        """
+        directions = np.broadcast_to(np.eye(3)[axis], (len(starts), 1, 3))
+        return self.distance(starts) > 0, self.crossings(starts, directions, reach)[:, 0]
+
     @abstractmethod
     def varies(self, axis: int) -> bool:
         """Return whether a shift along x, y or z changes the surface."""
@@ -445,6 +458,49 @@ class Surface(Wall):
         given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
         most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
         return out[..., : max(1, most)]
+
+    @cached_property
+    def _encloses(self) -> bool:
+        """Whether each edge is shared by two triangles, so that the surface has an inside and an outside."""
+        _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
+        rows = number.reshape(-1, 3)
+        first, second = rows.ravel(), np.roll(rows, -1, axis=1).ravel()
+        count = len(number)
+        return np.array_equal(np.sort(first * count + second), np.sort(second * count + first))
+
+    def crossings_along(self, starts: NDArray, axis: int, reach: float) -> tuple[NDArray, NDArray]:
+        """Return where rays from `starts` (n, 3) along x, y or z cross the surface.
+
+        The sides of a ray follow from the triangle that its line crosses first. A line that crosses none is outside of
+        a closed surface. Beside an open one, it is on the side of its point at half the height of the surface.
+        """
+        across = [k for k in range(3) if k != axis]
+        order = np.argsort(starts[:, across[0]])
+        lines = np.ascontiguousarray(starts[np.ix_(order, across)], float)
+        corners = np.ascontiguousarray(self.corners[..., [*across, axis]])
+        facing = np.ascontiguousarray(self.normals[:, axis])
+        count = np.zeros(len(starts), "int64")
+        is_open_below = np.zeros(len(starts), bool)
+        loops.line_crossings(
+            lines, corners, facing, count, np.empty((len(starts), 0)), is_open_below
+        )
+        place = np.full((len(starts), max(1, int(count.max()))), np.inf)
+        count[:] = 0
+        loops.line_crossings(lines, corners, facing, count, place, is_open_below)
+        missed = np.flatnonzero(count == 0)
+        if self._encloses:
+            # the sum is three times the volume inside, positive where normals point outwards
+            heights = (self.centre[:, axis] - self.centre[0, axis]) * self.normals[:, axis]
+            is_open_below[missed] = (heights * self.area).sum() > 0
+        elif len(missed):
+            points = starts[order[missed]].copy()
+            points[:, axis] = np.mean(self.span(axis))
+            is_open_below[missed] = self.distance(points) > 0
+        inverse = np.argsort(order)
+        distance = place[inverse] - starts[:, axis, None]
+        before = (distance <= 0).sum(axis=1)
+        is_open = is_open_below[inverse] ^ (before % 2 == 1)
+        return is_open, np.where(distance > 0, distance, np.inf)
 
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
