@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,11 @@ from numpy.typing import NDArray
 from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel
 
-RAYS = 2**17
-_RAYS_A_COLUMN = 256  # of the mesh of two seen axes
-_POINTS = {1: 256, 2: 32}  # of the mesh in a cutoff, by the number of seen axes
-_MOST_POINTS = 2**22  # of one mesh; more nodes are divided into slabs
+RAYS = 75025  # a Fibonacci number, for which the points of `_lattice` have few gaps
+_RAYS_A_COLUMN = 256  # of cells of two seen axes
+_CELLS = {1: 256, 2: 32}  # in a cutoff, by the number of seen axes
+_MOST_CELLS = 2**22  # at a time; more nodes are divided into slabs
 _RAYS_AT_A_TIME = 2**15
-_NODES_AT_A_TIME = 128
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -76,9 +74,10 @@ def averaged_fraction(
     places = nodes[:, list(seen)]
     out = np.empty(len(nodes))
     for slab in _slabs(places, kernel.cutoff):
-        mesh = _Mesh.around(places[slab], kernel.cutoff)
-        open_share = _open_shares(mesh, walls, seen, averaged)
-        out[slab] = share * _smeared(open_share, mesh, places[slab], kernel)
+        cells = _Cells.around(places[slab], kernel.cutoff)
+        open_shares = _open_shares(cells, walls, seen, averaged)
+        from_first = places[slab] - (cells.origin + 0.5 * cells.size)
+        out[slab] = share * kernel.mean_of_cells(open_shares, from_first, cells.size)
     return out
 
 
@@ -124,16 +123,16 @@ def open_ends(
     return place, change
 
 
-def _lattice(ranges: Mapping[int, tuple[float, float]], count: int) -> Iterator[NDArray]:
+def _lattice(ranges: Sequence[tuple[int, float, float]], count: int) -> Iterator[NDArray]:
     """Yield points (n, 3) that are spread evenly over ranges of one or two axes, and over each of these axes alone.
 
-    Of two axes, the second takes multiples of the golden ratio, modulo one.
+    Coordinates on the first axis are equally spaced; those on the second are multiples of the golden ratio, modulo one.
     """
     for first in range(0, count, _RAYS_AT_A_TIME):
         number = np.arange(first, min(count, first + _RAYS_AT_A_TIME)) + 0.5
         points = np.zeros((len(number), 3))
         shares = number / count, number * _GOLDEN % 1.0
-        for (axis, (low, high)), share in zip(ranges.items(), shares, strict=False):
+        for (axis, low, high), share in zip(ranges, shares, strict=False):
             points[:, axis] = low + (high - low) * share
         yield points
 
@@ -142,7 +141,7 @@ def _open_share(walls: Sequence[Wall], averaged: Mapping[int, Span]) -> float:
     """Return the share of the averaged axes that is accessible, where no axis is seen."""
     along, *across = averaged
     low, high = averaged[along].low, averaged[along].high
-    ranges = {axis: (averaged[axis].low, averaged[axis].high) for axis in across}
+    ranges = [(axis, averaged[axis].low, averaged[axis].high) for axis in across]
     length = 0.0
     for rays in _lattice(ranges, RAYS):
         rays[:, along] = low
@@ -152,101 +151,77 @@ def _open_share(walls: Sequence[Wall], averaged: Mapping[int, Span]) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Mesh:
-    """Mesh of the seen axes around some nodes.
+class _Cells:
+    """Cells of the seen axes around some nodes.
 
     Attributes
     ----------
     origin : array (seen,)
-        Its first point (m).
+        Lowest corner of the first cell (m).
     shape : tuple of int
-        Number of points along each axis.
-    step : float
-        Distance of neighbouring points (m).
+        Number of cells along each axis.
+    size : float
+        Edge of the cells (m).
     """
 
     origin: NDArray
     shape: tuple[int, ...]
-    step: float
+    size: float
 
     @classmethod
-    def around(cls, places: NDArray, cutoff: float) -> _Mesh:
-        """Lay a mesh that ends a cutoff and two points beyond places (n, seen)."""
-        step = cutoff / _POINTS[places.shape[1]]
-        origin = places.min(axis=0) - cutoff - 2 * step
-        count = np.ceil((places.max(axis=0) + cutoff - origin) / step) + 3
-        return cls(origin, tuple(count.astype(int).tolist()), step)
+    def around(cls, places: NDArray, cutoff: float) -> _Cells:
+        """Lay cells as far as a cutoff and two cells around places (n, seen)."""
+        size = cutoff / _CELLS[places.shape[1]]
+        origin = places.min(axis=0) - cutoff - 2 * size
+        count = np.ceil((places.max(axis=0) + cutoff - origin) / size) + 2
+        return cls(origin, tuple(count.astype(int).tolist()), size)
 
-    def range(self, k: int) -> tuple[float, float]:
-        """Return the first and the last coordinate along one of its axes (m)."""
+    def bounds(self, k: int) -> tuple[float, float]:
+        """Return the lowest and the highest coordinate along one of the axes (m)."""
         low = float(self.origin[k])
-        return low, low + self.step * (self.shape[k] - 1)
+        return low, low + self.size * self.shape[k]
 
 
 def _slabs(places: NDArray, cutoff: float) -> Iterator[NDArray]:
-    """Divide nodes at places (n, seen) into slabs across the first axis, each with a mesh of limited size."""
-    points = 1.0
+    """Divide nodes at places (n, seen) into slabs across the first axis, each with a limited number of cells."""
+    a_cutoff = _CELLS[places.shape[1]]
+    layer = 1.0  # cells of a layer across the first axis
     for k in range(1, places.shape[1]):
-        points *= (np.ptp(places[:, k]) / cutoff + 3.0) * _POINTS[2]
-    width = max(1.0, _MOST_POINTS / points / _POINTS[places.shape[1]]) * cutoff
+        layer *= (np.ptp(places[:, k]) / cutoff + 3.0) * a_cutoff
+    width = max(1.0, _MOST_CELLS / layer / a_cutoff) * cutoff
     slab = (places[:, 0] - places[:, 0].min()) // width
     for number in np.unique(slab):
         yield np.flatnonzero(slab == number)
 
 
 def _open_shares(
-    mesh: _Mesh, walls: Sequence[Wall], seen: Sequence[int], averaged: Mapping[int, Span]
+    cells: _Cells, walls: Sequence[Wall], seen: Sequence[int], averaged: Mapping[int, Span]
 ) -> NDArray:
-    """Return the share of the averaged axes that is accessible at the points of a mesh.
+    """Return the mean over each cell of the share of the averaged axes that is accessible.
 
-    Rays are parallel to the last seen axis. Each end of an accessible part of a ray is shared by the points of the mesh
-    beside it in proportion to their distances, so that the sum along the axis rises there from 0 to 1.
+    Rays are parallel to the last seen axis, equally many in each column of cells along it. Where an accessible part
+    begins or ends in a cell, the part of the cell beyond is added or subtracted there, and the rest in the next cell,
+    so that the sum along the column is exact.
     """
-    low, high = mesh.range(-1)
-    ranges = {axis: (span.low, span.high) for axis, span in averaged.items()}
-    columns, points = 1, mesh.shape[-1]
+    low, high = cells.bounds(-1)
+    ranges = [(axis, span.low, span.high) for axis, span in averaged.items()]
+    columns, count = 1, RAYS
     if len(seen) == 2:
-        ranges[seen[0]] = mesh.range(0)
-        columns = mesh.shape[0]
-    rises = np.zeros((columns + 1, points + 1))
-    rays_of_column = np.zeros(columns + 1)
-    for rays in _lattice(ranges, max(RAYS, _RAYS_A_COLUMN * columns)):
+        columns = cells.shape[0]
+        count = columns * max(_RAYS_A_COLUMN, RAYS // columns)
+        ranges = [(seen[0], *cells.bounds(0)), *ranges]
+    rises = np.zeros((columns, cells.shape[-1] + 2))
+    first = 0
+    for rays in _lattice(ranges, count):
         rays[:, seen[-1]] = low
         place, change = open_ends(rays, walls, seen[-1], high - low)
-        point, beyond = _divided(place / mesh.step)
-        column, beside = np.zeros(len(rays), int), np.zeros(len(rays))
-        if len(seen) == 2:
-            column, beside = _divided((rays[:, seen[0]] - mesh.origin[0]) / mesh.step)
-        for right in (0, 1):
-            share = beside if right else 1.0 - beside
-            np.add.at(rays_of_column, column + right, share)
-            rise = share[:, None] * change
-            np.add.at(rises, (column[:, None] + right, point), rise * (1.0 - beyond))
-            np.add.at(rises, (column[:, None] + right, point + 1), rise * beyond)
-    total = np.cumsum(rises[:columns, :points], axis=1)
-    total[:, 1:] = 0.5 * (total[:, 1:] + total[:, :-1])  # the mean over the cell of a point
-    open_shares = total / rays_of_column[:columns, None]
-    return open_shares if len(seen) == 2 else open_shares[0]
-
-
-def _divided(place: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the points of a mesh below places, and the distances from there, in units of its step."""
-    point = np.floor(place).astype(int)
-    return point, place - point
-
-
-def _smeared(values: NDArray, mesh: _Mesh, places: NDArray, kernel: Kernel) -> NDArray:
-    """Return the mean of values on a mesh about places (n, seen), weighted by the kernel's marginal."""
-    seen = places.shape[1]
-    within = math.ceil(kernel.cutoff / mesh.step)
-    window = np.array(list(product(range(-within, within + 2), repeat=seen)))
-    out = np.empty(len(places))
-    for first in range(0, len(places), _NODES_AT_A_TIME):
-        rows = slice(first, first + _NODES_AT_A_TIME)
-        node = (places[rows] - mesh.origin) / mesh.step
-        point = np.floor(node).astype(int)[:, None] + window
-        distance = np.linalg.norm(point - node[:, None], axis=-1) * mesh.step
-        weight = kernel.value(distance, seen=seen)
-        near = values[tuple(np.moveaxis(point, -1, 0))]
-        out[rows] = (weight * near).sum(axis=1) / weight.sum(axis=1)
-    return out
+        ray, end = np.nonzero(change)
+        column = (first + ray) // (count // columns)
+        cell, beyond = np.divmod(place[ray, end] / cells.size, 1.0)
+        cell = cell.astype(int)
+        rise = change[ray, end] * (columns / count)
+        np.add.at(rises, (column, cell), rise * (1.0 - beyond))
+        np.add.at(rises, (column, cell + 1), rise * beyond)
+        first += len(rays)
+    shares = np.cumsum(rises, axis=1)[:, : cells.shape[-1]]
+    return shares.reshape(cells.shape)
