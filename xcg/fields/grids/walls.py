@@ -10,7 +10,7 @@ import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import floats, is_positive, rising_pair, unit_vector, vector
 from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import geometry as loops
-from xcg.fields.grids.frames import axis_of, corners, frame_about
+from xcg.fields.grids.frames import axis_of, corners, frame_about, turned
 from xcg.scene.schema import COMPONENTS
 
 _FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
@@ -99,8 +99,16 @@ class Wall(ABC):
         return self.distance(starts) > 0, self.crossings(starts, directions, reach)[:, 0]
 
     @abstractmethod
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Wall:
+        """Return the wall in other axes: `axes` (3, 3), a row each, and `origin` (3,) in the present ones."""
+
+    @abstractmethod
     def varies(self, axis: int) -> bool:
         """Return whether a shift along x, y or z changes the surface."""
+
+    @abstractmethod
+    def turns(self) -> bool:
+        """Return whether a rotation about the axis z changes the surface."""
 
     @abstractmethod
     def span(self, axis: int) -> tuple[float, float]:
@@ -189,9 +197,18 @@ class Plane(Wall):
             s = -self.distance(points)[:, None] / (directions @ self._frame[0])
         return np.where(s > 0, s, np.inf)[..., None]
 
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Plane:
+        """Return the plane in other axes, without bounds of its cells."""
+        point = axes @ (vector("point", self.point) - origin)
+        return Plane(point.tolist(), (axes @ self._frame[0]).tolist())
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
         return bool(abs(self._frame[0][axis]) > 1e-12)
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
+        return axis_of(self._frame[0]) != 2
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
@@ -324,9 +341,19 @@ class Cylinder(Wall):
             both = np.stack([far / a, c[:, None] / far], axis=-1)
         return np.where(both > 0, both, np.inf)
 
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Cylinder:
+        """Return the cylinder in other axes."""
+        point = axes @ (vector("point", self.point) - origin)
+        return replace(self, point=point.tolist(), direction=(axes @ self._frame[0]).tolist())
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
         return axis_of(self._frame[0]) != axis
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
+        beside = math.hypot(self.point[0], self.point[1])
+        return axis_of(self._frame[0]) != 2 or beside > 1e-12 * self.radius
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
@@ -476,7 +503,7 @@ class Surface(Wall):
         """
         across = [k for k in range(3) if k != axis]
         order = np.argsort(starts[:, across[0]])
-        lines = np.ascontiguousarray(starts[np.ix_(order, across)], float)
+        lines = np.ascontiguousarray(starts[order][:, across])
         corners = np.ascontiguousarray(self.corners[..., [*across, axis]])
         facing = np.ascontiguousarray(self.normals[:, axis])
         count = np.zeros(len(starts), "int64")
@@ -502,8 +529,17 @@ class Surface(Wall):
         is_open = is_open_below[inverse] ^ (before % 2 == 1)
         return is_open, np.where(distance > 0, distance, np.inf)
 
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Surface:
+        """Return the surface in other axes."""
+        points = turned(self.corners.reshape(-1, 3), axes, origin)
+        return Surface(points, np.arange(len(points)).reshape(-1, 3))
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
+        return True
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
         return True
 
     def span(self, axis: int) -> tuple[float, float]:
