@@ -21,7 +21,7 @@ from xcg.fields.sums.kernels import Kernel
 
 RAYS = 75025  # a Fibonacci number, for which the points of `_lattice` have few gaps
 _RAYS_A_COLUMN = 256  # of cells of two seen axes
-_CELLS = {1: 256, 2: 32}  # in a cutoff, by the number of seen axes
+_CELLS = {1: 256, 2: 24}  # in a cutoff, by the number of seen axes
 _MOST_CELLS = 2**22  # at a time; more nodes are divided into slabs
 _RAYS_AT_A_TIME = 2**14
 _RAYS_TIMED = 2**9
