@@ -102,7 +102,7 @@ def _lattice(ranges: Sequence[tuple[int, float, float]], count: int) -> Iterator
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
+class _SeenCells:
     """Cells of the seen axes around some nodes.
 
     Attributes
@@ -123,7 +123,7 @@ class _Cells:
     size: float
 
     @classmethod
-    def around(cls, rows: NDArray, places: NDArray, cutoff: float) -> _Cells:
+    def around(cls, rows: NDArray, places: NDArray, cutoff: float) -> _SeenCells:
         """Lay cells as far as a cutoff and two cells around places (n, seen)."""
         size = cutoff / _CELLS[places.shape[1]]
         origin = places.min(axis=0) - cutoff - 2 * size
@@ -173,7 +173,7 @@ class AveragedFraction:
     averaged: Mapping[int, Span]
 
     @cached_property
-    def _slabs(self) -> list[_Cells]:
+    def _slabs(self) -> list[_SeenCells]:
         """Cells around nodes, divided across the first axis, so that their number is limited."""
         places, cutoff = self.nodes[:, list(self.seen)], self.kernel.cutoff
         if not self.seen or not len(places):
@@ -185,7 +185,7 @@ class AveragedFraction:
         width = max(1.0, _MOST_CELLS / layer / a_cutoff) * cutoff
         slab = (places[:, 0] - places[:, 0].min()) // width
         members = [np.flatnonzero(slab == number) for number in np.unique(slab)]
-        return [_Cells.around(rows, places[rows], cutoff) for rows in members]
+        return [_SeenCells.around(rows, places[rows], cutoff) for rows in members]
 
     @property
     def steps(self) -> int:
@@ -197,7 +197,7 @@ class AveragedFraction:
         """Axis that the rays are parallel to."""
         return self.seen[-1] if self.seen else next(iter(self.averaged))
 
-    def _ranges(self, cells: _Cells | None) -> list[tuple[int, float, float]]:
+    def _ranges(self, cells: _SeenCells | None) -> list[tuple[int, float, float]]:
         """Return the axes across the rays and their bounds, first that of the columns of cells."""
         ranges = [
             (axis, span.low, span.high)
@@ -219,7 +219,7 @@ class AveragedFraction:
         open_ends(rays, self.walls, self.along, high - low)
         return (perf_counter() - start) * self.steps / len(rays)
 
-    def _bounds(self, cells: _Cells | None) -> tuple[float, float]:
+    def _bounds(self, cells: _SeenCells | None) -> tuple[float, float]:
         """Return where rays begin and end (m)."""
         if cells is not None:
             return cells.bounds(-1)
@@ -259,7 +259,7 @@ class AveragedFraction:
             advance(len(rays))
         return length / (RAYS * (high - low))
 
-    def _open_shares(self, cells: _Cells, advance: Callable[[int], object]) -> NDArray:
+    def _open_shares(self, cells: _SeenCells, advance: Callable[[int], object]) -> NDArray:
         """Return the mean over each cell of the share of the averaged axes that is accessible.
 
         Where an accessible part of a ray begins or ends in a cell, the part of the cell beyond is added or subtracted
