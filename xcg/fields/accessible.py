@@ -39,7 +39,7 @@ _POLAR, _TURNS = (
 )  # rays: directions towards and away from the nearest wall, and around its normal
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
-_LONG = 10.0  # seconds from which on users are told before
+_LONG = 10.0  # seconds; longer work warns before, and shows its progress
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
@@ -110,7 +110,8 @@ def with_accessible(
     accessible = accessible_of(scene, plan, walls)
     seconds = accessible.seconds()
     if seconds > _LONG:
-        warn_user(f"walls: {accessible.text(seconds)}; a larger spacing takes fewer nodes")
+        advice = "simplify the surfaces" if accessible.average else "take a larger spacing"
+        warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
@@ -261,11 +262,8 @@ class Accessible:
         # at multiples of the golden ratio, modulo one, which no mesh repeats
         rows = (np.arange(count) * GOLDEN % 1.0 * len(self.points)).astype(int)
         times = [perf_counter()]
-        for some in (
-            rows[:1],
-            rows[:1],
-            rows,
-        ):  # the first compiles, the second is what each call takes
+        # the first call compiles, the second shows what each call takes
+        for some in (rows[:1], rows[:1], rows):
             fraction_at(self.points[some], self.walls, self.kernel, self.plane)
             times.append(perf_counter())
         _, once, sample = np.diff(times)

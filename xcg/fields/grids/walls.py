@@ -516,9 +516,11 @@ class Surface(Wall):
         loops.line_crossings(lines, corners, facing, count, place, is_open_below)
         missed = np.flatnonzero(count == 0)
         if self._encloses:
-            # the sum is three times the volume inside, positive where normals point outwards
-            heights = (self.centre[:, axis] - self.centre[0, axis]) * self.normals[:, axis]
-            is_open_below[missed] = (heights * self.area).sum() > 0
+            heights = self.centre[:, axis] - self.centre[0, axis]
+            volume = (
+                heights * self.normals[:, axis] * self.area
+            ).sum()  # negative if normals point inwards
+            is_open_below[missed] = volume > 0
         elif len(missed):
             points = starts[order[missed]].copy()
             points[:, axis] = np.mean(self.span(axis))
