@@ -321,7 +321,7 @@ def test_surfaces_beyond_the_box_count_as_far_as_the_box(periodic, reach):
 
     plane = fraction(xcg.Plane((0, 0, 0), (0, 0, 1)))
     floor = fraction(xcg.Surface(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]])))
-    np.testing.assert_allclose(floor, plane, atol=5e-3 if reach else 0.05)
+    np.testing.assert_allclose(floor, plane, atol=2e-4)
     np.testing.assert_allclose(
         fraction(xcg.Cylinder((side / 2, side / 2, 0), (0, 0, 1), 20.0)), 1.0, atol=1e-3
     )
