@@ -316,12 +316,24 @@ TABLE = [
         "test_the_mesh_equals_that_of_pysammos",
     ),
     Mutation(
-        "fields/accessible.py", "end = edge  # one", "end = edge - cutoff  # one",
+        "fields/accessible.py", "low = max([box[0], *(", "low = max([*(",
         "test_surfaces_beyond_the_box_count_as_far_as_the_box",
     ),
     Mutation(
-        "fields/accessible.py", "faces.append(Plane(tuple(place), tuple(normal)))", "pass",
-        "test_surfaces_beyond_the_box_count_as_far_as_the_box",
+        "fields/grids/sections.py", "rise * (1.0 - beyond)", "rise * beyond",
+        "test_a_silo_is_the_area_of_a_circle_times_the_fraction_beside_its_floor",
+    ),
+    Mutation(
+        "fields/grids/sections.py", "is_open[:, None] ^ (", "~is_open[:, None] ^ (",
+        "test_ends_of_open_parts_are_where_the_side_of_a_wall_changes",
+    ),
+    Mutation(
+        "compiled/geometry.py", "facing[t] < 0.0", "facing[t] > 0.0",
+        "test_a_pyramid_is_its_square_section_smeared_along_the_height",
+    ),
+    Mutation(
+        "fields/grids/walls.py", "points[:, axis] = np.mean(self.span(axis))", "pass",
+        "test_a_funnel_without_lids_is_open_above_its_cone_and_through_its_outlet",
     ),
     Mutation(
         "readers/files/table.py", "not in (0, ref.rows)", "in (0,)", "test_empty_cells_and_names_of_columns_raise",

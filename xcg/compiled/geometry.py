@@ -333,3 +333,52 @@ def crossings(points, directions, reach, corners, centre, radius, out):
                         most = max(most, k + 1)
                         break
     return most
+
+
+@leaf
+def line_crossings(lines, corners, facing, count, place, is_open_below):
+    """Find where parallel lines cross triangles.
+
+    Parameters
+    ----------
+    lines : (n, 2)
+        Coordinates of the lines across their direction, with the first in ascending order.
+    corners : (m, 3, 3)
+        Corners of the triangles: the two coordinates across the lines, then that along them.
+    facing : (m,)
+        Component of the unit normals along the lines.
+    count : (n,)
+        Number of crossings of each line, zero on entry; set here.
+    place : (n, k)
+        Coordinates of the crossings along the lines, infinite (on entry) without one; further ones are only counted.
+    is_open_below : (n,)
+        Whether each line is on the side of the normals before its first crossing; set here.
+    """
+    for t in range(len(corners)):
+        ax, ay = corners[t, 0, 0], corners[t, 0, 1]
+        bx, by = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay
+        cx, cy = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay
+        twice = bx * cy - by * cx
+        if twice == 0.0:
+            continue
+        last = ax + max(0.0, bx, cx)
+        n = np.searchsorted(lines[:, 0], ax + min(0.0, bx, cx))
+        while n < len(lines) and lines[n, 0] <= last:
+            x, y = lines[n, 0] - ax, lines[n, 1] - ay
+            v = (x * cy - y * cx) / twice
+            w = (y * bx - x * by) / twice
+            if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
+                height = (
+                    corners[t, 0, 2]
+                    + v * (corners[t, 1, 2] - corners[t, 0, 2])
+                    + w * (corners[t, 2, 2] - corners[t, 0, 2])
+                )
+                if count[n] < place.shape[1]:
+                    is_first = True
+                    for k in range(count[n]):
+                        is_first = is_first and height < place[n, k]
+                    if is_first:
+                        is_open_below[n] = facing[t] < 0.0
+                    place[n, count[n]] = height
+                count[n] += 1
+            n += 1

@@ -313,3 +313,30 @@ def sample(kind, spread, table, q, derivative):
             else:
                 out[i] = value(kind, spread, table, q[i] * q[i])
     return out
+
+
+@jit
+def weighted_means(kind, spread, table, values, place, radius):
+    """Means of values (m, k) of cells, weighted by the kernel about places (n, 2).
+
+    Places are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of only one row have one
+    axis, and places are at zero on the other.
+    """
+    out = np.zeros(len(place))
+    for n in range(len(place)):
+        x, y = place[n, 0], place[n, 1]
+        total = 0.0
+        for i in range(
+            max(0, math.ceil(x - radius)), min(values.shape[0] - 1, math.floor(x + radius)) + 1
+        ):
+            half = math.sqrt(max(0.0, radius * radius - (i - x) * (i - x)))
+            for j in range(
+                max(0, math.ceil(y - half)), min(values.shape[1] - 1, math.floor(y + half)) + 1
+            ):
+                q2 = ((i - x) * (i - x) + (j - y) * (j - y)) / (radius * radius)
+                if q2 < 1.0:
+                    weight = value(kind, spread, table, q2)
+                    total += weight
+                    out[n] += weight * values[i, j]
+        out[n] /= total
+    return out

@@ -2,14 +2,16 @@
 
 ``chi(r) = int Psi(r - r') dr'`` over the accessible side. Near a single plane it is the integral of the kernel's
 marginal. Elsewhere the kernel is integrated exactly along rays from the node, between their crossings of the walls, and
-over the directions of the rays by Gauss's rule about the normal of the nearest wall. Averaged axes are a sum of such
-fractions over points on them, because the marginal is the kernel integrated over these axes.
+over the directions of the rays by Gauss's rule about the normal of the nearest wall. Averages along axes on which
+walls vary come from `xcg.fields.grids.sections`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter
 from typing import Any, get_args
 
 import numpy as np
@@ -19,21 +21,25 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
+from xcg.fields.grids.frames import Rotated
+from xcg.fields.grids.rings import ring_points
+from xcg.fields.grids.sections import GOLDEN, AveragedFraction, Span
 from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.mapping import is_lazy
+from xcg.steps.mapping import is_lazy, shown
 
 LEAST = 0.01  # of the kernel; nodes that see less have no fields per accessible volume
 _POLAR, _TURNS = (
     12,
     24,
 )  # rays: directions towards and away from the nearest wall, and around its normal
-_STEPS = 5  # points on averaged axes, in a cutoff
 _BATCH = 256  # points at a time
+_POINTS_TIMED = 256  # at most, of all
+_LONG = 10.0  # seconds; longer work warns before, and shows its progress
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
@@ -65,10 +71,6 @@ def check_walls(request: Request) -> None:
         raise ValueError(
             f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
         )
-    if request.frame is not None:
-        raise ValueError(
-            "walls= with frame=: walls are given in the scene's own axes; leave one of them out"
-        )
     if request.sampling == "cell":
         raise ValueError(
             "walls= with sampling='cell': the accessible fraction is that at a node; leave one out"
@@ -79,64 +81,49 @@ def check_walls(request: Request) -> None:
         )
 
 
-def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Request) -> xr.Dataset:
+def walls_of(request: Request) -> list[Wall]:
+    """Return the walls of a request, in the axes of its frame."""
+    walls = list(request.walls or ())
+    if request.frame is None:
+        return walls
+    frame = request.frame if isinstance(request.frame, Rotated) else request.frame.rotated
+    return [wall.in_axes(frame.axes, np.asarray(frame.origin, float)) for wall in walls]
+
+
+def with_accessible(
+    f: xr.Dataset, scene: Description, plan: Plan, request: Request, walls: Sequence[Wall]
+) -> xr.Dataset:
     """Add the accessible fraction to a result, and divide by it where that is asked for.
 
     Parameters
     ----------
     f : xarray.Dataset
         The result, with the sums that averages need.
+    walls : sequence of Wall
+        The walls in the axes of the result.
 
     Raises
     ------
     ValueError
-        If the kernel is not of the scene's dimension, groups have different widths, walls do not bound an averaged
-        axis, or they vary across the layer of a two-dimensional scene.
+        As `accessible_of`.
     """
-    walls, kernel = tuple(request.walls or ()), plan.kernel
-    if len(plan.widths) > 1:
-        raise ValueError(
-            "walls= take one width for all groups, as the accessible fraction is that of one kernel"
-        )
-    if kernel.dimension != plan.setup.dimension:
-        raise ValueError(
-            f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
-        )
-    layer = [a for a in COMPONENTS if a not in plan.setup.plane]
-    if any(wall.varies(COMPONENTS.index(a)) for wall in walls for a in layer):
-        raise ValueError(
-            f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
-        )
-    middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
-    for wall in walls:
-        if (
-            middle is not None
-            and isinstance(wall, Plane)
-            and wall.bounds is None
-            and wall.distance(middle)[0] < 0
-        ):
-            warn_user(
-                f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
-            )
-    seen = [a for a in plan.setup.plane if a not in plan.deposit.grid.averaged]
-    nodes = xr.broadcast(*(f[a].drop_vars(f[a].coords) for a in seen)) if seen else ()
-    shape = nodes[0].shape if nodes else ()
-    points = np.zeros((int(np.prod(shape)), 3))
-    for a, values in zip(seen, nodes, strict=True):
-        points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
-    averaged, faces = _averaged(plan, walls, scene.edges)
-    compute = partial(
-        _fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape
-    )
+    accessible = accessible_of(scene, plan, walls)
+    seconds = accessible.seconds()
+    if seconds > _LONG:
+        advice = "simplify the surfaces" if accessible.average else "take a larger spacing"
+        warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
         from dask.delayed import delayed
 
-        chi = da.from_delayed(delayed(compute)(), shape, float)
+        chi = da.from_delayed(delayed(accessible.values)(), accessible.shape, float)
+    elif seconds > _LONG:
+        with shown(accessible.steps, None, what="rays and nodes at walls") as bar:
+            chi = accessible.values(bar.update)
     else:
-        chi = compute()
-    field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
+        chi = accessible.values()
+    field = xr.DataArray(chi, dims=accessible.dims).expand_dims(time=f.sizes["time"])
     about = {
         "units": "1",
         "long_name": "share of the kernel on the accessible side of the walls",
@@ -152,78 +139,185 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     return (
         f[list(wanted)]
         .assign(accessible_fraction=field)
-        .assign_attrs(walls="\n".join(map(repr, walls)))
+        .assign_attrs(walls="\n".join(map(repr, request.walls or ())))
     )
+
+
+def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Accessible:
+    """Plan the accessible fraction at the nodes of a plan.
+
+    Raises
+    ------
+    ValueError
+        If the kernel is not of the scene's dimension, groups have different widths, walls do not bound an averaged
+        axis, or they vary across the layer of a two-dimensional scene.
+    """
+    kernel, plane = plan.kernel, plan.setup.plane
+    if len(plan.widths) > 1:
+        raise ValueError(
+            "walls= take one width for all groups, as the accessible fraction is that of one kernel"
+        )
+    if kernel.dimension != plan.setup.dimension:
+        raise ValueError(
+            f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
+        )
+    layer = [a for a in COMPONENTS if a not in plane]
+    if any(wall.varies(COMPONENTS.index(a)) for wall in walls for a in layer):
+        raise ValueError(
+            f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
+        )
+    middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
+    for wall in walls:
+        if (
+            middle is not None
+            and isinstance(wall, Plane)
+            and wall.bounds is None
+            and wall.distance(middle)[0] < 0
+        ):
+            warn_user(
+                f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
+            )
+    grid = plan.deposit.grid
+    points, shares, first = _points_of(plan, walls, cylindrical=scene.cylindrical)
+    averaged = _averaged(plan, walls, scene.edges)
+    average = None
+    if averaged:
+        seen = [COMPONENTS.index(a) for a in plane if a not in grid.averaged]
+        average = AveragedFraction(points, walls, kernel, seen, averaged)
+    return Accessible(points, shares, first, grid.dims, grid.sizes, walls, kernel, plane, average)
+
+
+def _points_of(
+    plan: Plan, walls: Sequence[Wall], *, cylindrical: bool
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Return points (n, 3), their shares of the averages at nodes (n,), and the first point of each node (nodes,).
+
+    Nodes of a cylinder have a point at each of their angles, or one where walls are the same at all angles.
+    """
+    grid = plan.deposit.grid
+    if not cylindrical:
+        seen = [a for a in plan.setup.plane if a not in grid.averaged]
+        places = xr.broadcast(*(xr.DataArray(grid.coords[a]) for a in seen)) if seen else ()
+        points = np.zeros((math.prod(grid.sizes), 3))
+        for a, values in zip(seen, places, strict=True):
+            points[:, COMPONENTS.index(a)] = values.transpose(*grid.dims).to_numpy().ravel()
+        return points, np.ones(len(points)), np.arange(len(points))
+    return ring_points(grid, whole=any(wall.turns() for wall in walls))
+
+
+@dataclass(frozen=True, eq=False)
+class Accessible:
+    """The accessible fraction of one call: `values` computes it.
+
+    Attributes
+    ----------
+    points : array (n, 3)
+        Points (m): the nodes, or those at all angles of nodes of a cylinder.
+    shares : array (n,)
+        Their shares of the averages at their nodes.
+    first : array (nodes,)
+        First point of each node.
+    dims, shape : tuple
+        Dimensions of the nodes.
+    walls : sequence of Wall
+        Walls.
+    kernel : Kernel
+        Kernel.
+    plane : str
+        Axes of the scene.
+    average : AveragedFraction or None
+        The fraction at the points, where it is averaged along axes on which walls vary.
+    """
+
+    points: NDArray
+    shares: NDArray
+    first: NDArray
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    walls: Sequence[Wall]
+    kernel: Kernel
+    plane: str
+    average: AveragedFraction | None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps that `values` counts: rays, or points."""
+        return self.average.steps if self.average else len(self.points)
+
+    def values(self, advance: Callable[[int], object] = lambda _: None) -> NDArray:
+        """Compute the fraction at the nodes; `advance` is called with the number of steps that are finished."""
+        if self.average:
+            fraction = self.average.values(advance)
+        else:
+            fraction = fraction_at(self.points, self.walls, self.kernel, self.plane, advance)
+        if len(self.first) < len(self.points):
+            fraction = np.add.reduceat(self.shares * fraction, self.first)
+        return fraction.reshape(self.shape)
+
+    def seconds(self) -> float:
+        """Estimate how long `values` takes, from some of its points or rays."""
+        if self.average:
+            return self.average.seconds()
+        count = min(_POINTS_TIMED, math.ceil(len(self.points) / 16))
+        # at multiples of the golden ratio, modulo one, which no mesh repeats
+        rows = (np.arange(count) * GOLDEN % 1.0 * len(self.points)).astype(int)
+        times = [perf_counter()]
+        # the first call compiles, the second shows what each call takes
+        for some in (rows[:1], rows[:1], rows):
+            fraction_at(self.points[some], self.walls, self.kernel, self.plane)
+            times.append(perf_counter())
+        _, once, sample = np.diff(times)
+        return float(once + max(0.0, sample - once) * len(self.points) / count)
+
+    def text(self, seconds: float) -> str:
+        """Describe the work, which takes some seconds."""
+        work = f"at {len(self.points)} points, by up to {2 * _POLAR * _TURNS} rays from each"
+        if self.average:
+            along = COMPONENTS[self.average.along]
+            work = f"by {self.average.steps} rays along {along}"
+        return f"the accessible fraction {work} takes about {seconds:.2g} s, once for all steps"
 
 
 def _averaged(
     plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float, float]]
-) -> tuple[dict[int, NDArray], list[Wall]]:
-    """Points and their weight (n, 2) on each averaged axis that matters, and faces of the box, which bound it there.
+) -> dict[int, Span]:
+    """Return the bounds of each averaged axis along which walls vary.
 
-    Surfaces may be open, so that only planes and cylinders bound an axis by themselves.
+    Surfaces may be open, so that they bound an axis only where nothing else does.
     """
-    found: dict[int, NDArray] = {}
-    faces: list[Wall] = []
-    cutoff = plan.kernel.cutoff
+    spans: dict[int, Span] = {}
+    closed = [wall for wall in walls if not isinstance(wall, Surface)]
     for a in plan.deposit.grid.averaged:
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue
-        box, ends = edges.get(a, (-np.inf, np.inf)), []
-        closed = [wall for wall in walls if not isinstance(wall, Surface)]
-        for side, sign in ((0, 1), (1, -1)):  # inward
-            edge = sign * box[side]
-            nearest = max((sign * wall.span(k)[side] for wall in closed), default=-np.inf)
-            if nearest == edge == -np.inf:
-                nearest = max(sign * wall.span(k)[side] for wall in walls)
-            if nearest >= edge:
-                end = nearest - cutoff
-            elif a in plan.setup.periodic:
-                end = edge  # one period, without what lies beyond
-            else:
-                place, normal = np.zeros((2, 3))
-                place[k], normal[k] = box[side], sign
-                faces.append(Plane(tuple(place), tuple(normal)))
-                end = edge - cutoff
-            ends.append(sign * end)
-        low, high = ends
+        box = edges.get(a, (-np.inf, np.inf))
+        low = max([box[0], *(wall.span(k)[0] for wall in closed)])
+        high = min([box[1], *(wall.span(k)[1] for wall in closed)])
+        ends = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
+        if ends and low == -np.inf:
+            low = min(first for first, _ in ends)
+        if ends and high == np.inf:
+            high = max(last for _, last in ends)
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(
                 f"fields are averaged along {a!r}, where the walls differ, and neither they nor a box bound the space "
                 f"that is accessible: give the scene a box, or resolve or fix the axis (axes=, at=)"
             )
-        extent = plan.extent[a] or edges[a][1] - edges[a][0]
-        count = max(1, int(np.ceil((high - low) / cutoff * _STEPS)))
-        place = low + (high - low) * (np.arange(count) + 0.5) / count
-        found[k] = np.stack([place, np.full(count, (high - low) / count / extent)], axis=1)
-    return found, faces
-
-
-def _fractions(
-    nodes: NDArray,
-    walls: Sequence[Wall],
-    kernel: Kernel,
-    plane: str,
-    averaged: Mapping[int, NDArray],
-    shape: tuple[int, ...],
-) -> NDArray:
-    """Fractions at nodes (n, 3), summed over points on averaged axes."""
-    offset, weight = np.zeros((1, 3)), np.ones(1)
-    for k, samples in averaged.items():
-        unit = np.eye(3)[k]
-        offset = (offset[:, None] + samples[:, 0, None] * unit).reshape(-1, 3)
-        weight = (weight[:, None] * samples[:, 1]).ravel()
-    out = np.empty(len(nodes))
-    for n, node in enumerate(nodes) if averaged else ():
-        out[n] = weight @ fraction_at(node + offset, walls, kernel, plane)
-    return (out if averaged else fraction_at(nodes, walls, kernel, plane)).reshape(shape)
+        spans[k] = Span(low, high, plan.extent[a] or edges[a][1] - edges[a][0])
+    return spans
 
 
 def fraction_at(
-    points: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: str = "xyz"
+    points: NDArray,
+    walls: Sequence[Wall],
+    kernel: Kernel,
+    plane: str = "xyz",
+    advance: Callable[[int], object] = lambda _: None,
 ) -> NDArray:
     """Share of a kernel about points (n, 3) that is accessible; (n,).
+
+    `advance` is called with the number of points that are finished.
 
     Exact for a single plane within reach. Elsewhere the error is that of the rule for directions: root mean square
     up to 1e-3 and largest up to 5e-3, where curves, corners and the node are within a support of each other.
@@ -242,6 +336,7 @@ def fraction_at(
     points = _off_walls(points, walls, cutoff)
     distance[:, rest] = [wall.distance(points[rest]) for wall in walls]
     cumulative = _cumulative(kernel)
+    advance(len(points) - len(rest))
     for first in range(0, len(rest), _BATCH):
         rows = rest[first : first + _BATCH]
         near = [k for k in range(len(walls)) if reached[k, rows].any()]
@@ -253,6 +348,7 @@ def fraction_at(
             cutoff,
             plane,
         )
+        advance(len(rows))
     return out
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
 from xcg.compiled._jit import THREADS, for_each
-from xcg.fields.accessible import check_walls, with_accessible
+from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import program_for
@@ -87,6 +87,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """
     if request.walls is not None or request.per is not None:
         check_walls(request)
+    walls = walls_of(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
     ds, request = prepare(ds, request)
     given = request.given() | framed
@@ -104,7 +105,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     arrays = evaluate_plan(ds, plan, request.on_error)
     result = labelled(scene, plan, arrays, call)
     if request.walls is not None:
-        result = with_accessible(result, scene, plan, request)
+        result = with_accessible(result, scene, plan, request, walls)
     result = mark_skipped(result, arrays)
     return rename(result) if rename else result
 
@@ -129,8 +130,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     Returns
     -------
     Plan
-        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, memory, and the noise
-        of velocity and temperature that a dense packing would have.
+        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, memory, the noise
+        of velocity and temperature that a dense packing would have, and the time for the accessible fraction.
 
     Raises
     ------
@@ -144,12 +145,19 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
+    if request.walls is not None or request.per is not None:
+        check_walls(request)
+    walls = walls_of(request)
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)
     if request.preset is not None:
         request, _ = _in_own_names(scene, request)
     plan = make_plan(scene, request)
-    return replace(plan, effective_count=effective_count(scene, plan))
+    cost = None
+    if walls:
+        accessible = accessible_of(scene, plan, walls)
+        cost = accessible.text(accessible.seconds())
+    return replace(plan, effective_count=effective_count(scene, plan), walls=cost)
 
 
 def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:

@@ -76,6 +76,8 @@ class Plan:
     effective_count : float, optional
         Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction `DENSE`; None where
         d43 or the box is not known. Estimated by `explain` alone.
+    walls : str, optional
+        What the accessible fraction takes. Measured by `explain` alone.
 
     Other attributes follow from these: `dims`, of the nodes, and phase where there are several; `phases`, their number,
     the bulk included; `widths`, of each group or one for all (m); `shapes`, of one step of each field in the result;
@@ -93,6 +95,7 @@ class Plan:
     setup: Setup
     rtol: float
     effective_count: float | None = None
+    walls: str | None = None
 
     def __post_init__(self) -> None:
         deposit, grid = self.deposit, self.deposit.grid
@@ -169,6 +172,8 @@ class Plan:
                 f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
                 f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
             )
+        if self.walls is not None:
+            lines["walls"] = self.walls
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
 
 

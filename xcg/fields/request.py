@@ -225,8 +225,8 @@ class Request(SharedOptions):
         indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share dimensions, or broadcast against each other;
         results have these dimensions and coordinates, and axes without an array are averaged.
     walls : list of Plane, Cylinder and Surface, optional
-        Walls as geometry: adds the field ``accessible_fraction``, the share of the kernel that lies on their accessible
-        side, averaged axes included.
+        Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the share of the kernel
+        that lies on their accessible side, averaged axes included. A `frame` turns them with the scene.
     per : {"accessible"}, optional
         Divide sums by the accessible fraction, so that fields near walls are per volume that grains can reach. Ratios
         of sums stay, other fields follow from the sums. NaN where the fraction is below 0.01. Balance laws hold for

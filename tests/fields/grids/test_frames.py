@@ -296,9 +296,3 @@ def test_displacements_in_turned_boxes():
     grows.attrs = {k: v for k, v in two.attrs.items() if not k.startswith("box_")}
     with pytest.raises(ValueError, match="leave frame= out"):
         grows.cg.displacement("displacement", at=turned, frame=frame)
-
-
-def test_walls_in_turned_axes_raise():
-    wall = xcg.Plane((0, 0, 0), (0, 0, 1))
-    with pytest.raises(ValueError, match="walls= with frame="):
-        scene().cg.coarse_grain("density", frame=xcg.Rotated(z=(0, 1, 1)), walls=[wall])

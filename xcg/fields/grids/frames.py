@@ -241,12 +241,12 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]
         if dims and name != "box":
             shift = origin if name in _PLACES else np.zeros(3)
-            turned = (
-                partial(_turned, axes=axes, origin=shift)
+            in_axes = (
+                partial(turned, axes=axes, origin=shift)
                 if len(dims) == 1
                 else partial(_tensors, axes=axes)
             )
-            found[name] = _mapped(turned, ds[name], dims).transpose(*ds[name].dims)
+            found[name] = _mapped(in_axes, ds[name], dims).transpose(*ds[name].dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
     attrs["frame"] = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
@@ -291,7 +291,7 @@ def _mapped(
     )
 
 
-def _turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
+def turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
     """Vectors (..., 3) in other axes, component by component, so that the bits do not depend on how many there are."""
     x, y, z = (values[..., k] - origin[k] for k in range(3))
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in axes.tolist()], axis=-1)
@@ -300,7 +300,7 @@ def _turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
 def _tensors(values: NDArray, axes: NDArray) -> NDArray:
     """Tensors (..., 3, 3) in other axes."""
     none = np.zeros(3)
-    return _turned(_turned(values, axes, none).swapaxes(-1, -2), axes, none).swapaxes(-1, -2)
+    return turned(turned(values, axes, none).swapaxes(-1, -2), axes, none).swapaxes(-1, -2)
 
 
 def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:

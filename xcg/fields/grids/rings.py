@@ -143,6 +143,40 @@ class RingBlock:
             averaged[squared.groups, :, column] = out[squared.groups, :, k]
 
 
+def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the points that the nodes of a cylinder average over.
+
+    Parameters
+    ----------
+    grid : Grid
+        Nodes laid by `make_rings`.
+    whole : bool
+        Return all angles of each node, or the first alone, for what is the same at all of them.
+
+    Returns
+    -------
+    points : array (n, 3)
+        Points (m), one node after the other.
+    shares : array (n,)
+        Their shares of the average at their node.
+    first : array (nodes,)
+        First point of each node.
+    """
+    points, shares, nodes = [], [], []
+    for part in grid.parts or ():
+        assert isinstance(part, RingBlock)
+        rings = part.rings
+        counts = np.diff(rings.start) if whole else np.ones(len(rings.place), int)
+        rows = np.arange(len(rings.angle)) if whole else rings.start[:-1]
+        radius, height = np.repeat(rings.place, counts, axis=0).T
+        points.append(np.stack([radius * rings.cosine[rows], radius * rings.sine[rows], height], 1))
+        shares.append(rings.share[rows] if whole else np.ones(len(rows)))
+        nodes.append(np.repeat(part.places.astype(int), counts))
+    order = np.argsort(np.concatenate(nodes), kind="stable")
+    _, first = np.unique(np.concatenate(nodes)[order], return_index=True)
+    return np.concatenate(points)[order], np.concatenate(shares)[order], first
+
+
 def _tensors(layout: Layout) -> tuple[NDArray, NDArray]:
     """Rank (t,) and columns (t, 27) of all vectors and tensors of a pass."""
     parts = [_FLOW[name] for level, name in _TO_TURN if layout.level >= level and layout.vector]

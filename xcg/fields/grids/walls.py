@@ -10,7 +10,7 @@ import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import floats, is_positive, rising_pair, unit_vector, vector
 from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import geometry as loops
-from xcg.fields.grids.frames import axis_of, corners, frame_about
+from xcg.fields.grids.frames import axis_of, corners, frame_about, turned
 from xcg.scene.schema import COMPONENTS
 
 _FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
@@ -85,9 +85,30 @@ class Wall(ABC):
         Crossings farther than `reach` (m) may be left out.
         """
 
+    def crossings_along(self, starts: NDArray, axis: int, reach: float) -> tuple[NDArray, NDArray]:
+        """Return where rays from `starts` (n, 3) along x, y or z cross the surface.
+
+        Returns
+        -------
+        is_open : array of bool (n,)
+            Whether the start is on the side of the grains.
+        distance : array (n, k)
+            Distances of the crossings (m) in any order, infinity for none. Those beyond `reach` may be left out.
+        """
+        directions = np.broadcast_to(np.eye(3)[axis], (len(starts), 1, 3))
+        return self.distance(starts) > 0, self.crossings(starts, directions, reach)[:, 0]
+
+    @abstractmethod
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Wall:
+        """Return the wall in other axes: `axes` (3, 3), a row each, and `origin` (3,) in the present ones."""
+
     @abstractmethod
     def varies(self, axis: int) -> bool:
         """Return whether a shift along x, y or z changes the surface."""
+
+    @abstractmethod
+    def turns(self) -> bool:
+        """Return whether a rotation about the axis z changes the surface."""
 
     @abstractmethod
     def span(self, axis: int) -> tuple[float, float]:
@@ -176,9 +197,18 @@ class Plane(Wall):
             s = -self.distance(points)[:, None] / (directions @ self._frame[0])
         return np.where(s > 0, s, np.inf)[..., None]
 
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Plane:
+        """Return the plane in other axes, without bounds of its cells."""
+        point = axes @ (vector("point", self.point) - origin)
+        return Plane(point.tolist(), (axes @ self._frame[0]).tolist())
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
         return bool(abs(self._frame[0][axis]) > 1e-12)
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
+        return axis_of(self._frame[0]) != 2
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
@@ -311,9 +341,19 @@ class Cylinder(Wall):
             both = np.stack([far / a, c[:, None] / far], axis=-1)
         return np.where(both > 0, both, np.inf)
 
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Cylinder:
+        """Return the cylinder in other axes."""
+        point = axes @ (vector("point", self.point) - origin)
+        return replace(self, point=point.tolist(), direction=(axes @ self._frame[0]).tolist())
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
         return axis_of(self._frame[0]) != axis
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
+        beside = math.hypot(self.point[0], self.point[1])
+        return axis_of(self._frame[0]) != 2 or beside > 1e-12 * self.radius
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
@@ -446,8 +486,62 @@ class Surface(Wall):
         most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
         return out[..., : max(1, most)]
 
+    @cached_property
+    def _encloses(self) -> bool:
+        """Whether each edge is shared by two triangles, so that the surface has an inside and an outside."""
+        _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
+        rows = number.reshape(-1, 3)
+        first, second = rows.ravel(), np.roll(rows, -1, axis=1).ravel()
+        count = len(number)
+        return np.array_equal(np.sort(first * count + second), np.sort(second * count + first))
+
+    def crossings_along(self, starts: NDArray, axis: int, reach: float) -> tuple[NDArray, NDArray]:
+        """Return where rays from `starts` (n, 3) along x, y or z cross the surface.
+
+        The sides of a ray follow from the triangle that its line crosses first. A line that crosses none is outside of
+        a closed surface. Beside an open one, it is on the side of its point at half the height of the surface.
+        """
+        across = [k for k in range(3) if k != axis]
+        order = np.argsort(starts[:, across[0]])
+        lines = np.ascontiguousarray(starts[order][:, across])
+        corners = np.ascontiguousarray(self.corners[..., [*across, axis]])
+        facing = np.ascontiguousarray(self.normals[:, axis])
+        count = np.zeros(len(starts), "int64")
+        is_open_below = np.zeros(len(starts), bool)
+        loops.line_crossings(
+            lines, corners, facing, count, np.empty((len(starts), 0)), is_open_below
+        )
+        place = np.full((len(starts), max(1, int(count.max()))), np.inf)
+        count[:] = 0
+        loops.line_crossings(lines, corners, facing, count, place, is_open_below)
+        missed = np.flatnonzero(count == 0)
+        if self._encloses:
+            heights = self.centre[:, axis] - self.centre[0, axis]
+            volume = (
+                heights * self.normals[:, axis] * self.area
+            ).sum()  # negative if normals point inwards
+            is_open_below[missed] = volume > 0
+        elif len(missed):
+            points = starts[order[missed]].copy()
+            points[:, axis] = np.mean(self.span(axis))
+            is_open_below[missed] = self.distance(points) > 0
+        inverse = np.argsort(order)
+        distance = place[inverse] - starts[:, axis, None]
+        before = (distance <= 0).sum(axis=1)
+        is_open = is_open_below[inverse] ^ (before % 2 == 1)
+        return is_open, np.where(distance > 0, distance, np.inf)
+
+    def in_axes(self, axes: NDArray, origin: NDArray) -> Surface:
+        """Return the surface in other axes."""
+        points = turned(self.corners.reshape(-1, 3), axes, origin)
+        return Surface(points, np.arange(len(points)).reshape(-1, 3))
+
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""
+        return True
+
+    def turns(self) -> bool:
+        """Return whether a rotation about z matters."""
         return True
 
     def span(self, axis: int) -> tuple[float, float]:

@@ -147,6 +147,25 @@ class Kernel:
         """Return dPsi/dr, of the kernel or of its marginal in `seen` dimensions; jumps at the cutoff are left out."""
         return self._sample(r, seen, derivative=True)
 
+    def mean_of_cells(self, values: NDArray, places: NDArray, size: float) -> NDArray:
+        """Return means of values of cells about places, weighted by the kernel, seen along the axes of the cells.
+
+        Parameters
+        ----------
+        values : array (cells,) or (cells, cells)
+            Values of cells along one axis or two.
+        places : array (n, axes)
+            Places (m), counted from the centre of the first cell. The support about each is within the cells.
+        size : float
+            Edge of the cells (m).
+        """
+        seen = values.ndim
+        w = self.weights(seen)
+        rows = np.ascontiguousarray(values, float).reshape(-1, values.shape[-1])
+        place = np.zeros((len(places), 2))
+        place[:, 2 - seen :] = places / size
+        return codes.weighted_means(w.kind, w.spread, w.table, rows, place, self.cutoff / size)
+
     def segment(
         self, points: ArrayLike, start: ArrayLike, end: ArrayLike, order: int = 0
     ) -> NDArray:
