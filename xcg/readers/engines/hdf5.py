@@ -28,7 +28,7 @@ from xcg.scene.schema import COMPONENTS
 if TYPE_CHECKING:
     import h5py
 
-_MAGIC = b"\x89HDF\r\n\x1a\n"
+MAGIC = b"\x89HDF\r\n\x1a\n"
 _PLACES = {"{time}": r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)", "{step}": r"(\d+)"}
 _PACKED, _SLACK = (
     1 << 15,
@@ -49,7 +49,7 @@ class Hdf5(Columnar):
         if Path(path).suffix.lower() not in (".h5", ".hdf5"):
             return False
         with open(path, "rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
+            return file.read(len(MAGIC)) == MAGIC
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -70,7 +70,7 @@ class Hdf5(Columnar):
         """Read the datasets of the wanted columns."""
         places = _mapping(options)
         found: dict[str, NDArray] = {}
-        with _opened(ref.path) as file:
+        with opened(ref.path) as file:
             for column in sorted(set(wanted)):
                 name = column if column in places else column[: -len("_x")]
                 part = None if column in places else COMPONENTS.index(column[-1])
@@ -134,7 +134,7 @@ def _filled(path: str, ref: StepRef) -> str:
 
 
 def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
-    with _opened(path) as file:
+    with opened(path) as file:
         first = next(iter(mine.values()))
         place = next((place for place in _PLACES if place in first), None)
         if place is not None:
@@ -143,7 +143,7 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
                 ref = replace(ref, time=number if place == "{time}" else _time(file, time, ref))
                 yield _with_columns(file, ref, mine)
             return
-        name, data = _ONE[_of_contacts(next(iter(mine)))], _dataset(file, first)
+        name, data = _ONE[_of_contacts(next(iter(mine)))], dataset(file, first)
         wide = next(iter(mine)) == name == "position"
         if len(data.shape) > 1 + wide:
             for k in range(data.shape[0]):
@@ -181,7 +181,7 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
     names: list[str] = []
     rows: dict[str, int] = {}
     for name, path in mine.items():
-        whole, stacked = _dataset(file, _filled(path, ref)).shape, ref.kind == _STACKED
+        whole, stacked = dataset(file, _filled(path, ref)).shape, ref.kind == _STACKED
         shape, scalar = (
             whole[stacked:],
             name in columns.PARTICLE_SLOTS or name in columns.CONTACT_SLOTS,
@@ -207,7 +207,7 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
         return None
     filled, _, attribute = _filled(path, ref).partition("@")
     value = np.ravel(
-        file[filled or "/"].attrs[attribute] if attribute else _dataset(file, filled)[()]
+        file[filled or "/"].attrs[attribute] if attribute else dataset(file, filled)[()]
     )
     place = ref.offset if ref.kind == _STACKED and len(value) > 1 else 0
     number = float(value[place]) if place < len(value) and value.dtype.kind in "fiu" else np.nan
@@ -222,7 +222,7 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
 
 
 @contextmanager
-def _opened(path: str) -> Iterator[h5py.File]:
+def opened(path: str) -> Iterator[h5py.File]:
     """Open a file; what the library finds wrong with it is said with its name."""
     import h5py  # slow to import
 
@@ -239,7 +239,8 @@ def _opened(path: str) -> Iterator[h5py.File]:
         ) from None
 
 
-def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
+def dataset(file: h5py.File, path: str) -> h5py.Dataset:
+    """Return a dataset of numbers. Raise SceneError if there is none, or it promises more than is stored."""
     import h5py
 
     found = file.get(path)
@@ -263,7 +264,7 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
 
 def _values(file: h5py.File, path: str, ref: StepRef, part: int | None) -> NDArray:
     """Numbers of a step, of one component of a vector."""
-    data = _dataset(file, path)
+    data = dataset(file, path)
     selection = (
         *((ref.offset,) if ref.kind == _STACKED else ()),
         slice(None),
