@@ -141,7 +141,7 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
 
 def reading(folder: Path, particles: int) -> None:
     """Speed of parsers and of whole steps, on one core."""
-    from xcg.readers.files import vtp
+    from xcg.readers.files import vtkheader, vtp
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
@@ -149,7 +149,7 @@ def reading(folder: Path, particles: int) -> None:
     for encoding in ("raw", "base64", "zlib", "zlib base64"):
         path = series.write_vtp(folder / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, encoding)
         header = vtp.read_header(str(path))
-        seconds = processor(partial(vtp.read_arrays, header, header.names))
+        seconds = processor(partial(vtkheader.read_arrays, header, header.names))
         values = 4 * particles * sum(array.components for array in header.arrays)
         rows.append([f"`.vtp`, {encoding}", f"{path.stat().st_size / seconds / MEGA:.0f}",
                      f"{values / seconds / MEGA:.0f}"])  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ import dask
 import h5py
 import numpy as np
 import pandas as pd
+from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
 
 import xcg
 from tests import ROOT, dumps, real_data
@@ -26,6 +28,15 @@ from tests.readers.engines.test_mfix import (
     write_vtp,
 )
 from tests.readers.engines.test_vtk import write_lines, write_spheres
+from tests.readers.public.test_vtk import (
+    OF_PHASICFLOW,
+    OF_YADE,
+    vertices,
+    write,
+    write_pieces,
+    write_temporal,
+)
+from tests.readers.public.test_vtk import write_pvd as write_parts
 
 
 class Escaped(AssertionError):
@@ -56,6 +67,13 @@ def fields_of(ds, **options) -> None:
             ds.cg.coarse_grain(names, bounds=bounds, spacing=0.5, width=0.4)
         if "diameter" in ds and ds.sizes["particle"] < 10_000:
             ds.cg.find_contacts(max_contacts=20_000)
+
+
+def load(ds) -> None:
+    """Compute all of a scene, of formats whose scenes are like those of others."""
+    warnings.simplefilter("ignore")
+    with dask.config.set(scheduler="synchronous"):
+        ds.load()
 
 
 def _dumps(folder: Path) -> dict[str, bytes]:
@@ -274,6 +292,71 @@ def _use_vtu(folder: Path) -> None:
     )
 
 
+def _legacy(folder: Path) -> dict[str, bytes]:
+    """Files as VTK writes them, text and binary, and as others do."""
+    files = {"s_other_8.vtk": OF_PHASICFLOW.encode(), "s_yade_9.vtk": OF_YADE.encode()}
+    forms = [(vtkPolyData, "Binary", 42), (vtkUnstructuredGrid, "Binary", 51),
+             (vtkPolyData, "ASCII", 51), (vtkUnstructuredGrid, "ASCII", 42)]  # fmt: skip
+    for k, (kind, form, version) in enumerate(forms):
+        path = folder / f"s_{k}.vtk"
+        options = {f"FileTypeTo{form}": (), "FileVersion": (version,)}
+        write(
+            vertices(kind, order=[2, 0, 3, 1], of_cells=k % 2 == 0, time=0.5),
+            path,
+            "vtk",
+            **options,
+        )
+        files[path.name] = path.read_bytes()
+    return files
+
+
+def _use_each(pattern: str) -> Callable[[Path], None]:
+    """Open each file by itself, and raise the first fault when all were opened."""
+
+    def use(folder: Path) -> None:
+        faults = []
+        for path in sorted(folder.glob(pattern)):
+            try:
+                load(xcg.open_scene(path, density=2.0, engine="vtk"))
+            except xcg.SceneError as error:
+                if path.name not in str(error):
+                    raise
+                faults.append(error)
+        if faults:
+            raise faults[0]
+
+    return use
+
+
+def _parallel(folder: Path) -> dict[str, bytes]:
+    path, pieces = write_pieces(folder, vtkUnstructuredGrid, 1, time=0.5, ghosts=True)
+    write_parts(folder / "a.pvd", [(0.5, k, file) for k, file in enumerate(pieces)])
+    write_parts(folder / "b.pvd", [(0.5, 0, path.name)])
+    listed = {"files": [{"name": pieces[0], "time": 0.5}, {"name": pieces[1], "time": 1.5}]}
+    (folder / "c.vtu.series").write_text(json.dumps(listed))
+    names = ("a.pvd", "b.pvd", "c.vtu.series", path.name, *pieces)
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+def _use_parallel(folder: Path) -> None:
+    faults = []
+    for name in ("a.pvd", "b.pvd", "c.vtu.series", "out.00001.pvtu"):
+        try:
+            load(xcg.open_scene(folder / name, density=2.0, engine="vtk"))
+        except (xcg.SceneError, FileNotFoundError) as error:
+            faults.append(error)
+    if faults:
+        raise faults[0]
+
+
+def _vtkhdf(folder: Path) -> dict[str, bytes]:
+    files = {}
+    for kind in ("PolyData", "UnstructuredGrid"):
+        files[f"{kind}.vtkhdf"] = write_temporal(folder / f"{kind}.vtkhdf", kind).read_bytes()
+    write(vertices(vtkPolyData, time=0.5), folder / "one.vtkhdf", "vtkhdf")
+    return files | {"one.vtkhdf": (folder / "one.vtkhdf").read_bytes()}
+
+
 def _liggghts(folder: Path) -> dict[str, bytes]:
     columns = " ".join(f"c_1[{k}]" for k in range(1, 14))
     particles = dumps.dump_text(columns="id type x y z vx vy vz radius density", rows=[
@@ -454,6 +537,9 @@ TARGETS = {
     "edem": Target(_edem, _use_edem),
     "text": Target(_text, _use_text),
     "vtu": Target(_vtu, _use_vtu),
+    "legacy_vtk": Target(_legacy, _use_each("*.vtk")),
+    "parallel_vtk": Target(_parallel, _use_parallel),
+    "vtkhdf": Target(_vtkhdf, _use_each("*.vtkhdf")),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     **({"parquet": Target(_parquet, _use_parquet)} if find_spec("pyarrow") else {}),

@@ -14,7 +14,7 @@ from tests import shared_data
 from tests.dumps import dump_text, write, write_series
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps as lammps_engine
-from xcg.readers.engines import vtk as vtk_steps
+from xcg.readers.engines import vtk_steps
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
 from xcg.readers.paths import remembered
@@ -173,6 +173,6 @@ def test_real_output_is_indexed(tmp_path, monkeypatch, engine, folder, pattern):
     settle(tmp_path)
     paths = sorted(map(str, tmp_path.iterdir()))
     first = engine.index_particles(paths, ReadOptions())
-    for module, scan in ((lammps_engine, "_steps"), (vtk_steps, "_header")):
+    for module, scan in ((lammps_engine, "_steps"), (vtk_steps, "_scan")):
         monkeypatch.setattr(module, scan, lambda *_, **__: pytest.fail("headers are read again"))
     assert engine.index_particles(paths, ReadOptions()) == first

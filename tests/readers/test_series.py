@@ -469,7 +469,7 @@ def test_units_are_read_from_headers(tmp_path, system, units, length, mass, time
 
 def test_unknown_and_contradictory_units_raise(tmp_path):
     particles, _ = write_series(tmp_path, before="ITEM: UNITS\nmetal\n")
-    with pytest.raises(SceneError, match=r"unit system 'metal', known are si, lj.*units="):
+    with pytest.raises(SceneError, match=r"'metal', whose unit of force.*units="):
         open_scene(particles)
     write(tmp_path / "p.dump", dump_text(before="ITEM: UNITS\nsi\n"))
     write(tmp_path / "c.dump", pairs_text(before="ITEM: UNITS\nlj\n"))

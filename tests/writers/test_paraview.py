@@ -30,7 +30,7 @@ def test_images_hold_the_fields(tmp_path, axes, by):
     f.cg.save(tmp_path / "f.pvd")
     listed = read_collection(str(tmp_path / "f.pvd"))
     assert [time for _, time in listed] == f.time.values.tolist()
-    for t, (path, _) in enumerate(listed):
+    for t, ((path,), _) in enumerate(listed):
         image = read(path)
         for k, a in enumerate("xyz"):
             nodes = f[a].values if a in f.dims else np.zeros(1)

@@ -233,8 +233,13 @@ def index_steps(
     refs = number_steps(paths, found)
     if not refs:
         errors.raise_recorded()
-    if timestep is None:
-        return refs
+    return timed_steps(refs, timestep)
+
+
+def timed_steps(refs: Sequence[StepRef], timestep: object) -> list[StepRef]:
+    """Return the steps, those without time with the number of the step times a `timestep`, unless that is None."""
+    if timestep is None or not refs:
+        return list(refs)
     if not is_positive(timestep):
         raise SceneError(
             f"timestep={timestep!r}: expected a positive number, the time between two steps"

@@ -30,7 +30,8 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     raise SceneError(
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: "
         f"{', '.join(engine_table())}. Tables of numbers without a line of names need "
-        "names=['id', 'x', 'y', 'z', ...] in the order of the columns. For other formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
+        "names=['id', 'x', 'y', 'z', ...] in the order of the columns. For other formats, "
+        "xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
     )
 
 

@@ -179,9 +179,10 @@ def open_scene(
         ``skipped_files``; the whole steps of a file of many steps stay. Faults in bodies appear when these are
         computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
-        Of one engine only. LAMMPS, LIGGGHTS, XYZ, tables and HDF5: ``timestep``, the time between two steps of the
-        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. H5MD: ``group``, the name of
-        the group of particles, where there are several. MercuryDPM:
+        Of one engine only. LAMMPS, LIGGGHTS, XYZ, tables, HDF5 and VTK: ``timestep``, the time
+        between two steps of the simulation, for files without times. HDF5: ``mapping``, from
+        variables to datasets. H5MD: ``group``, the name of the group of particles, where there are
+        several. MercuryDPM:
         ``restart``, the restart file with gravity, dimensions, boundaries and densities (by default the one beside the
         ``.data`` file).
 

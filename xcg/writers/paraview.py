@@ -157,7 +157,7 @@ def _steps_of(path: Path, suffix: str) -> set[Path]:
     if not path.exists():
         return set()
     with suppress(SceneError):  # a list by another hand, or damaged
-        listed = {Path(name) for name, _ in read_collection(str(path))}
+        listed = {Path(name) for names, _ in read_collection(str(path)) for name in names}
         own = re.compile(rf"{re.escape(path.stem)}_\d{{4,}}{re.escape(suffix)}")
         return {name for name in listed if name.parent == path.parent and own.fullmatch(name.name)}
     return set()

@@ -12,7 +12,7 @@ from tests import shared_data
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.mfix import Mfix
-from xcg.readers.files import vtp
+from xcg.readers.files import vtkheader, vtp
 from xcg.scene.lattice import minimum_image
 
 mfix = Mfix()
@@ -136,7 +136,9 @@ def test_header_longer_than_one_read(tmp_path):
     ("name", "expected"), [("P.vtp", True), ("P.pvd", True), ("P.dump", False)]
 )
 def test_files_of_mfix_are_recognised(tmp_path, name, expected):
-    path = write_particles(tmp_path / name)
+    path = write_particles(tmp_path / name.replace("pvd", "vtp"))
+    if name == "P.pvd":
+        path = write_pvd(tmp_path / name, {"P.vtp": "0.5"})
     assert mfix.recognises(str(path)) is expected
     path.write_text("ITEM: TIMESTEP\n")
     assert not mfix.recognises(str(path))
@@ -217,12 +219,15 @@ def test_the_later_of_two_files_of_one_time_is_read_with_a_warning(tmp_path):
         np.testing.assert_array_equal(ds.particle_id, [[3, 5, 6]])
 
 
-def test_lists_with_several_parts_of_one_time_raise(tmp_path):
+def test_parts_of_one_time_are_one_step_and_share_no_ids(tmp_path):
     for n in (1, 2):
-        write_particles(tmp_path / f"P_{n}.vtp")
+        write_particles(tmp_path / f"P_{n}.vtp", [3 * n, 3 * n + 1])
     listed = write_pvd(tmp_path / "P.pvd", {"P_1.vtp": "0.5", "P_2.vtp": "0.5"})
     listed.write_text(listed.read_text().replace('part="0" file="P_2', 'part="1" file="P_2'))
-    with pytest.raises(SceneError, match=r"P\.pvd: lists parts '0' and '1' of one time, 0\.5 s"):
+    ds = xcg.open_scene(listed, density=1.0)
+    np.testing.assert_array_equal(ds.particle_id, [[3, 4, 6, 7]])
+    write_particles(tmp_path / "P_2.vtp", [4, 5])
+    with pytest.raises(SceneError, match=r"P_1\.vtp.*4"):
         xcg.open_scene(listed, density=1.0)
 
 
@@ -543,7 +548,9 @@ def test_real_contacts_fit_the_particles(step, contacts):
 def test_real_forces_add_up_to_what_mfix_applied(step):
     path = shared_data("mfix_chute") / f"P_FB1_{step:04d}.vtp"
     particles = read_particles(path)
-    applied = vtp.read_arrays(vtp.read_header(str(path)), ["Collision_force"])["Collision_force"]
+    applied = vtkheader.read_arrays(vtp.read_header(str(path)), ["Collision_force"])[
+        "Collision_force"
+    ]
     frame = read_contacts(path.with_name(f"FC_{step:04d}.vtp"))
     row = np.argsort(particles["particle_id"])
     total = np.zeros_like(applied)

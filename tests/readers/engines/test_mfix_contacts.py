@@ -16,7 +16,7 @@ from xcg.common.messages import SceneError, SceneWarning
 from xcg.packing.pairs import find_pairs
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.mfix import Mfix
-from xcg.readers.files import vtp
+from xcg.readers.files import vtkheader, vtp
 from xcg.scene.lattice import minimum_image
 
 mfix = Mfix()
@@ -190,7 +190,7 @@ def test_mapped_contact_points_are_kept(unlike_spheres):
     for array in ("FORCE_CHAIN_CONTACT_POINT", "coordinates"):
         (ref,) = mfix.index_contacts([str(folder / "FC_0001.vtp")], ReadOptions())
         frame = mfix.read_contacts(ref, ReadOptions(names={array: "contact_point"}))
-        points = vtp.read_arrays(vtp.read_header(ref.path), [array])[array]
+        points = vtkheader.read_arrays(vtp.read_header(ref.path), [array])[array]
         assert "point_is_middle" not in frame
         assert set(map(tuple, frame["contact_point"])) <= set(map(tuple, points))
 
@@ -384,7 +384,7 @@ def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload)
     there = ds.contact_i.values[0] >= 0
     assert there.sum() == 1314
     path = bedload / "P_0150.vtp"
-    arrays = vtp.read_arrays(vtp.read_header(str(path)), ["Collision_force", "Particle_ID"])
+    arrays = vtkheader.read_arrays(vtp.read_header(str(path)), ["Collision_force", "Particle_ID"])
     applied = arrays["Collision_force"][np.argsort(arrays["Particle_ID"])]
     total = np.zeros_like(applied)
     for name, sign in (("contact_i", 1), ("contact_j", -1)):
@@ -397,7 +397,7 @@ def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload)
     assert error.max() < 0.03 < 0.01 * np.linalg.norm(applied, axis=1).max() + 0.02
     # what both rows of a contact say on average, whatever the contact points
     path = bedload / "FC_0150.vtp"
-    raw = vtp.read_arrays(
+    raw = vtkheader.read_arrays(
         vtp.read_header(str(path)), [f"FORCE_CHAIN_{n}" for n in ("FC", "GLOBAL_ID1", "GLOBAL_ID2")]
     )
     i, j = (raw[f"FORCE_CHAIN_GLOBAL_ID{side}"].astype(int) - 1 for side in (1, 2))

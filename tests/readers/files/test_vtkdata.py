@@ -11,7 +11,7 @@ import pytest
 
 from tests.benchmarks import series
 from xcg.common.messages import SceneError
-from xcg.readers.files import vtkdata, vtp
+from xcg.readers.files import vtkdata, vtkheader, vtp
 
 # --- base64 ----------------------------------------------------------------------------------------------
 
@@ -64,7 +64,7 @@ def test_arrays_compressed_by_zlib_are_read(tmp_path, encoding):
     (ds,) = series.packings(3000, 1)
     path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, encoding)
     header = vtp.read_header(str(path))
-    got = vtp.read_arrays(header, header.names)
+    got = vtkheader.read_arrays(header, header.names)
     np.testing.assert_array_equal(got["coordinates"], ds.position.values[0].astype("f4"))
     np.testing.assert_array_equal(got["Velocity"], ds.velocity.values[0].astype("f4"))
 
@@ -102,9 +102,9 @@ def test_damaged_compressed_parts_raise(tmp_path):
     path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, "zlib")
     header = vtp.read_header(str(path))
     data = path.read_bytes()
-    start = header.arrays[0].start + 16
+    start = header.pieces[0].arrays[0].start + 16
     path.write_bytes(data[:start] + b"\xff" * 400 + data[start + 400 :])
     with pytest.raises(
         SceneError, match=r"p\.vtp: 'coordinates' is not as its header says.*does not unpack"
     ):
-        vtp.read_arrays(header, header.names)
+        vtkheader.read_arrays(header, header.names)

@@ -17,6 +17,8 @@ What its contacts hold was checked on its output, against the positions of the p
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -34,19 +36,27 @@ from xcg.readers.engines.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.engines.vtk import Vtk, is_vtk, open_step
-from xcg.readers.files import vtp
-from xcg.scene.schema import COMPONENTS, Frame
+from xcg.readers.engines.vtk import Vtk, is_xml, open_step
+from xcg.readers.engines.vtk_steps import packed_path
+from xcg.readers.files.text import open_binary
+from xcg.readers.files.vtkheader import read_arrays
+from xcg.readers.files.vtp import read_collection
+from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list, by phase: three half-axes, m, n
+_MARKS = re.compile(
+    rb'<!--\s*Time\s*=|Name="(FORCE_CHAIN_|Particle_(Phase_)?ID"|coordinates"|Angular_velocity")'
+)  # in the headers of its files only
+_HEAD = 1 << 14
 _SHAPE = _QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
 
 
 class Mfix(Vtk):
     """Region output of MFiX-DEM."""
 
+    OPTIONS: ClassVar = ()
     CONTACT_NAMES: ClassVar = {
         "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
         "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
@@ -62,8 +72,14 @@ class Mfix(Vtk):
     )
 
     def recognises(self, path: str) -> bool:
-        """Return whether this is a VTK PolyData file or a collection of them."""
-        return is_vtk(path, (".vtp", ".pvd"), b"PolyData", b"Collection")
+        """Return whether this is PolyData with the names or the comment of MFiX, or a collection of such files."""
+        if is_xml(path, (".pvd",), b"Collection"):
+            files = [packed_path(file) for listed, _ in read_collection(path) for file in listed]
+            path = next(filter(os.path.isfile, files), "")
+        if not path or not is_xml(path, (".vtp",), b"PolyData"):
+            return False
+        with open_binary(path) as file:
+            return _MARKS.search(file.read(_HEAD)) is not None
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
@@ -133,6 +149,9 @@ class Mfix(Vtk):
         SceneError
             If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
         """
+        if not ref.rows:  # files without contacts may lack the arrays
+            names = self.contact_variables(ref, options)
+            return {name: np.empty(variable(name).shape(0)) for name in names}
         rows = _Rows.of(ref, options, self.targets(ref, options, contacts=True))
         spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
         frame = {name: values[spheres] for name, values in rows.frame.items()}
@@ -148,6 +167,8 @@ class Mfix(Vtk):
 
         The extent of the particles' centres is not a period: it is short by about a diameter.
         """
+        if not ref.rows:
+            return {}
         return _periods(_Rows.of(ref, options, self.targets(ref, options, contacts=True)))
 
 
@@ -204,9 +225,7 @@ class _Rows:
     def of(cls, ref: StepRef, options: ReadOptions, found: Mapping[str, str]) -> _Rows:
         header = open_step(ref)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        arrays = vtp.read_arrays(
-            header, [*found.values(), points, *sorted(more & set(header.names))]
-        )
+        arrays = read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
         frame: Frame = {name: arrays[array] for name, array in found.items()}
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import filecmp
 import os
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,8 +15,12 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.readers.columns import unify_sizes, warn_of_resembling
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.files import vtp
-from xcg.readers.files.text import ENDINGS, open_binary, plain_name
+from xcg.readers.engines import vtkhdf_points
+from xcg.readers.engines.vtk_steps import LINES, list_steps, read_header
+from xcg.readers.files import vtkheader
+from xcg.readers.files.legacy_vtk import is_legacy
+from xcg.readers.files.text import open_binary, plain_name
+from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.names import (
     PARTICLE_ARRAYS,
     PARTICLE_SLOTS,
@@ -28,119 +28,29 @@ from xcg.readers.names import (
     canonical_columns,
     components,
 )
-from xcg.readers.paths import number_steps, remembered
 from xcg.scene.schema import COMPONENTS, Frame, variable
-from xcg.steps import faults as errors
 
-LINES = "lines"  # kind of a step whose contacts are lines
 _VECTORS = ("velocity", "angular_velocity")
 _COMPONENTS = [component for vector in _VECTORS for component in components(vector)]
+# arrays that mark points which another piece holds, too
+_GHOSTS = ("vtkGhostType", "vtkGhostLevels")
+_XML = (".vtu", ".vtp", ".pvd", ".pvtu", ".pvtp", ".vtm", ".vti", ".vtr", ".vts")
 
 
-def is_vtk(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
-    """Return whether a VTK file has one of these suffixes, before that of a compression, and one of these kinds."""
-    if Path(plain_name(path)).suffix not in suffixes:
+def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
+    """Return whether a VTK XML file has one of these suffixes, before that of a compression, and one of these kinds."""
+    if Path(plain_name(path)).suffix.lower() not in suffixes:
         return False
     with open_binary(path) as file:
         head = file.read(1024)
     return b"<VTKFile" in head and any(kind in head for kind in kinds)
 
 
-def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
-    """List the steps of files and collections without copies; of lines where files hold some and they are wanted."""
-    there = _existing(paths, options)
-    found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
-    timed = [
-        [replace(ref, time=_time(ref.time, time)) for ref in steps]
-        for (_, time), steps in zip(there, found, strict=True)
-    ]
-    return _once(number_steps([path for path, _ in there], timed))
-
-
-def _header(path: str, *, lines: bool) -> list[StepRef]:
-    """Return the step of a file, from its header."""
-    header = vtp.read_header(path, lines=lines)
-    kind = LINES if header.of_lines else ""
-    return [
-        StepRef(
-            path,
-            rows=header.rows,
-            step=-1,
-            time=header.time,
-            columns=header.names,
-            size=header.size,
-            kind=kind,
-        )
-    ]
-
-
-def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
-    """Files with their listed times: collections expanded, missing files refused or skipped."""
-    missing = options.extra.get("missing", "raise")
-    if missing not in ("raise", "skip"):
-        raise SceneError(f"missing={missing!r}: expected 'raise' or 'skip'")
-    listed: list[tuple[str, float | None]] = []
-    for path in map(str, paths):
-        try:
-            is_list = plain_name(path).endswith(".pvd") and Path(path).exists()
-            listed += vtp.read_collection(path) if is_list else [(path, None)]
-        except errors.FAULTS as error:
-            if not errors.record_fault(path, error):
-                raise
-    # a list may name files that were compressed later
-    packed = {path: [path, *(path + ending for ending in ENDINGS)] for path, _ in listed}
-    listed = [(next(filter(os.path.isfile, packed[path]), path), time) for path, time in listed]
-    there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
-    # MFiX lists its last frame twice: a copy that is gone is not missed.
-    times = {time for _, time in there if time is not None}
-    gone = [path for path, time in listed if not os.path.isfile(path) and time not in times]
-    if gone:
-        shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
-        if missing == "raise" or not there:
-            way_out = "pass missing='skip' to go on with the others" if there else "check the path"
-            raise SceneError(f"{shown}; restore them, or {way_out}")
-        if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
-            warn_user(f"{shown}; they are skipped")
-    return there
-
-
-def _time(own: float | None, listed: float | None) -> float | None:
-    """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
-    if own is None or listed is None:
-        return own if listed is None else listed
-    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
-
-
-def _once(refs: Sequence[StepRef]) -> list[StepRef]:
-    """Drop files with the bytes of an earlier one of the same time: MFiX writes its last frame twice."""
-    firsts: dict[object, StepRef] = {}
-    kept = []
-    for ref in refs:
-        first = firsts.setdefault(ref.path if ref.time is None else ref.time, ref)
-        if _region(first) != _region(ref):
-            raise SceneError(
-                f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
-                "open one region at a time"
-            )
-        if (
-            first is ref
-            or first.size != ref.size
-            or not filecmp.cmp(first.path, ref.path, shallow=False)
-        ):
-            kept.append(ref)
-    return kept
-
-
-def _region(ref: StepRef) -> str:
-    return re.sub(r"\d+(?=\D*$)", "", Path(plain_name(ref.path)).stem)
-
-
-def open_step(ref: StepRef) -> vtp.Header:
+def open_step(ref: StepRef) -> Header:
     """Read the header of a step again, which has to be as it was."""
-    header = vtp.read_header(ref.path, lines=ref.kind == LINES)
-    if (header.rows, header.names) != (ref.rows, ref.columns) or (
-        ref.size and header.size != ref.size
-    ):
+    header = read_header(ref.path, lines=ref.kind == LINES)
+    same = header.rows == ref.rows and (header.names == ref.columns or not ref.rows)
+    if not same or (ref.size and header.size != ref.size):
         raise SceneError(
             f"{ref.path}: the file changed after the scene was opened; open the scene again"
         )
@@ -148,9 +58,23 @@ def open_step(ref: StepRef) -> vtp.Header:
 
 
 def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
-    """Read the arrays of one step by the names of the scene."""
-    arrays = vtp.read_arrays(open_step(ref), [*wanted.values()])
-    return {name: arrays[array] for name, array in wanted.items()}
+    """Read the arrays of one step by the names of the scene, without the points that another piece holds."""
+    ghosts = [name for name in _GHOSTS if name in ref.columns]
+    names = [*wanted.values(), *ghosts]
+    is_hdf = ref.kind == vtkhdf_points.KIND
+    arrays = (
+        vtkhdf_points.read_arrays(ref, names)
+        if is_hdf
+        else vtkheader.read_arrays(open_step(ref), names)
+    )
+    if not ref.rows:  # files without grains may lack the arrays
+        empty = {array: np.empty(variable(name).shape(0)) for name, array in wanted.items()}
+        arrays = empty | arrays
+    frame = {name: arrays[array] for name, array in wanted.items()}
+    if not ghosts or not ref.rows:
+        return frame
+    own = arrays[ghosts[0]] == 0
+    return {name: values[own] for name, values in frame.items()}
 
 
 class Vtk(Engine):
@@ -168,40 +92,59 @@ class Vtk(Engine):
     """
 
     CONTACT_NAMES: ClassVar[Mapping[str, str]] = {}
+    OPTIONS: ClassVar[tuple[str, ...]] = ("timestep",)
     LINES: ClassVar[bool] = True
     ROWS_ARE_IDS: ClassVar[bool] = False
     ADVICE: ClassVar[str] = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
     def recognises(self, path: str) -> bool:
-        """Return whether this is an unstructured grid; PolyData is read as MFiX's unless an engine is named."""
-        return is_vtk(path, (".vtu",), b"UnstructuredGrid")
+        """Return whether this is a VTK file of points, or a list of such files."""
+        suffix = Path(plain_name(path)).suffix.lower()
+        if suffix == ".vtkhdf":
+            return vtkhdf_points.is_vtkhdf(path)
+        if suffix == ".series":
+            return True
+        return is_legacy(path) or is_xml(path, _XML, b"VTKFile")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles from the headers of files, or of the ``.pvd`` collections that name them.
+        """List the steps of particles from the headers of files, or of the lists that name them.
 
         Parameters
         ----------
         paths : sequence of str
-            Files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
+            Files of one region; or lists of them (``.pvd``, ``.series``), whose times are taken where the files say
+            none; or files that name the pieces of a step (``.pvtu``, ``.pvtp``).
         options : ReadOptions
             ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
+            ``extra["timestep"]`` gives times to files without them.
 
         Raises
         ------
         SceneError
-            If files are missing, damaged, or of several regions.
+            If files are missing, damaged, of several regions, or none holds grains.
 
         Warns
         -----
         SceneWarning
-            For files that are missing and skipped.
+            For files that are missing or hold no grains, which are skipped, and arrays of cells that are not read.
         """
         refs = list_steps(paths, options)
+        of_cells = [array for ref in refs[:1] for array in ref.columns if array.endswith(OF_CELLS)]
+        if of_cells:
+            arrays = ", ".join(array.removesuffix(OF_CELLS) for array in of_cells)
+            warn_user(
+                f"{refs[0].path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
+                "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of points"
+            )
         for ref in refs:
             self.targets(ref, options)
         if refs:
             ignored = self.ignored_columns(refs[0], options)
-            unread = [array for array in ignored if array not in options.names]
+            unread = [
+                array
+                for array in ignored
+                if array not in options.names and not array.endswith(OF_CELLS)
+            ]
             warn_of_resembling(refs[0], unread, self.targets(refs[0], options), contacts=False)
         return refs
 
@@ -282,7 +225,8 @@ class Vtk(Engine):
     ) -> list[str]:
         """Arrays of a step that are not read."""
         found = self.targets(ref, options, contacts=contacts)
-        return [array for array in ref.columns if array not in found.values()]
+        read = {*found.values(), *_GHOSTS}
+        return [array for array in ref.columns if array not in read]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step; radii become diameters, and components vectors."""

@@ -1,18 +1,16 @@
-"""VTK XML PolyData files and their collections, whose headers expat parses, read without VTK.
+"""VTK XML files of PolyData and unstructured grids, and lists of them, whose headers expat parses without VTK.
 
-Document types are refused, so that entities are never expanded. Every count in a header is held against the size of the
-file before anything is made for it.
+Document types are refused, so that entities are never expanded.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
@@ -20,101 +18,26 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
-from xcg.readers.files.vtkdata import (
-    COMPRESSORS,
-    DataError,
-    VtkEncoding,
-    parse_text,
-    read_base64,
-    read_raw,
+from xcg.readers.files.vtkdata import COMPRESSORS, DataError, VtkEncoding
+from xcg.readers.files.vtkheader import (
+    LAST_LINE,
+    MOST_COMPONENTS,
+    TIMES,
+    TYPES,
+    Array,
+    Header,
+    Piece,
+    check_header,
+    read_values,
 )
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_LIST = 1 << 28  # bytes of a collection
 _BLOCK = 1 << 20
-_MOST_COMPONENTS = 100
-_OTHER_CELLS = ("Cells", "Verts", "Strips", "Polys")
-_TYPES = {
-    f"{kind}{bits}": f"{letter}{bits // 8}"
-    for kind, letter, all_bits in (
-        ("Int", "i", (8, 16, 32, 64)),
-        ("UInt", "u", (8, 16, 32, 64)),
-        ("Float", "f", (32, 64)),
-    )
-    for bits in all_bits
-}
+_GRIDS = ("RectilinearGrid", "StructuredGrid", "ImageData")  # data sets whose points are no grains
+_CELLS = ("Cells", "Verts", "Lines", "Strips", "Polys")
 
 _TIME = re.compile(r"\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Array:
-    """Array as the header describes it.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    components : int
-        Values a point.
-    kind : str
-        "Float32", "Int64", ...
-    form : str
-        "raw" or "base64", "ascii".
-    start, stop : int
-        Bytes of the file, unpacked where it is compressed, where its data begin, and where they end at the latest.
-    """
-
-    name: str
-    components: int
-    kind: str
-    form: str
-    start: int
-    stop: int
-
-
-@dataclass(frozen=True)
-class Header:
-    """Header of one file.
-
-    Attributes
-    ----------
-    path : str
-        The file.
-    size : int
-        Its size in bytes, as it is on the disk.
-    rows : int
-        Number of points, or of lines.
-    time : float or None
-        Physical time (s) from the comment that MFiX writes.
-    arrays : tuple of Array
-        The coordinates of the points, then the arrays of point data; or the arrays of the lines.
-    encoding : VtkEncoding
-        Byte order, type of lengths, and compression.
-    fields : mapping
-        Numbers of the arrays that belong to no point, where the header holds them, by name.
-    of_lines : bool
-        Whether rows are lines.
-    """
-
-    path: str
-    size: int
-    rows: int
-    time: float | None
-    arrays: tuple[Array, ...]
-    encoding: VtkEncoding
-    fields: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    of_lines: bool = False
-
-    @property
-    def what(self) -> str:
-        """Number of rows, in words."""
-        return f"{self.rows} {'lines' if self.of_lines else 'points'}"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the arrays; the first one of points is that of their coordinates."""
-        return tuple(array.name for array in self.arrays)
 
 
 @dataclass(frozen=True)
@@ -129,12 +52,21 @@ class _Element:
 
 @dataclass(frozen=True)
 class _Xml:
-    """Elements of a header in their order, names of those that are complete, and comments."""
+    """Elements of a header in their order, how many of each name are complete, and comments."""
 
     data: bytes
     elements: list[_Element]
-    complete: set[str]
+    complete: Counter[str]
     comments: list[str]
+
+    def pieces(self) -> list[_Xml]:
+        """Split the elements into those of each piece, which begin with the piece itself."""
+        starts = [k for k, element in enumerate(self.elements) if element.name == "Piece"]
+        ends = [*starts, len(self.elements)][1:]
+        return [
+            replace(self, elements=self.elements[start:end])
+            for start, end in zip(starts, ends, strict=True)
+        ]
 
     def named(self, name: str) -> list[dict[str, str]]:
         """Attributes of the elements of a name."""
@@ -164,7 +96,7 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
     """
     parser = expat.ParserCreate("iso-8859-1")  # all bytes are characters; see `_utf8`
     elements: list[_Element] = []
-    opened, complete, comments = [""], set[str](), list[str]()
+    opened, complete, comments = [""], Counter[str](), list[str]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
         elements.append(
@@ -178,7 +110,7 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
         )
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
-    parser.EndElementHandler = lambda _: complete.add(opened.pop())
+    parser.EndElementHandler = lambda _: complete.update([opened.pop()])
     parser.CommentHandler = comments.append
     fault = ""
     try:
@@ -189,7 +121,10 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
     kind = None if root is None else root.attributes.get("type")
     if kind not in kinds:
         what = "no VTK XML file" if root is None else f"VTK data of type {kind!r}"
-        raise SceneError(f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}")
+        raise SceneError(
+            f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}; give the files of grains, such as "
+            "those that a multi-block file lists"
+        )
     if fault:
         raise SceneError(f"{path}: its XML is damaged ({fault}); leave the file out")
     return _Xml(data, elements, complete, comments)
@@ -234,7 +169,7 @@ def _text(path: str) -> tuple[bytes, int | None, int]:
 
 
 def read_header(path: str, *, lines: bool = False) -> Header:
-    """Read the header of a ``.vtp`` or ``.vtu`` file, of its points, and check that the file is as long as it says.
+    """Read the header of a ``.vtp`` or ``.vtu`` file, and check that the file is as long as it says.
 
     Where `lines` are wanted and cells have arrays, rows are lines, and the arrays belong to cells.
 
@@ -244,59 +179,167 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     Raises
     ------
     SceneError
-        If this is not VTK PolyData of one piece, or shorter than promised; or lines are wanted, and there are
-        cells of other kinds beside them.
+        If this is not VTK PolyData or an unstructured grid, or shorter than promised; or lines are wanted, and there
+        are cells of other kinds beside them.
     """
     data, body, size = _text(path)
-    xml = _parsed(path, data, "PolyData", "UnstructuredGrid")
-    pieces = xml.named("Piece")
-    of_lines = lines and len(pieces) == 1 and _has_lines(xml, pieces[0], path)
-    there = [name in xml.complete for name in ("Points", "PointData")]
-    if len(pieces) != 1 or not there[0] or (not there[1] and xml.named("PointData")):
-        raise SceneError(
-            f"{path}: its header has {len(pieces)} pieces and {sum(there)} of the two sections Points and PointData, "
-            "expected one piece with both; the file was cut short, or is not by MFiX"
+    xml = _parsed(path, data, "PolyData", "UnstructuredGrid", *_GRIDS)
+    kind = xml.elements[0].attributes["type"]
+    if kind in _GRIDS:
+        encoding = _encoding(xml.elements[0].attributes, path)
+        return Header(
+            path,
+            os.path.getsize(path),
+            None,
+            (Piece(0, ()),),
+            encoding,
+            mesh=f"a data set of the kind {kind}",
         )
-    encoding = _encoding(xml.elements[0].attributes, path)
-    counted, sections = (
-        ("NumberOfLines", ["CellData"]) if of_lines else ("NumberOfPoints", ["Points", "PointData"])
-    )
-    rows = _whole(pieces[0].get(counted), counted, path)
-    tags = [element for section in sections for element in xml.arrays(section)]
+    parts = xml.pieces()
+    cut = [name for name in ("Points", "PointData") if xml.complete[name] != len(xml.named(name))]
+    if not parts or cut:
+        raise SceneError(
+            f"{path}: its header has {len(parts)} pieces, and {' and '.join(cut) or 'no section'} is not complete; "
+            "the file was cut short. Leave it out, or write it again"
+        )
     form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
-    if any(tag.attributes.get("format") == "appended" for tag in tags) and (
-        form not in ("raw", "base64") or not body
-    ):
-        raise SceneError(
-            f"{path}: its header names appended data, but none follows; it was cut short, leave it out"
-        )
-    arrays = tuple(_array(tag, path, xml, (form, body or 0, size)) for tag in tags)
-    if not of_lines and (not arrays or arrays[0].components != 3):
-        raise SceneError(
-            f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
-        )
+    file = _File(path, form, body or 0, size, _encoding(xml.elements[0].attributes, path))
+    of_lines = lines and len(parts) == 1 and _has_lines(parts[0], path)
+    pieces = [_piece(file, part, of_lines=of_lines) for part in parts]
     fields = {
         _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
         for tag in xml.arrays("FieldData")
     }
-    time = next((_time(found[1]) for found in map(_TIME.match, xml.comments) if found), None)
-    header = Header(path, os.path.getsize(path), rows, time, arrays, encoding, fields, of_lines)
-    for array in arrays:
-        _check_size(header, array)
+    header = Header(
+        path,
+        os.path.getsize(path),
+        _time_of(file, xml),
+        tuple(piece for piece in pieces if piece.rows) or tuple(pieces[:1]),
+        file.encoding,
+        fields,
+        of_lines,
+        next(filter(None, (_extended_cells(file, part) for part in parts)), ""),
+    )
+    check_header(header)
     return header
 
 
-def _has_lines(xml: _Xml, piece: dict[str, str], path: str) -> bool:
-    """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
-    if not xml.arrays("CellData"):
-        return False
-    lines = _whole(piece.get("NumberOfLines", "0"), "NumberOfLines", path)
-    others = [
-        kind
-        for kind in _OTHER_CELLS
-        if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)
+@dataclass(frozen=True)
+class _File:
+    """A file, and where its appended data are.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    form : str
+        "raw" or "base64": form of the appended data; empty without such data.
+    body : int
+        Byte at which they start, 0 without them.
+    size : int
+        Bytes of the file, unpacked.
+    encoding : VtkEncoding
+        Byte order, type of lengths, and compression.
+    """
+
+    path: str
+    form: str
+    body: int
+    size: int
+    encoding: VtkEncoding
+
+
+def _piece(file: _File, xml: _Xml, *, of_lines: bool) -> Piece:
+    """Describe the points of a piece, or its lines."""
+    if of_lines:
+        rows = _count(file.path, xml, "Lines")
+        arrays = [_array(element, file, xml) for element in xml.arrays("CellData")]
+        return Piece(rows, tuple(arrays))
+    rows = _count(file.path, xml, "Points")
+    tags = [element for name in ("Points", "PointData") for element in xml.arrays(name)]
+    arrays = [_array(element, file, xml) for element in tags]
+    if rows and not (xml.arrays("Points") and arrays[0].components == 3):
+        raise SceneError(
+            f"{file.path}: its points have no array with three components; the file is damaged, leave it out"
+        )
+    of_points = {array.name for array in arrays}
+    of_cells = [
+        array
+        for array in (_array(element, file, xml) for element in xml.arrays("CellData"))
+        if array.name not in of_points
     ]
-    if lines and others:
+    vertices = _vertices(file, xml, rows) if of_cells else None
+    if vertices is None:
+        return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
+    arrays += [replace(array, of_vertices=True) for array in of_cells]
+    return Piece(rows, tuple(arrays), vertices)
+
+
+def _vertices(file: _File, xml: _Xml, rows: int) -> Array | None:
+    """Return the array of the points of cells, if there is one cell for each point, and it may be a vertex."""
+    counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
+    kind = next((cells for cells in ("Cells", "Verts") if counts[cells] == rows), None)
+    if not rows or kind is None or sum(counts.values()) != rows:
+        return None
+    named = [tag for tag in xml.arrays(kind) if tag.attributes.get("Name") == "connectivity"]
+    return _array(named[0], file, xml) if named else None
+
+
+def _extended_cells(file: _File, xml: _Xml) -> str:
+    """Return what a piece holds in place of grains: polygons without vertices, or cells of an extent; else ""."""
+    counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
+    polygons = counts["Polys"] + counts["Strips"]
+    if polygons and not counts["Verts"]:
+        return f"{polygons} polygons"
+    if counts["Cells"] in (0, _count(file.path, xml, "Points")):
+        return ""
+    tags = [tag for tag in xml.arrays("Cells") if tag.attributes.get("Name") == "types"]
+    if not tags:
+        return ""
+    types = _values(file, _array(tags[0], file, xml), counts["Cells"])
+    extended = int(np.count_nonzero(types > LAST_LINE))
+    return f"{extended} cells that are no vertices" if extended else ""
+
+
+def _values(file: _File, array: Array, rows: int) -> NDArray[np.float64]:
+    """Read the values of one array while the header is read."""
+    room = file.encoding.room(max(0, array.stop - array.start))
+    try:
+        if rows > room:
+            raise DataError(f"{rows} values do not fit into {room} bytes")
+        with open_binary(file.path) as stream:
+            return read_values(stream, array, file.encoding, rows)
+    except DataError as error:
+        raise SceneError(
+            f"{file.path}: '{array.name}' is not as its header says: {error}; leave the file out, or write it again"
+        ) from None
+
+
+def _time_of(file: _File, xml: _Xml) -> float | None:
+    """Return the time in the comment of MFiX, or in an array of the file called TimeValue or TIME."""
+    for found in map(_TIME.match, xml.comments):
+        if found:
+            return _time(found[1])
+    for tag in xml.arrays("FieldData"):
+        if tag.attributes.get("Name", "").lower() in TIMES:
+            (time,) = _values(file, replace(_array(tag, file, xml), components=1), 1)
+            return float(time) if np.isfinite(time) else None
+    return None
+
+
+def _count(path: str, piece: _Xml, what: str) -> int:
+    """Return the number of points, which has to be there, or of cells of a kind in a piece."""
+    name = f"NumberOf{what}"
+    without = "" if what == "Points" else "0"
+    return _whole(piece.elements[0].attributes.get(name, without), name, path)
+
+
+def _has_lines(piece: _Xml, path: str) -> bool:
+    """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
+    if not piece.arrays("CellData"):
+        return False
+    others = [kind for kind in _CELLS if kind != "Lines" and _count(path, piece, kind)]
+    if _count(path, piece, "Lines") and others:
         raise SceneError(
             f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
         )
@@ -331,122 +374,81 @@ def _time(text: str) -> float | None:
     return time if np.isfinite(time) else None
 
 
-def _array(element: _Element, path: str, xml: _Xml, appended: tuple[str, int, int]) -> Array:
-    """Describe one array; `appended` are form, start and end of the appended data."""
-    tag = element.attributes
+def _array(element: _Element, file: _File, xml: _Xml) -> Array:
+    """Describe one array."""
+    tag, path = element.attributes, file.path
     name = _utf8(tag.get("Name", "Points"))
-    kind, form, body = tag.get("type", ""), *appended[:2]
-    if kind not in _TYPES:
+    kind = tag.get("type", "")
+    if kind not in TYPES:
         raise SceneError(
-            f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}"
+            f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(TYPES)}"
         )
     components = _whole(tag.get("NumberOfComponents", "1"), f"NumberOfComponents of '{name}'", path)
-    if not 1 <= components <= _MOST_COMPONENTS:
+    if not 1 <= components <= MOST_COMPONENTS:
         raise SceneError(
-            f"{path}: '{name}' has {components} components; expected 1 to {_MOST_COMPONENTS}. Leave the file out"
+            f"{path}: '{name}' has {components} components; expected 1 to {MOST_COMPONENTS}. Leave the file out"
         )
     if tag.get("format") == "appended":
+        if file.form not in ("raw", "base64") or not file.body:
+            raise SceneError(
+                f"{path}: its header names appended data, but none follows; it was cut short, leave it out"
+            )
         offset = _whole(tag.get("offset"), f"the offset of '{name}'", path)
-        return Array(name, components, kind, form, body + offset, appended[2])
+        return Array(name, components, kind, file.form, file.body + offset, file.size)
     text = xml.content(element)
     start, stop = element.start + len(text) - len(text.lstrip()), element.start + len(text)
-    return Array(
-        name, components, kind, "base64" if tag.get("format") == "binary" else "ascii", start, stop
-    )
+    form = "base64" if tag.get("format") == "binary" else "ascii"
+    return Array(name, components, kind, form, start, stop)
 
 
-def _type(header: Header, array: Array) -> np.dtype[np.generic]:
-    return np.dtype(header.encoding.order + _TYPES[array.kind])
+def read_collection(path: str) -> list[tuple[tuple[str, ...], float | None]]:
+    """List the files of each step that a ``.pvd`` collection names, as (paths, time), in its order.
 
-
-def _check_size(header: Header, array: Array) -> None:
-    """Compare what the header promises with the bytes that there are."""
-    values, room = header.rows * array.components, max(0, array.stop - array.start)
-    needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
-    there = (
-        room
-        if array.form == "ascii"
-        else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
-    )
-    if needed > there:
-        raise SceneError(
-            f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
-            f"bytes, but {there} follow in the {array.stop} of the file; it was cut short, or is still being "
-            "written. Leave it out, or write it again"
-        )
-
-
-def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Read arrays of one file by name.
-
-    Parameters
-    ----------
-    header : Header
-        What `read_header` returned.
-    names : sequence of str
-        Arrays to read, out of ``header.names``; the others are not parsed.
-
-    Returns
-    -------
-    dict of float64 arrays
-        Shape (points,) for one component, (points, components) for more.
+    Parts of one time are one step; a part that is listed again is another step of the same time.
 
     Raises
     ------
     SceneError
-        If the file changed since its header was read, or its body does not match the header.
+        If this is not a collection, or it names nothing.
     """
-    result: dict[str, NDArray[np.float64]] = {}
-    with open_binary(
-        header.path
-    ) as file:  # once, as a compressed file can be read from the front only
-        for array in header.arrays:
-            if array.name not in names or array.name in result:
-                continue
-            shape = (header.rows, array.components) if array.components > 1 else (header.rows,)
-            try:
-                result[array.name] = _read(file, header, array).reshape(shape)
-            except DataError as error:
-                raise SceneError(
-                    f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
-                    f"{error}; leave the file out, or write it again"
-                ) from None
-    return result
-
-
-def _read(file: BinaryIO, header: Header, array: Array) -> NDArray[np.float64]:
-    count = header.rows * array.components
-    if not count:
-        return np.empty(0)
-    if array.form == "ascii":
-        file.seek(array.start)
-        return parse_text(file.read(array.stop - array.start), array.kind, count)
-    read = read_base64 if array.form == "base64" else read_raw
-    return read(file, array.start, header.encoding, _type(header, array), count)
-
-
-def read_collection(path: str) -> list[tuple[str, float | None]]:
-    """List the files that a ``.pvd`` collection names, as (path, time), in its order.
-
-    Raises
-    ------
-    SceneError
-        If this is not a collection, it names nothing, or a time has several parts.
-    """
-    with open_binary(path) as file:
-        xml = _parsed(path, file.read(_LONGEST_LIST), "Collection")
-    entries, parts = [], dict[float | None, str]()
+    xml = _parsed(path, _whole_list(path), "Collection")
+    steps: dict[tuple[float | None, int], list[str]] = {}
+    times_listed = Counter[tuple[float | None, str, str]]()
     for tag in xml.named("DataSet"):
-        if tag.get("file") and "\0" not in tag["file"]:
-            time, part = _time(tag.get("timestep", "")), tag.get("part", "0")
-            entries.append((str(Path(path).parent / _utf8(tag["file"])), time))
-            if parts.setdefault(time, part) != part:
-                raise SceneError(
-                    f"{path}: lists parts {parts[time]!r} and {part!r} of one time, {time} s; give a list or pattern "
-                    "of the files of one part, or merge the parts of each time into one file"
-                )
-    if not entries:
+        if not tag.get("file") or "\0" in tag["file"]:
+            continue
+        time = _time(tag.get("timestep", ""))
+        part = (time, tag.get("group", ""), tag.get("part", "0"))
+        steps.setdefault((time, times_listed[part]), []).append(_beside(path, tag["file"]))
+        times_listed[part] += 1
+    if not steps:
         raise SceneError(
             f"{path}: it names no files; expected entries like <DataSet timestep=... file=.../>"
         )
-    return entries
+    return [(tuple(files), time) for (time, _), files in steps.items()]
+
+
+def read_parallel(path: str) -> tuple[str, ...]:
+    """List the files of the pieces that a ``.pvtu`` or ``.pvtp`` file names.
+
+    Raises
+    ------
+    SceneError
+        If this is no such file, or it names nothing.
+    """
+    xml = _parsed(path, _whole_list(path), "PUnstructuredGrid", "PPolyData")
+    sources = [tag.get("Source", "") for tag in xml.named("Piece")]
+    files = [_beside(path, source) for source in sources if source and "\0" not in source]
+    if not files:
+        raise SceneError(f"{path}: it names no files; expected entries like <Piece Source=.../>")
+    return tuple(dict.fromkeys(files))
+
+
+def _whole_list(path: str) -> bytes:
+    with open_binary(path) as file:
+        return file.read(_LONGEST_LIST)
+
+
+def _beside(path: str, name: str) -> str:
+    """Return the path of a file that is named relative to the folder of a list."""
+    return str(Path(path).parent / _utf8(name))

@@ -1,0 +1,271 @@
+"""Steps of VTK files: lists of files and their times, pieces of one step, and what holds no grains."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from xcg.common.messages import SceneError, warn_user
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import vtkhdf_points
+from xcg.readers.files import legacy_vtk, vtp
+from xcg.readers.files.text import ENDINGS, open_binary, plain_name
+from xcg.readers.files.vtkheader import Header
+from xcg.readers.paths import number_steps, remembered, timed_steps
+from xcg.steps import faults as errors
+
+LINES = "lines"  # kind of a step whose contacts are lines
+MESH = "mesh: "  # begins the kind of a file without grains; what it holds follows
+_XML = (".vtp", ".vtu")
+_PARALLEL = (".pvtu", ".pvtp")
+_LONGEST_SERIES = 1 << 26  # bytes of a list in JSON
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """Files of one step: the file that names them (or the first), themselves, and the time in a list."""
+
+    name: str
+    files: tuple[str, ...]
+    time: float | None = None
+
+
+def read_header(path: str, *, lines: bool = False) -> Header:
+    """Read the header of a VTK file, XML or legacy; see `xcg.readers.files.vtp.read_header`."""
+    is_legacy = _suffix(path) not in _XML and legacy_vtk.is_legacy(path)
+    return (legacy_vtk if is_legacy else vtp).read_header(path, lines=lines)
+
+
+def _suffix(path: str) -> str:
+    """Return the suffix of a file before that of its compression, in small letters."""
+    return Path(plain_name(path)).suffix.lower()
+
+
+def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
+    """List the steps of files and lists without copies; of lines where files hold some and they are wanted.
+
+    Raises
+    ------
+    SceneError
+        If files are missing or damaged, none holds grains, or the pieces of a step hold different arrays.
+
+    Warns
+    -----
+    SceneWarning
+        For files without grains, and for missing files that are skipped.
+    """
+    listed = _existing(paths, options)
+    files = list(dict.fromkeys(file for step in listed for file in step.files))
+    scan = partial(_scan, lines=lines)
+    found = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
+    _warn_of_meshes([ref for refs in found.values() for ref in refs])
+    steps = []
+    for entry in listed:
+        parts = [found[file] for file in entry.files]
+        refs = [ref for part in parts for ref in part if not ref.kind.startswith(MESH)]
+        if not all(parts):  # a file is at fault
+            refs = []
+        elif len(parts) > 1 and refs:
+            refs = [_joined(entry, refs)]
+        steps.append([replace(ref, time=_time(ref.time, entry.time)) for ref in refs])
+    names = [entry.name for entry, refs in zip(listed, steps, strict=True) if refs]
+    numbered = number_steps(names, [refs for refs in steps if refs])
+    return timed_steps(_once(_with_columns(numbered)), options.extra.get("timestep"))
+
+
+def _scan(path: str, *, lines: bool) -> list[StepRef]:
+    """Return the steps of a file, from its header."""
+    if _suffix(path) not in _XML and vtkhdf_points.is_vtkhdf(path):
+        mesh = vtkhdf_points.mesh_of(path)
+        return [_mesh(path, mesh)] if mesh else vtkhdf_points.list_steps(path)
+    header = read_header(path, lines=lines)
+    if header.mesh:
+        return [_mesh(path, header.mesh)]
+    return [
+        StepRef(
+            path,
+            rows=header.rows,
+            step=-1,
+            time=header.time,
+            columns=header.names,
+            size=header.size,
+            kind=LINES if header.of_lines else "",
+        )
+    ]
+
+
+def _mesh(path: str, mesh: str) -> StepRef:
+    """Return what stands for a file without grains."""
+    return StepRef(path, rows=0, step=-1, kind=MESH + mesh)
+
+
+def _warn_of_meshes(refs: Sequence[StepRef]) -> None:
+    """Warn of files without grains; raise SceneError if there are no others."""
+    meshes = [ref for ref in refs if ref.kind.startswith(MESH)]
+    if not meshes:
+        return
+    shown = ", ".join(f"{ref.path} ({ref.kind.removeprefix(MESH)})" for ref in meshes[:3])
+    more = ", ..." if len(meshes) > 3 else ""
+    count = f"{len(meshes)} of {len(refs)} files hold no grains"
+    if len(meshes) == len(refs):
+        raise SceneError(f"{count}: {shown}{more}; give the files of the grains")
+    warn_user(f"{count} and are skipped: {shown}{more}")
+
+
+def _joined(entry: _Listed, refs: Sequence[StepRef]) -> StepRef:
+    """Make one step of its pieces, without empty ones."""
+    pieces = [ref for ref in refs if ref.rows] or list(refs[:1])
+    first = pieces[0]
+    for piece in pieces:
+        differing = sorted({*piece.columns} ^ {*first.columns})
+        if differing:
+            raise SceneError(
+                f"{first.path} and {piece.path} are pieces of one step ({entry.name}) but differ in their arrays: "
+                f"{differing}; give the files of one kind of grains"
+            )
+    return replace(first, rows=sum(piece.rows for piece in pieces), pieces=tuple(pieces))
+
+
+def _with_columns(refs: Sequence[StepRef]) -> list[StepRef]:
+    """Return the steps, those without any rows with the columns of the others, which their files may lack."""
+    full = next((ref for ref in refs if ref.rows), None)
+    if full is None:
+        return list(refs)
+    filled = []
+    for ref in refs:
+        if not ref.rows:
+            pieces = tuple(
+                replace(piece, columns=full.columns, kind=full.kind) for piece in ref.pieces
+            )
+            ref = replace(ref, columns=full.columns, kind=full.kind, pieces=pieces)
+        filled.append(ref)
+    return filled
+
+
+# --- lists of files --------------------------------------------------------------------------------------
+
+
+def _expanded(path: str) -> list[_Listed]:
+    """List the steps that a file names, or the file itself."""
+    suffix = _suffix(path)
+    if not os.path.isfile(path):
+        return [_Listed(path, (path,))]
+    if suffix in _PARALLEL:
+        return [_Listed(path, vtp.read_parallel(path))]
+    if suffix not in (".pvd", ".series"):
+        return [_Listed(path, (path,))]
+    steps = vtp.read_collection(path) if suffix == ".pvd" else read_series(path)
+    listed = []
+    for files, time in steps:
+        parts = [part for file in files for part in _parts(file)]
+        listed.append(_Listed(files[0], tuple(parts), time))
+    return listed
+
+
+def _parts(path: str) -> tuple[str, ...]:
+    """Return the files of the pieces of a parallel file, or the file itself."""
+    is_parallel = _suffix(path) in _PARALLEL and os.path.isfile(path)
+    return vtp.read_parallel(path) if is_parallel else (path,)
+
+
+def read_series(path: str) -> list[tuple[tuple[str, ...], float | None]]:
+    """List the files of each step that a list in JSON names (``.vtk.series``), as (paths, time), in its order.
+
+    Raises
+    ------
+    SceneError
+        If this is no such list, or it names nothing.
+    """
+    with open_binary(path) as file:
+        text = file.read(_LONGEST_SERIES)
+    try:
+        entries = json.loads(text)["files"]
+        steps = [(str(entry["name"]), entry.get("time")) for entry in entries]
+        listed = [(name, None if time is None else float(time)) for name, time in steps]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+        listed = []
+    usable = [(name, time) for name, time in listed if name and "\0" not in name]
+    if not usable or not all(time is None or np.isfinite(time) for _, time in usable):
+        raise SceneError(
+            f'{path}: expected a list in JSON like {{"files": [{{"name": "grains_0.vtk", "time": 0.0}}]}}; the file is '
+            "damaged, or of another kind"
+        )
+    folder = Path(path).parent
+    return [((str(folder / name),), time) for name, time in usable]
+
+
+def _existing(paths: Sequence[str], options: ReadOptions) -> list[_Listed]:
+    """List the steps whose files exist: lists expanded, missing files refused or skipped with their steps."""
+    missing = options.extra.get("missing", "raise")
+    if missing not in ("raise", "skip"):
+        raise SceneError(f"missing={missing!r}: expected 'raise' or 'skip'")
+    listed: list[_Listed] = []
+    for path in map(str, paths):
+        try:
+            listed += _expanded(path)
+        except errors.FAULTS as error:
+            if not errors.record_fault(path, error):
+                raise
+    listed = [replace(step, files=tuple(map(packed_path, step.files))) for step in listed]
+    # a pipe would be waited for
+    whole = [step for step in listed if all(map(os.path.isfile, step.files))]
+    # MFiX lists its last frame twice: a copy that is gone is not missed.
+    times = {step.time for step in whole if step.time is not None}
+    unmatched = [file for step in listed if step.time not in times for file in step.files]
+    gone = [file for file in unmatched if not os.path.isfile(file)]
+    if gone:
+        count = sum(len(step.files) for step in listed)
+        shown = f"{len(gone)} of {count} files do not exist: {', '.join(gone)}"
+        if missing == "raise" or not whole:
+            way_out = "pass missing='skip' to go on with the others" if whole else "check the path"
+            raise SceneError(f"{shown}; restore them, or {way_out}")
+        if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
+            warn_user(f"{shown}; they are skipped")
+    return whole
+
+
+def packed_path(path: str) -> str:
+    """Return the path of a file that may have been compressed after it was listed."""
+    candidates = (path, *(path + ending for ending in ENDINGS))
+    return next(filter(os.path.isfile, candidates), path)
+
+
+def _time(own: float | None, listed: float | None) -> float | None:
+    """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
+    if own is None or listed is None:
+        return own if listed is None else listed
+    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
+
+
+def _once(refs: Sequence[StepRef]) -> list[StepRef]:
+    """Drop files with the bytes of an earlier one of the same time: MFiX writes its last frame twice."""
+    firsts: dict[object, StepRef] = {}
+    kept = []
+    for ref in refs:
+        key = (ref.path, ref.offset) if ref.time is None else ref.time
+        first = firsts.setdefault(key, ref)
+        if _region(first) != _region(ref):
+            raise SceneError(
+                f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
+                "open one region at a time"
+            )
+        if (
+            first is ref
+            or ref.pieces
+            or first.size != ref.size
+            or not filecmp.cmp(first.path, ref.path, shallow=False)
+        ):
+            kept.append(ref)
+    return kept
+
+
+def _region(ref: StepRef) -> str:
+    return re.sub(r"\d+(?=\D*$)", "", Path(plain_name(ref.path)).stem)

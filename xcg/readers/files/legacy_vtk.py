@@ -1,0 +1,448 @@
+"""Legacy VTK files (``# vtk DataFile``), text or binary: PolyData and unstructured grids, read without VTK.
+
+Headers of arrays stand between the values, so the whole file is looked through, without parsing its numbers: in binary
+files values are skipped by their size, in text files up to the next line of words.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field, replace
+from typing import BinaryIO
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import SceneError
+from xcg.readers.files.text import most_text, open_binary
+from xcg.readers.files.vtkdata import DataError, VtkEncoding
+from xcg.readers.files.vtkheader import (
+    LAST_LINE,
+    MOST_COMPONENTS,
+    TIMES,
+    TYPES,
+    Array,
+    Header,
+    Piece,
+    check_header,
+    read_values,
+)
+
+MAGIC = b"# vtk DataFile"
+_ENCODING = VtkEncoding(">", np.dtype(">u4"), "")
+_LONGEST_LINE = 1 << 20  # bytes that are read at once
+_MOST_DIGITS = 15  # of counts
+_READ = ("POLYDATA", "UNSTRUCTURED_GRID")
+_POINTS, _CELL_DATA = "POINT_DATA", "CELL_DATA"
+
+_KINDS = {
+    "char": "Int8",
+    "unsigned_char": "UInt8",
+    "short": "Int16",
+    "unsigned_short": "UInt16",
+    "int": "Int32",
+    "unsigned_int": "UInt32",
+    "vtkidtype": "Int32",  # in files, whatever it is in memory
+    "long": "Int64",
+    "unsigned_long": "UInt64",
+    "vtktypeint64": "Int64",
+    "vtktypeuint64": "UInt64",
+    "float": "Float32",
+    "double": "Float64",
+}
+_STRINGS = ("string", "utf8_string", "variant")
+_FIELD_TYPES = {*_KINDS, *_STRINGS, "bit"}
+
+# sections of one array each, and its components
+_ONE_ARRAY = {
+    "VECTORS": 3,
+    "NORMALS": 3,
+    "TENSORS": 9,
+    "TENSORS6": 6,
+    "GLOBAL_IDS": 1,
+    "PEDIGREE_IDS": 1,
+    "EDGE_FLAGS": 1,
+}
+_CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
+_OTHERS = (
+    "DATASET",
+    "POINTS",
+    "OFFSETS",
+    "CONNECTIVITY",
+    "CELL_TYPES",
+    "POINT_DATA",
+    "CELL_DATA",
+    "SCALARS",
+    "COLOR_SCALARS",
+    "LOOKUP_TABLE",
+    "TEXTURE_COORDINATES",
+    "FIELD",
+    "METADATA",
+)
+_KEYWORDS = {*_ONE_ARRAY, *_CELLS, *_OTHERS}
+
+
+def is_legacy(path: str) -> bool:
+    """Return whether a file is a legacy VTK file, by its first bytes."""
+    with open_binary(path) as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def read_header(path: str, *, lines: bool = False) -> Header:
+    """Read the header of a legacy VTK file, and check that the file is as long as it says.
+
+    Where `lines` are wanted and cells have arrays, rows are lines, and the arrays belong to cells.
+
+    Raises
+    ------
+    SceneError
+        If this is no legacy VTK file, it is damaged or shorter than promised; or lines are wanted, and there are cells
+        of other kinds beside them.
+    """
+    with open_binary(path) as file:
+        scanner = _Scanner(file, path)
+        contents = _contents_of(scanner)
+        if not contents.dataset:
+            raise scanner.damaged("it has no line DATASET with a kind")
+        if contents.dataset not in _READ:
+            mesh = f"a data set of the kind {contents.dataset}"
+            return Header(path, os.path.getsize(path), None, (Piece(0, ()),), _ENCODING, mesh=mesh)
+        of_lines = lines and _has_lines(contents, path)
+        piece = _lines_of(contents, path) if of_lines else _points_of(contents, path)
+        header = Header(
+            path,
+            os.path.getsize(path),
+            _time_of(file, contents, path),
+            (piece,),
+            _ENCODING,
+            of_lines=of_lines,
+            mesh=_extended_cells(file, contents, path),
+        )
+    check_header(header)
+    return header
+
+
+# --- the meaning of the sections -------------------------------------------------------------------------
+
+
+@dataclass
+class _CellsOfKind:
+    """Cells of one kind: their number, and their points, where each cell has one."""
+
+    count: int
+    vertices: Array | None
+
+
+@dataclass
+class _Contents:
+    """Sections of a file.
+
+    Attributes
+    ----------
+    dataset : str
+        Kind of the data set.
+    rows : int
+        Number of points.
+    points : Array or None
+        Their coordinates.
+    cells : dict
+        Cells by their kind.
+    types : Array or None
+        Types of the cells of an unstructured grid.
+    arrays : dict
+        Arrays with their rows, of points, of cells, and of the file (""), by the keyword above them.
+    counts : dict
+        Rows that these arrays should have.
+    """
+
+    dataset: str = ""
+    rows: int = 0
+    points: Array | None = None
+    cells: dict[str, _CellsOfKind] = field(default_factory=dict)
+    types: Array | None = None
+    arrays: dict[str, list[tuple[Array, int]]] = field(
+        default_factory=lambda: {"": [], _POINTS: [], _CELL_DATA: []}
+    )
+    counts: dict[str, int] = field(default_factory=lambda: {"": 1, _POINTS: 0, _CELL_DATA: 0})
+
+    def number_of(self, *kinds: str) -> int:
+        """Return the number of cells of some kinds, of all kinds by default."""
+        return sum(self.cells[kind].count for kind in kinds or self.cells if kind in self.cells)
+
+    def arrays_of(self, place: str, rows: int, path: str) -> list[Array]:
+        """Return the arrays of points or cells. Raise SceneError unless all have so many rows."""
+        for array, count in self.arrays[place]:
+            if count != rows:
+                raise SceneError(
+                    f"{path}: '{array.name}' has {count} rows below {place}, expected {rows}; the file is damaged. "
+                    "Leave it out, or write it again"
+                )
+        return [array for array, _ in self.arrays[place]]
+
+
+def _points_of(contents: _Contents, path: str) -> Piece:
+    """Describe the points, with the arrays of cells where each point has one vertex."""
+    rows = contents.rows
+    if contents.points is None:
+        raise SceneError(f"{path}: it has no section POINTS; the file was cut short, leave it out")
+    arrays = [contents.points, *contents.arrays_of(_POINTS, rows, path)]
+    of_points = {array.name for array in arrays}
+    of_cells = [array for array, _ in contents.arrays[_CELL_DATA] if array.name not in of_points]
+    cells = contents.cells.get("VERTICES") or contents.cells.get("CELLS")
+    if cells and cells.vertices and cells.count == contents.number_of() == rows:
+        fitting = contents.arrays_of(_CELL_DATA, rows, path)
+        arrays += [replace(array, of_vertices=True) for array in fitting if array in of_cells]
+        return Piece(rows, tuple(arrays), cells.vertices)
+    return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
+
+
+def _has_lines(contents: _Contents, path: str) -> bool:
+    """Return whether the arrays of cells belong to lines; False without arrays."""
+    if not contents.arrays[_CELL_DATA]:
+        return False
+    others = [kind for kind in contents.cells if kind != "LINES"]
+    if "LINES" in contents.cells and others:
+        raise SceneError(
+            f"{path}: holds {' and '.join(others)} beside LINES; write the contacts, as lines, to files of their own"
+        )
+    return not others
+
+
+def _lines_of(contents: _Contents, path: str) -> Piece:
+    """Describe the lines."""
+    rows = contents.number_of("LINES")
+    return Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
+
+
+def _extended_cells(file: BinaryIO, contents: _Contents, path: str) -> str:
+    """Return what the file holds in place of grains: polygons without vertices, or cells of an extent; else ""."""
+    polygons = contents.number_of("POLYGONS", "TRIANGLE_STRIPS")
+    if polygons and not contents.number_of("VERTICES"):
+        return f"{polygons} polygons"
+    cells = contents.cells.get("CELLS")
+    if cells is None or cells.vertices or contents.types is None:
+        return ""
+    types = _read(file, contents.types, cells.count, path)
+    extended = int(np.count_nonzero(types > LAST_LINE))
+    return f"{extended} cells that are no vertices" if extended else ""
+
+
+def _time_of(file: BinaryIO, contents: _Contents, path: str) -> float | None:
+    """Return the time in an array of the file that is called TimeValue or TIME."""
+    for array, rows in contents.arrays[""]:
+        if array.name.lower() in TIMES and rows == array.components == 1:
+            (time,) = _read(file, array, 1, path)
+            return float(time) if np.isfinite(time) else None
+    return None
+
+
+def _read(file: BinaryIO, array: Array, rows: int, path: str) -> NDArray[np.float64]:
+    """Read the values of an array while the header is read."""
+    try:
+        return read_values(file, array, _ENCODING, rows)
+    except DataError as error:
+        raise SceneError(
+            f"{path}: '{array.name}' is not as its header says: {error}; leave the file out, or write it again"
+        ) from None
+
+
+# --- the sections ----------------------------------------------------------------------------------------
+
+
+def _contents_of(scanner: _Scanner) -> _Contents:
+    """Find the sections of a file; of data sets that are no points, the kind alone."""
+    contents, place = _Contents(), ""
+    while words := scanner.words():
+        keyword = words[0].upper()
+        if _is_array_of_field(words):
+            array, rows = scanner.array_of_field(words)
+            if array is not None:
+                contents.arrays[place].append((array, rows))
+        elif keyword == "DATASET":
+            contents.dataset = words[1].upper() if len(words) > 1 else ""
+            if contents.dataset not in _READ:
+                return contents
+        elif keyword == "POINTS":
+            contents.rows = scanner.number(words, 1)
+            contents.points = scanner.values("Points", scanner.kind(words, 2), contents.rows, 3)
+        elif keyword in _CELLS:
+            contents.cells[keyword] = _cells(scanner, words)
+        elif keyword == "CELL_TYPES":
+            contents.types = scanner.values("CELL_TYPES", "Int32", scanner.number(words, 1))
+        elif keyword in (_POINTS, _CELL_DATA):
+            place = keyword
+            contents.counts[place] = scanner.number(words, 1)
+        elif keyword == "METADATA":
+            scanner.skip_metadata()
+        elif keyword == "LOOKUP_TABLE":  # of colours
+            scanner.values("colours", scanner.colours, scanner.number(words, 2), 4)
+        elif keyword != "FIELD":
+            rows = contents.counts[place]
+            contents.arrays[place].append((_attribute(scanner, words, rows), rows))
+    return contents
+
+
+def _cells(scanner: _Scanner, words: list[str]) -> _CellsOfKind:
+    """Find cells of one kind: before version 5 each with its number of points, then offsets and points apart."""
+    count, size = scanner.number(words, 1), scanner.number(words, 2)
+    if scanner.version < 5:
+        single = size == 2 * count
+        cells = scanner.values(words[0], "Int32", count if single else size, 2 if single else 1)
+        return _CellsOfKind(count, cells if single else None)
+    scanner.values("OFFSETS", scanner.kind(scanner.after("OFFSETS"), 1), count)
+    points = scanner.values("CONNECTIVITY", scanner.kind(scanner.after("CONNECTIVITY"), 1), size)
+    return _CellsOfKind(max(0, count - 1), points if size == count - 1 else None)
+
+
+def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
+    """Find an array of a section of its own."""
+    keyword, name = words[0].upper(), unquote(words[1] if len(words) > 1 else "")
+    if keyword == "SCALARS":
+        kind = scanner.kind(words, 2)
+        components = scanner.number(words, 3) if len(words) > 3 else 1
+        scanner.after("LOOKUP_TABLE")
+        return scanner.values(name, kind, rows, components)
+    if keyword == "COLOR_SCALARS":
+        return scanner.values(name, scanner.colours, rows, scanner.number(words, 2))
+    if keyword == "TEXTURE_COORDINATES":
+        return scanner.values(name, scanner.kind(words, 3), rows, scanner.number(words, 2))
+    if keyword in _ONE_ARRAY:
+        return scanner.values(name, scanner.kind(words, 2), rows, _ONE_ARRAY[keyword])
+    raise scanner.damaged(f"{' '.join(words)[:60]!r} begins no section")
+
+
+def _is_array_of_field(words: list[str]) -> bool:
+    """Return whether a line describes an array of a field: name, components, rows and type."""
+    return (
+        len(words) == 4
+        and words[1].isdecimal()
+        and words[2].isdecimal()
+        and words[3].lower() in _FIELD_TYPES
+    )
+
+
+class _Scanner:
+    """Lines of words of a file, and the places of the values between them."""
+
+    def __init__(self, file: BinaryIO, path: str) -> None:
+        self._file, self._path, self._most = file, path, most_text(path)
+        self._at, self._waiting = 0, b""
+        first = self._line()
+        self._line()  # the title
+        form = self._line().strip().upper()
+        if not first.startswith(MAGIC) or form not in (b"ASCII", b"BINARY"):
+            raise self.damaged("ASCII or BINARY is missing in its third line")
+        version = re.search(rb"Version +(\d{1,9})", first)
+        self.version = int(version[1]) if version else 0
+        self._binary = form == b"BINARY"
+        self.colours = "UInt8" if self._binary else "Float32"
+
+    def damaged(self, reason: str) -> SceneError:
+        """Return an error about what was read last."""
+        return SceneError(
+            f"{self._path}: {reason}, before byte {self._at}; the legacy VTK file is damaged or cut short. Leave it "
+            "out, or write it again"
+        )
+
+    def _line(self) -> bytes:
+        line = self._waiting or self._file.readline(_LONGEST_LINE)
+        self._waiting = b""
+        self._at += len(line)
+        if self._at > self._most:
+            raise self.damaged(f"its compressed bytes stand for more than {self._most:.3g}")
+        return line
+
+    def words(self) -> list[str]:
+        """Return the words of the next line that has some; none at the end of the file."""
+        while line := self._line():
+            if words := line.decode("utf-8", "replace").split():
+                return words
+        return []
+
+    def after(self, keyword: str) -> list[str]:
+        """Return the words of the next line, which has to begin with a keyword."""
+        words = self.words()
+        if not words or words[0].upper() != keyword:
+            raise self.damaged(f"a line {keyword} is missing")
+        return words
+
+    def number(self, words: list[str], place: int) -> int:
+        """Return the count in a line of words."""
+        text = words[place] if place < len(words) else ""
+        if not (text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS):
+            raise self.damaged(f"{' '.join(words)[:60]!r} has no count as its word {place + 1}")
+        return int(text)
+
+    def kind(self, words: list[str], place: int) -> str:
+        """Return the type that a line of words names."""
+        text = words[place].lower() if place < len(words) else ""
+        if text not in _KINDS:
+            raise self.damaged(
+                f"{' '.join(words)[:60]!r} has no type of numbers as its word {place + 1}"
+            )
+        return _KINDS[text]
+
+    def values(self, name: str, kind: str, rows: int, components: int = 1) -> Array:
+        """Return the place of values, and skip them."""
+        if not 1 <= components <= MOST_COMPONENTS:
+            raise self.damaged(
+                f"{name!r} has {components} components; expected 1 to {MOST_COMPONENTS}"
+            )
+        start = self._at
+        if self._binary:
+            self._skip_bytes(name, rows * components * np.dtype(TYPES[kind]).itemsize)
+        else:
+            self._skip_text()
+        form = "binary" if self._binary else "ascii"
+        return Array(name, components, kind, form, start, self._at)
+
+    def array_of_field(self, words: list[str]) -> tuple[Array | None, int]:
+        """Return an array of a field, None if it holds bits or strings, and its rows."""
+        components, rows = self.number(words, 1), self.number(words, 2)
+        name, kind = unquote(words[0]), words[3].lower()
+        if kind in _KINDS:
+            return self.values(name, _KINDS[kind], rows, components), rows
+        if kind == "bit":
+            self._skip_bits(name, rows * components)
+        else:
+            self._skip_strings(name, rows * components)
+        return None, rows
+
+    def _skip_bytes(self, name: str, size: int) -> None:
+        if size:
+            self._file.seek(self._at + size - 1)
+            if not self._file.read(1):
+                raise self.damaged(f"{name!r} needs {size} bytes, but the file ends earlier")
+        self._at += size
+
+    def _skip_text(self) -> None:
+        """Skip lines of numbers."""
+        while line := self._line():
+            text = line.strip()
+            if text[:1].isalpha() or text[-1:].isalpha():
+                words = text.decode("utf-8", "replace").split()
+                if words[0].upper() in _KEYWORDS or _is_array_of_field(words):
+                    self._at -= len(line)
+                    self._waiting = line
+                    return
+
+    def _skip_bits(self, name: str, count: int) -> None:
+        if self._binary:
+            self._skip_bytes(name, (count + 7) // 8)
+        else:
+            self._skip_text()
+
+    def _skip_strings(self, name: str, count: int) -> None:
+        """Skip strings, one a line."""
+        if self._binary:
+            raise self.damaged(f"{name!r} holds strings, which are not read from binary files")
+        for _ in range(count):
+            if not self._line():
+                raise self.damaged(f"{name!r} ends early")
+
+    def skip_metadata(self) -> None:
+        """Skip lines up to a blank one."""
+        while self._line().strip():
+            pass

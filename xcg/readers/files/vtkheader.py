@@ -1,0 +1,265 @@
+"""Headers of VTK files, XML or legacy: pieces of points or lines, and the arrays that belong to them.
+
+Every count in a header is held against the size of the file before anything is made for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import SceneError
+from xcg.readers.files.text import open_binary
+from xcg.readers.files.vtkdata import DataError, VtkEncoding, parse_text, read_base64, read_raw
+
+MOST_COMPONENTS = 100
+LAST_LINE = (
+    4  # of VTK's types of cells: vertices and lines come first, then those that have an extent
+)
+OF_CELLS = " (of cells)"  # follows the names of arrays that belong to no single point
+TIMES = ("timevalue", "time")  # names of the time among the arrays of a file, in lower case
+TYPES = {
+    f"{kind}{bits}": f"{letter}{bits // 8}"
+    for kind, letter, all_bits in (
+        ("Int", "i", (8, 16, 32, 64)),
+        ("UInt", "u", (8, 16, 32, 64)),
+        ("Float", "f", (32, 64)),
+    )
+    for bits in all_bits
+}
+
+
+@dataclass(frozen=True)
+class Array:
+    """Array as the header describes it.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    components : int
+        Values a row.
+    kind : str
+        "Float32", "Int64", ...
+    form : str
+        "raw" or "base64" with the length before the values, "binary" without it, or "ascii".
+    start, stop : int
+        Bytes of the file, unpacked where it is compressed, where its data begin, and where they end at the latest.
+    of_vertices : bool
+        Whether its rows are vertices, in their order, and not points.
+    """
+
+    name: str
+    components: int
+    kind: str
+    form: str
+    start: int
+    stop: int
+    of_vertices: bool = False
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Part of the points of a file, or of its lines.
+
+    Attributes
+    ----------
+    rows : int
+        Number of points, or of lines.
+    arrays : tuple of Array
+        The coordinates of the points, then the arrays of points and of vertices; or the arrays of the lines.
+    vertices : Array or None
+        Points of the vertices, the last component of each row, where there is one vertex for each point.
+    unread : tuple of str
+        Names of arrays of cells that belong to no single point.
+    """
+
+    rows: int
+    arrays: tuple[Array, ...]
+    vertices: Array | None = None
+    unread: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Header:
+    """Header of one file.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    size : int
+        Its size in bytes, as it is on the disk.
+    time : float or None
+        Physical time (s), where the file states it.
+    pieces : tuple of Piece
+        Parts whose rows follow one another; those without rows are left out, unless all are without.
+    encoding : VtkEncoding
+        Byte order, type of lengths, and compression.
+    fields : mapping
+        Numbers of the arrays that belong to no point, where the header holds them, by name.
+    of_lines : bool
+        Whether rows are lines.
+    mesh : str
+        What the file holds in place of grains, such as "1616 polygons"; empty for grains or contacts.
+    """
+
+    path: str
+    size: int
+    time: float | None
+    pieces: tuple[Piece, ...]
+    encoding: VtkEncoding
+    fields: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    of_lines: bool = False
+    mesh: str = ""
+
+    @property
+    def rows(self) -> int:
+        """Number of points, or of lines."""
+        return sum(piece.rows for piece in self.pieces)
+
+    @property
+    def what(self) -> str:
+        """Number of rows, in words."""
+        return f"{self.rows} {'lines' if self.of_lines else 'points'}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays; the first one of points is that of their coordinates."""
+        first = self.pieces[0]
+        return (
+            *(array.name for array in first.arrays),
+            *(name + OF_CELLS for name in first.unread),
+        )
+
+
+def check_header(header: Header) -> None:
+    """Raise SceneError if pieces hold different arrays, or a header promises more values than bytes follow."""
+    for piece in header.pieces:
+        names = [array.name for array in piece.arrays]
+        if names != [array.name for array in header.pieces[0].arrays]:
+            raise SceneError(
+                f"{header.path}: its pieces hold different arrays, {list(header.names)} and {names}; write the same "
+                "arrays for all of them"
+            )
+        for array in (*piece.arrays, *([piece.vertices] if piece.vertices else [])):
+            _check_size(header, piece, array)
+
+
+def _type(header: Header, array: Array) -> np.dtype[Any]:
+    return np.dtype(header.encoding.order + TYPES[array.kind])
+
+
+def _check_size(header: Header, piece: Piece, array: Array) -> None:
+    """Compare what the header promises with the bytes that there are."""
+    values, room = piece.rows * array.components, max(0, array.stop - array.start)
+    needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
+    there = room
+    if array.form == "base64":
+        there = header.encoding.room(room * 3 // 4)
+    elif array.form == "raw":
+        there = header.encoding.room(room)
+    if needed > there:
+        raise SceneError(
+            f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
+            f"bytes, but {there} follow in the {array.stop} of the file; it was cut short, or is still being "
+            "written. Leave it out, or write it again"
+        )
+
+
+def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Read arrays of one file by name.
+
+    Parameters
+    ----------
+    header : Header
+        What `read_header` of the file's form returned.
+    names : sequence of str
+        Arrays to read, out of ``header.names``; the others are not parsed.
+
+    Returns
+    -------
+    dict of float64 arrays
+        Shape (points,) for one component, (points, components) for more.
+
+    Raises
+    ------
+    SceneError
+        If the file changed since its header was read, or its body does not match the header.
+    """
+    # once, as a compressed file can be read from the front only
+    with open_binary(header.path) as file:
+        pieces = [_read_piece(file, header, piece, names) for piece in header.pieces]
+    if len(pieces) == 1:
+        return pieces[0]
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+
+
+def _read_piece(
+    file: BinaryIO, header: Header, piece: Piece, names: Sequence[str]
+) -> dict[str, NDArray[np.float64]]:
+    """Read arrays of one piece, values of vertices in the order of the points."""
+    result: dict[str, NDArray[np.float64]] = {}
+    vertices: NDArray[np.intp] | None = None
+    for array in piece.arrays:
+        if array.name not in names or array.name in result:
+            continue
+        values = _read_rows(file, header, array, piece.rows)
+        if array.of_vertices and piece.vertices:
+            if vertices is None:
+                vertices = _points_of_vertices(file, header, piece.vertices, piece.rows)
+            by_vertex = values
+            values = np.empty_like(by_vertex)
+            values[vertices] = by_vertex
+        result[array.name] = values
+    return result
+
+
+def _points_of_vertices(
+    file: BinaryIO, header: Header, vertices: Array, rows: int
+) -> NDArray[np.intp]:
+    """Read the point of each vertex (rows,); each point has to have one vertex."""
+    cells = _read_rows(file, header, vertices, rows).reshape(rows, -1)
+    points = cells[:, -1]
+    if not np.array_equal(np.sort(points), np.arange(rows)) or (cells[:, :-1] != 1).any():
+        raise SceneError(
+            f"{header.path}: arrays of cells are read as those of grains, but the cells are not one vertex for each "
+            "point; write the arrays for the points, or drop them with names={'...': None}"
+        )
+    return points.astype(np.intp)
+
+
+def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray[np.float64]:
+    shape = (rows, array.components) if array.components > 1 else (rows,)
+    try:
+        return read_values(file, array, header.encoding, rows).reshape(shape)
+    except DataError as error:
+        raise SceneError(
+            f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
+            f"{error}; leave the file out, or write it again"
+        ) from None
+
+
+def read_values(
+    file: BinaryIO, array: Array, encoding: VtkEncoding, rows: int
+) -> NDArray[np.float64]:
+    """Read the values of one array, row after row; raise DataError if it holds another number of them."""
+    count = rows * array.components
+    if not count:
+        return np.empty(0)
+    if array.form == "ascii":
+        file.seek(array.start)
+        return parse_text(file.read(array.stop - array.start), array.kind, count)
+    dtype = np.dtype(encoding.order + TYPES[array.kind])
+    if array.form == "binary":
+        file.seek(array.start)
+        raw = file.read(count * dtype.itemsize)
+        if len(raw) != count * dtype.itemsize:
+            raise DataError(f"its values end after {len(raw)} of {count * dtype.itemsize} bytes")
+        return np.frombuffer(raw, dtype).astype("float64")
+    read = read_base64 if array.form == "base64" else read_raw
+    return read(file, array.start, encoding, dtype, count)
