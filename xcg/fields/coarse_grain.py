@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -30,6 +31,7 @@ from xcg.fields.sums.nodes import Block
 from xcg.scene.bodies import group_bodies
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, describe
+from xcg.scene.facts import with_setup
 from xcg.scene.frame import steps_in, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Frame, units_in
@@ -403,16 +405,20 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
             a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
         ),
     }
+    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
     given: dict[str, Any] = {
         "shear_dims": None
         if options.shear_axes is None
         else "".join(COMPONENTS[k] for k in options.shear_axes),
         "fluid_viscosity": options.fluid_viscosity,
+        "friction": options.friction,
+        "by": plan.deposit.by,
         "size_diameter": options.diameter,
         "lag": options.lag,
+        "extent": json.dumps(lengths) if lengths else None,
     }
     choices |= {name: value for name, value in given.items() if value is not None}
-    return result.assign_attrs(provenance(scene, call) | choices)
+    return with_setup(result.assign_attrs(provenance(scene, call) | choices))
 
 
 def about(row: Field, system: str) -> dict[str, str]:

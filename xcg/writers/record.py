@@ -21,6 +21,7 @@ from xcg.fields.coarse_grain import answer, coarse_grain
 from xcg.fields.request import OF_PRESETS, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
+from xcg.scene.facts import OF_RESULTS, OF_SCENES
 from xcg.scene.frame import check_times
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import chunks_of_time, each_step
@@ -31,25 +32,7 @@ from xcg.writers.store import write_file
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
-_SAME = (
-    "kernel",
-    "width",
-    "cutoff",
-    "kernel_dimension",
-    "gradient",
-    "unit_system",
-    "averaged_axes",
-    "periodic",
-    "sampling",
-    "temperature",
-    "deviatoric",
-    "size",
-    "pressure_dims",
-    "shear_dims",
-    "rtol",
-    "per",
-    "extent",
-)
+_SAME = (*OF_SCENES, *OF_RESULTS, "rtol")
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
@@ -224,8 +207,7 @@ class Recorder:
 
 @takes_scene
 def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    extent = {a: float(length) for a, length in (request.extent or {}).items()}
-    return answer(ds, request).assign_attrs({"extent": json.dumps(extent)} if extent else {})
+    return answer(ds, request)
 
 
 def _one_step(fields: xr.Dataset) -> xr.Dataset:
