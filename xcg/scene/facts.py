@@ -57,6 +57,8 @@ OF_RESULTS = (
 def with_setup(ds: xr.Dataset) -> xr.Dataset:
     """Return the Dataset with the coordinate `setup`, made from its attributes."""
     facts = {name: ds.attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in ds.attrs}
+    if facts.get("size") not in ("d50", "dmax"):
+        facts.pop("size_diameter", None)  # d43 and d32 are those of each node
     text = json.dumps({name: np.asarray(value).tolist() for name, value in facts.items()})
     about = {"long_name": "attributes that hold for all steps, as JSON"}
     return ds.assign_coords({SETUP: xr.Variable((), text, about)})

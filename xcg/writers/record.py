@@ -178,7 +178,8 @@ class Recorder:
         fields = self._encoding.noted(fields).load()
         over_time = {str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}
         values = {
-            n: x if n in fields.coords else self._encoding.reduced(x) for n, x in over_time.items()
+            n: x if n in fields.coords else self._encoding.reduced(x, n)
+            for n, x in over_time.items()
         }
         if before is None:
             stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})

@@ -97,9 +97,17 @@ class StoreLayout:
         ]
         ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
-        ds = _aligned(
-            ds.assign(dask.compute(rest)[0]), over
-        )  # at once, as one task computes all fields of a step
+        # at once, as one task computes all fields of a step
+        ds = ds.assign(dask.compute(rest)[0])
+        still = {
+            str(name): data.variable
+            for name, data in ds.data_vars.items()
+            if name not in over and data.dtype.kind == "f"
+        }
+        ds = ds.assign(
+            {n: v.copy(data=encoding.reduced(v.to_numpy(), n)) for n, v in still.items()}
+        )
+        ds = _aligned(ds, over)
         chunks = (
             ds.variables[name].chunksizes["time"][0]
             for name in over
@@ -109,6 +117,15 @@ class StoreLayout:
             ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1)))
         )
         return layout if together is None else replace(layout, steps=together(layout))
+
+    @property
+    def still(self) -> list[str]:
+        """Names of the other arrays of numbers, which are written at once."""
+        return [
+            str(name)
+            for name, data in self.ds.data_vars.items()
+            if name not in self.over and data.dtype.kind in "biufc" and data.size > 1
+        ]
 
     @property
     def lazy(self) -> list[str]:
