@@ -68,7 +68,7 @@ def register_writer(suffix: str, write: Writer) -> None:
 
     >>> import xcg
     >>> def write_csv(ds, path, encoding, *, overwrite):
-    ...     ds.squeeze().to_dataframe().to_csv(path)
+    ...     ds.squeeze().reset_coords(drop=True).to_dataframe().to_csv(path)
     >>> xcg.register_writer(".csv", write_csv)
     """
     if not suffix.startswith(".") or len(suffix) < 2:

@@ -136,7 +136,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
-        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
+        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE, errors="ignore")
     else:
         window = int(window)
         steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
