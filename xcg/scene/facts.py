@@ -61,7 +61,8 @@ def with_setup(ds: xr.Dataset) -> xr.Dataset:
         facts.pop("size_diameter", None)  # d43 and d32 are those of each node
     text = json.dumps({name: np.asarray(value).tolist() for name, value in facts.items()})
     about = {"long_name": "attributes that hold for all steps, as JSON"}
-    return ds.assign_coords({SETUP: xr.Variable((), text, about)})
+    # Zarr 3 specifies no text of fixed length
+    return ds.assign_coords({SETUP: xr.Variable((), text, about, {"dtype": object})})
 
 
 def with_facts(ds: xr.Dataset) -> xr.Dataset:
