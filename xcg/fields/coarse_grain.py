@@ -31,7 +31,7 @@ from xcg.fields.sums.nodes import Block
 from xcg.scene.bodies import group_bodies
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, describe
-from xcg.scene.facts import with_setup
+from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import steps_in, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Frame, units_in
@@ -384,10 +384,16 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         if lacking := [variable for variable in ROTATION if variable in taken - {*plan.variables}]:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
-    result = storable(xr.Dataset(data, coords))
-    if plan.deposit.by:
-        result = with_phase_labels(result)
-    choices = {
+    facts = provenance(scene, call) | _choices(plan)
+    coords[SETUP] = setup_of(facts)
+    result = storable(xr.Dataset(data, coords, facts))
+    return with_phase_labels(result) if plan.deposit.by else result
+
+
+def _choices(plan: Plan) -> dict[str, Any]:
+    """Return the options of a plan as attributes of its result."""
+    options, grid = plan.options, plan.deposit.grid
+    choices: dict[str, Any] = {
         **grid.attrs,
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
@@ -417,8 +423,7 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         "lag": options.lag,
         "extent": json.dumps(lengths) if lengths else None,
     }
-    choices |= {name: value for name, value in given.items() if value is not None}
-    return with_setup(result.assign_attrs(provenance(scene, call) | choices))
+    return choices | {name: value for name, value in given.items() if value is not None}
 
 
 def about(row: Field, system: str) -> dict[str, str]:

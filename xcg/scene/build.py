@@ -14,7 +14,7 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
-from xcg.scene.facts import with_setup
+from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
@@ -95,7 +95,8 @@ def to_dataset(
         **({"sides": setup.sides} if "contact_i" in data else {}),
         **measured,
     }
-    return mark_measured(storable(with_setup(xr.Dataset(data, coords, about))))
+    coords[SETUP] = setup_of(about)
+    return mark_measured(storable(xr.Dataset(data, coords, about)))
 
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:

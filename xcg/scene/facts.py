@@ -8,13 +8,13 @@ with every variable, refuses to merge unequal ones, and joins unequal ones to a 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, plain
 
 SETUP = "setup"
 # attributes of a scene that numbers depend on, without those that follow from its variables
@@ -54,15 +54,20 @@ OF_RESULTS = (
 )
 
 
-def with_setup(ds: xr.Dataset) -> xr.Dataset:
-    """Return the Dataset with the coordinate `setup`, made from its attributes."""
-    facts = {name: ds.attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in ds.attrs}
+def setup_of(attrs: Mapping[Any, Any]) -> xr.Variable:
+    """Return the coordinate `setup` of a Dataset with these attributes."""
+    facts = {name: attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in attrs}
     if facts.get("size") not in ("d50", "dmax"):
         facts.pop("size_diameter", None)  # d43 and d32 are those of each node
     text = json.dumps({name: np.asarray(value).tolist() for name, value in facts.items()})
     about = {"long_name": "attributes that hold for all steps, as JSON"}
     # Zarr 3 specifies no text of fixed length
-    return ds.assign_coords({SETUP: xr.Variable((), text, about, {"dtype": object})})
+    return xr.Variable((), text, about, {"dtype": object})
+
+
+def with_setup(ds: xr.Dataset) -> xr.Dataset:
+    """Return the Dataset with the coordinate `setup` made anew, after its attributes were changed."""
+    return ds.assign_coords({SETUP: setup_of(ds.attrs)})
 
 
 def with_facts(ds: xr.Dataset) -> xr.Dataset:
@@ -73,12 +78,13 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If parts with different facts were joined.
+        If parts with different facts were joined, or the coordinate is something else.
     """
     if SETUP not in ds.coords:
         return ds
-    texts = dict.fromkeys(np.ravel(ds.coords[SETUP].to_numpy()).tolist())
-    parts = [json.loads(text) for text in texts if isinstance(text, str)]
+    parts = [
+        _facts_of(text) for text in dict.fromkeys(np.ravel(ds.coords[SETUP].to_numpy()).tolist())
+    ]
     if len(parts) > 1:
         raise SceneError(
             f"parts that differ were joined: {_differences(parts)}. Fields and averages need parts of one kind: take "
@@ -86,6 +92,20 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
         )
     lost = {name: value for part in parts for name, value in part.items() if name not in ds.attrs}
     return ds.assign_attrs(lost) if lost else ds
+
+
+def _facts_of(text: Any) -> dict[str, Any]:
+    """Return the facts that a value of the coordinate holds."""
+    try:
+        facts = json.loads(text)
+    except (TypeError, ValueError):  # of values that are no text, and of other texts
+        facts = None
+    if not isinstance(facts, dict):
+        raise SceneError(
+            f"the coordinate {SETUP!r} holds {plain(text)}, expected the JSON object that xcg writes: leave it out, "
+            f"ds.drop_vars({SETUP!r}), or give a coordinate of your own another name"
+        )
+    return facts
 
 
 def _differences(parts: Sequence[dict[str, Any]]) -> str:

@@ -346,8 +346,9 @@ def _is_contradicted(frame: Frame, some: slice, setup: Setup) -> bool:
     is_one = abs(depth / setup.scales[0] - 1) < _SAME
     if np.std(thickness) < _SAME * depth and (varied or is_one):
         warn_user(
-            f"masses fit discs of thickness {depth:.4g}, m = rho pi r^2 times that, and volumes are other ones "
-            f"({numbers}): give shape='disc', thickness={depth:.4g} and dimension=2"
+            f"masses fit discs of thickness {depth:.4g}, m = rho pi r^2 times that, and volumes do not ({numbers}): "
+            f"give shape='disc' and thickness={depth:.4g}"
+            + (" and dimension=2" if setup.dimension == 3 else "")
         )
     else:
         warn_user(
