@@ -62,7 +62,7 @@ def to_dataset(
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
-    coords = {
+    coords: dict[str, Any] = {
         "time": (
             "time",
             np.asarray(time, float),
