@@ -245,7 +245,7 @@ def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         how: dict[str, Any] = {
             name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over
         }
-        how |= dict.fromkeys(layout.still, packed)
+        how |= dict.fromkeys(layout.constant, packed)
         # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
         how |= {
             str(name): {"dtype": "S1"}
@@ -373,7 +373,7 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
         packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
         how = {"compressors": packed, "chunk_key_encoding": _KEYS}
         each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
-        each |= {name: {"compressors": packed} for name in layout.still}
+        each |= {name: {"compressors": packed} for name in layout.constant}
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", _NOT_STANDARD)

@@ -99,14 +99,13 @@ class StoreLayout:
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
         # at once, as one task computes all fields of a step
         ds = ds.assign(dask.compute(rest)[0])
-        still = {
-            str(name): data.variable
-            for name, data in ds.data_vars.items()
-            if name not in over and data.dtype.kind == "f"
-        }
-        ds = ds.assign(
-            {n: v.copy(data=encoding.reduced(v.to_numpy(), n)) for n, v in still.items()}
-        )
+        constant = [
+            str(n) for n, v in ds.data_vars.items() if n not in over and v.dtype.kind == "f"
+        ]
+        for name in constant:
+            values = ds.variables[name]
+            reduced = encoding.reduced(values.to_numpy(), name)
+            ds = ds.assign({name: values.copy(data=reduced)})
         ds = _aligned(ds, over)
         chunks = (
             ds.variables[name].chunksizes["time"][0]
@@ -119,12 +118,12 @@ class StoreLayout:
         return layout if together is None else replace(layout, steps=together(layout))
 
     @property
-    def still(self) -> list[str]:
-        """Names of the other arrays of numbers, which are written at once."""
+    def constant(self) -> list[str]:
+        """Names of the other arrays of numbers, which have no time and are written at once."""
         return [
             str(name)
             for name, data in self.ds.data_vars.items()
-            if name not in self.over and data.dtype.kind in "biufc" and data.size > 1
+            if name not in self.over and data.dtype.kind in "biufc" and data.ndim
         ]
 
     @property
