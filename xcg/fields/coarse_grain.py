@@ -350,6 +350,8 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
     length = units_in("m", system)
     # those of the scene may be changed in place
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
+    facts = provenance(scene, call) | _choices(plan)
+    coords[SETUP] = setup_of(facts)
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {
@@ -384,8 +386,6 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         if lacking := [variable for variable in ROTATION if variable in taken - {*plan.variables}]:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
-    facts = provenance(scene, call) | _choices(plan)
-    coords[SETUP] = setup_of(facts)
     result = storable(xr.Dataset(data, coords, facts))
     return with_phase_labels(result) if plan.deposit.by else result
 
@@ -418,7 +418,6 @@ def _choices(plan: Plan) -> dict[str, Any]:
         else "".join(COMPONENTS[k] for k in options.shear_axes),
         "fluid_viscosity": options.fluid_viscosity,
         "friction": options.friction,
-        "by": plan.deposit.by,
         "size_diameter": options.diameter,
         "lag": options.lag,
         "extent": json.dumps(lengths) if lengths else None,

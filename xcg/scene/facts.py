@@ -46,7 +46,6 @@ OF_RESULTS = (
     "averaged_axes",
     "wrapped_axes",
     "extent",
-    "by",
     "fluid_viscosity",
     "friction",
     "lag",
