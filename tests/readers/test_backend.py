@@ -109,7 +109,7 @@ def test_options_and_drop_variables_are_taken(files):
         files,
         reader="mfix",
         drop_variables=["velocity", "nothing"],
-        density=100.0,
+        density=2500.0,
         gravity=(0, 0, -9.81),
     )
     assert "velocity" not in ds

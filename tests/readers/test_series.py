@@ -537,7 +537,9 @@ def test_variables_of_files_take_precedence_over_density(tmp_path, column):
         tmp_path / "p.dump",
         dump_text(["1 1 5 2 7", "2 2 6 2 7", "3 4 5 2 7"], f"id x y radius {column}"),
     )
-    with_it, without = (open_scene(path, **given).compute() for given in ({"density": 2.0}, {}))
+    with pytest.warns(SceneWarning, match="density=2 is not used"):
+        with_it = open_scene(path, density=2.0).compute()
+    without = open_scene(path).compute()
     for name in ("mass", "density"):
         np.testing.assert_array_equal(with_it[name], without[name])
     np.testing.assert_array_equal(with_it[column], 7.0)

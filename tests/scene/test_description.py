@@ -89,7 +89,7 @@ def opened(tmp_path):
             tmp_path / f"p.{step}.dump",
             dumps.dump_text(columns=dumps.ATOMS.replace(" x ", " x "), step=step),
         )
-    return xcg.open_scene(str(tmp_path / "p.*.dump"), units="SI", density=2.0, gravity=(0, 0, -9.81), names={"vx": None,
+    return xcg.open_scene(str(tmp_path / "p.*.dump"), units="SI", gravity=(0, 0, -9.81), names={"vx": None,
                           "vy": None, "vz": None})  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def test_names_in_files_are_made_printable(tmp_path):
     codes = "c_\x1b[31m"
     dumps.write(tmp_path / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" vx ", f" {codes} ")
                 .replace(" vy ", " c_2 ").replace(" vz ", " c_3 "), step=10))  # fmt: skip
-    ds = xcg.open_scene(tmp_path / "p.10.dump", units="SI", density=2.0)
+    ds = xcg.open_scene(tmp_path / "p.10.dump", units="SI")
     for text in (repr(ds.cg), ds.cg._repr_html_()):
         assert r"c_\x1b[31m" in text
         assert all(c.isprintable() or c == "\n" for c in text)

@@ -17,6 +17,7 @@ from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, wi
 from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
 from xcg.scene.description import Summary, rows_of_origin
+from xcg.scene.facts import require_facts
 from xcg.scene.frame import particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
@@ -97,14 +98,20 @@ def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -
     Raises
     ------
     SceneError
-        If it lacks ``chain_id`` or ``link_chain``, or parts of it; the message says what to do.
+        If it lacks ``chain_id`` or ``link_chain``, parts of it, or its attributes; the message says what to do.
     """
     missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
     if missing:
         raise SceneError(
             f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
         )
-    full = result_sizes(fc.sizes.get("particle", 1), 0, int(fc.attrs.get("min_length", 3)))
+    require_facts(
+        fc,
+        ("periodic", "dimension", "min_length"),
+        "this result of force_chains",
+        "or call force_chains again",
+    )
+    full = result_sizes(fc.sizes.get("particle", 1), 0, int(fc.attrs["min_length"]))
     given = {dim: fc.sizes.get(dim, full[dim]) for dim in full}
     part = {"chain": given["chain"] < full["chain"], "length": given["length"] != full["length"]}
     if any(part[dim] for dim in whole):

@@ -29,6 +29,7 @@ from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
+from xcg.scene.facts import with_setup
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import is_lazy, shown
 
@@ -134,7 +135,7 @@ def with_accessible(
     if request.per is not None:
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
-        f = per.assign_attrs(per="accessible", per_note=note)
+        f = with_setup(per.assign_attrs(per="accessible", per_note=note))
     wanted = plan.fields if request.for_averages else plan.asked
     return (
         f[list(wanted)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -30,6 +31,7 @@ from xcg.fields.sums.nodes import Block
 from xcg.scene.bodies import group_bodies
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, describe
+from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import steps_in, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Frame, units_in
@@ -348,6 +350,8 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
     length = units_in("m", system)
     # those of the scene may be changed in place
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
+    facts = provenance(scene, call) | _choices(plan)
+    coords[SETUP] = setup_of(facts)
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {
@@ -382,10 +386,14 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
         if lacking := [variable for variable in ROTATION if variable in taken - {*plan.variables}]:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
-    result = storable(xr.Dataset(data, coords))
-    if plan.deposit.by:
-        result = with_phase_labels(result)
-    choices = {
+    result = storable(xr.Dataset(data, coords, facts))
+    return with_phase_labels(result) if plan.deposit.by else result
+
+
+def _choices(plan: Plan) -> dict[str, Any]:
+    """Return the options of a plan as attributes of its result."""
+    options, grid = plan.options, plan.deposit.grid
+    choices: dict[str, Any] = {
         **grid.attrs,
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
@@ -403,16 +411,18 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
             a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
         ),
     }
+    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
     given: dict[str, Any] = {
         "shear_dims": None
         if options.shear_axes is None
         else "".join(COMPONENTS[k] for k in options.shear_axes),
         "fluid_viscosity": options.fluid_viscosity,
+        "friction": options.friction,
         "size_diameter": options.diameter,
         "lag": options.lag,
+        "extent": json.dumps(lengths) if lengths else None,
     }
-    choices |= {name: value for name, value in given.items() if value is not None}
-    return result.assign_attrs(provenance(scene, call) | choices)
+    return choices | {name: value for name, value in given.items() if value is not None}
 
 
 def about(row: Field, system: str) -> dict[str, str]:

@@ -116,6 +116,11 @@ def scene_from_table(
             f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
             "names={'column': None}"
         )
+    if options.get("density") is not None and "density" in given:
+        warn_user(
+            f"density={options['density']!r} is not used, as the tables hold 'density': leave the argument out, or "
+            "drop the column, names={'density': None}"
+        )
     refs = {
         what: [StepRef(what, len(table), columns=tuple(table.columns))]
         for what, table in tables.items()

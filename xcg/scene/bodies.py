@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
+from xcg.scene.facts import SETUP
 from xcg.scene.frame import measure, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
@@ -109,7 +110,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}
     attrs["history"] = f"{attrs['history']}\n{line}" if "history" in attrs else line
     grouped = xr.Dataset(
-        data, {n: ds[n] for n in ("time", "step", "component") if n in ds.coords}, attrs
+        data, {n: ds[n] for n in ("time", "step", "component", SETUP) if n in ds.coords}, attrs
     )
     return measure(grouped) if grouped.chunks == {} else grouped
 

@@ -14,6 +14,7 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
+from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
@@ -61,7 +62,7 @@ def to_dataset(
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
-    coords = {
+    coords: dict[str, Any] = {
         "time": (
             "time",
             np.asarray(time, float),
@@ -94,6 +95,7 @@ def to_dataset(
         **({"sides": setup.sides} if "contact_i" in data else {}),
         **measured,
     }
+    coords[SETUP] = setup_of(about)
     return mark_measured(storable(xr.Dataset(data, coords, about)))
 
 

@@ -18,6 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once, SceneError, did_you_mean
+from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -29,6 +30,10 @@ from xcg.scene.schema import (
     variable,
 )
 
+_OF_ATTRIBUTES = (
+    "or give them, ds.assign_attrs(periodic='xy', dimension=3); join scenes with combine_attrs='override', and build "
+    "scenes from arrays by xcg.scene_from_arrays"
+)
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 
 P = ParamSpec("P")
@@ -154,10 +159,13 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If components are missing, or a variable has dimensions that a scene does not give it.
+        If components are missing, a variable has dimensions that a scene does not give it, attributes are lost, or
+        scenes with different ones were joined.
     """
     if "position" not in ds or "particle_id" not in ds:
         return ds
+    ds = with_facts(ds)
+    require_facts(ds, ("periodic", "dimension"), "the scene", _OF_ATTRIBUTES)
     renamed = _renamed(ds)
     scene = ds.swap_dims(renamed) if renamed else ds
     if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:

@@ -259,11 +259,12 @@ _OFF = 0.1  # largest distance of the ends in a file from the centres, in branch
 
 _SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
 _MOST_FILLED = 100.0  # grains in the cube of a diameter, also of glued ones that overlap
+_DIGITS = 5e-3  # error of products of masses, sizes and densities of three digits
 _VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
 
 
 def check_sizes(frame: Frame, setup: Setup) -> None:
-    """Warn when grains do not fit into the space that they are in, and when discs are read as spheres.
+    """Warn when sizes, masses and densities contradict each other, the space that grains are in, or `density=`.
 
     Parameters
     ----------
@@ -281,9 +282,12 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
                 f"{' x '.join(f'{length:.3g}' for length in extent)}, where they do not fit: are the units of radius "
                 "and position the same?"
             )
-    if setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
-        return
     some = _sample(len(frame["position"]))
+    _check_density(frame, some, setup)
+    if not {"mass", "diameter", "volume"} <= set(frame):
+        return
+    if _is_contradicted(frame, some, setup) or setup.shape != "sphere":
+        return
     d, mass, volume = (
         np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume")
     )
@@ -299,6 +303,59 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
             "those of spheres: give shape='disc' and thickness="
             + (" and dimension=2" if setup.dimension == 3 else "")
         )
+
+
+def _check_density(frame: Frame, some: slice, setup: Setup) -> None:
+    """Warn where density= was given, and the data hold masses or densities, which count, and are others."""
+    if setup.density is None:
+        return
+    if "density" not in frame:
+        if "mass" in frame:
+            warn_user(
+                f"density={setup.density:g} is not used, as the data hold masses and no sizes: leave it out, or give "
+                "diameter= or a column of sizes"
+            )
+        return
+    density = frame["density"][some]
+    if len(density) and np.abs(density / setup.density - 1).max() > _DIGITS:
+        warn_user(
+            f"density={setup.density:g} is not used, as the data hold masses or densities (densities are "
+            f"{density.min():.6g} to {density.max():.6g}): leave it out, or drop these columns, "
+            "names={'mass': None, 'density': None}"
+        )
+
+
+def _is_contradicted(frame: Frame, some: slice, setup: Setup) -> bool:
+    """Warn where masses, densities and volumes that the data hold contradict each other; return whether they do."""
+    mass, volume, density, d = (
+        np.asarray(frame[name][some], float) for name in ("mass", "volume", "density", "diameter")
+    )
+    ratio = mass / (density * volume)
+    wrong = np.flatnonzero((np.abs(ratio - 1) > _DIGITS) & (mass > 0))
+    if not wrong.size:
+        return False
+    row = wrong[0]
+    numbers = (
+        f"{wrong.size} of {len(mass)} particles looked at, such as id {frame['particle_id'][some][row]}: mass "
+        f"{mass[row]:.6g}, density {density[row]:.6g}, diameter {d[row]:.6g}, volume {volume[row]:.6g}"
+    )
+    thickness = mass / (density * np.pi / 4 * d**2)
+    depth = thickness.mean()
+    varied = np.std(d) > _VARIED * np.mean(d)
+    # of equal grains only the thickness of 1 tells discs, which two-dimensional simulations have
+    is_one = abs(depth / setup.scales[0] - 1) < _SAME
+    if np.std(thickness) < _SAME * depth and (varied or is_one):
+        warn_user(
+            f"masses fit discs of thickness {depth:.4g}, m = rho pi r^2 times that, and volumes do not ({numbers}): "
+            f"give shape='disc' and thickness={depth:.4g}"
+            + (" and dimension=2" if setup.dimension == 3 else "")
+        )
+    else:
+        warn_user(
+            f"masses are not density times volume ({numbers}): check the units of these columns, or drop one of them, "
+            "such as names={'density': None}"
+        )
+    return True
 
 
 def _sample(rows: int) -> slice:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled.arrays import round_bits
 
 _MANTISSA = {4: 23, 8: 52}  # bits, by the bytes of a number
@@ -74,22 +75,40 @@ class Encoding:
         """Type on disk of numbers of a type."""
         return np.dtype(self.dtype) if self.dtype and dtype.kind == "f" else dtype
 
-    def reduced(self, values: NDArray) -> NDArray:
-        """Numbers in their type on disk, rounded to the digits that are kept.
+    def reduced(self, values: NDArray, name: str = "") -> NDArray:
+        """Numbers in their type on disk, rounded to the digits that are kept; `name` is the variable's, for messages.
 
         The relative error of rounding is at most ``0.5 * 10**-digits``, or that of single precision where it is larger:
         ``ceil(digits * log2(10))`` bits of the mantissa are kept (one more for six digits in single precision), and the
         rest is rounded to nearest even. NaN and infinity stay what they are.
+
+        Raises
+        ------
+        SceneError
+            If a finite number is beyond the range of the type.
         """
         kind = self.type_of(values.dtype)
         if values.dtype.kind != "f" or (kind == values.dtype and self.digits is None):
             return values
-        out = np.array(values, dtype=kind, order="C", copy=True)
+        with np.errstate(over="ignore"):
+            out = np.array(values, dtype=kind, order="C", copy=True)
         bits = self.digits and _bits(self.digits, twice=kind.itemsize < values.itemsize)
         if bits and (drop := _MANTISSA[kind.itemsize] - bits) > 0:
             whole = np.dtype(f"u{kind.itemsize}")
             special = np.array(np.inf, kind).view(whole)[()]
             round_bits(out.reshape(-1).view(whole), whole.type(drop), special)
+        infinite = np.isinf(out)
+        if infinite.any():
+            changed = infinite & np.isfinite(values)
+            with np.errstate(over="ignore"):
+                unrounded = values[changed].astype(kind)
+            beyond = values[changed][np.isinf(unrounded)]
+            if beyond.size:
+                raise SceneError(
+                    f"{repr(name) if name else 'a variable'} holds {beyond[0]:g}, beyond the range of {kind} (up to "
+                    f"{np.finfo(kind).max:.3g}): save it with dtype='float64', or convert it to other units"
+                )
+            out[changed] = unrounded  # rounding carried these beyond the range
         return out
 
     def noted(self, ds: xr.Dataset) -> xr.Dataset:
@@ -98,11 +117,7 @@ class Encoding:
             return ds
         error = max(0.5 * 10.0**-self.digits, _SINGLE if self.dtype == "float32" else 0.0)
         note = f"rounded to {self.digits} significant digits: relative error of at most {error:.2g}"
-        floats = {
-            name: data
-            for name, data in ds.data_vars.items()
-            if data.dtype.kind == "f" and "time" in data.dims
-        }
+        floats = {name: data for name, data in ds.data_vars.items() if data.dtype.kind == "f"}
         return ds.assign({name: data.assign_attrs(precision=note) for name, data in floats.items()})
 
 

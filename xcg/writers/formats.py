@@ -96,7 +96,9 @@ class Hdf5Store:
         self, array: StoredArray, values: NDArray
     ) -> NDArray | list[tuple[tuple[int, ...], Any]]:
         """Bytes of whole chunks and their places; values as they are where the library has to convert them."""
-        values = self.encoding.reduced(values if array.values is None else array.values(values))
+        values = self.encoding.reduced(
+            values if array.values is None else array.values(values), array.variable
+        )
         values = values.view("i1") if values.dtype.kind == "b" else values
         if values.dtype.kind not in "fiu" or not values.dtype.isnative:
             return values
@@ -243,6 +245,7 @@ def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         how: dict[str, Any] = {
             name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over
         }
+        how |= dict.fromkeys(layout.constant, packed)
         # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
         how |= {
             str(name): {"dtype": "S1"}
@@ -345,7 +348,7 @@ class _Zarr:
 
         group = None
         for name, given in parts.items():
-            ready = [self.encoding.reduced(values) for values in given]
+            ready = [self.encoding.reduced(values, name) for values in given]
             if name in self.plain:
                 self.plain[name].write(self.path / name, ready, steps.start)
                 continue
@@ -370,6 +373,7 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
         packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
         how = {"compressors": packed, "chunk_key_encoding": _KEYS}
         each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
+        each |= {name: {"compressors": packed} for name in layout.constant}
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", _NOT_STANDARD)

@@ -33,6 +33,8 @@ from xcg.writers.files import (
 )
 from xcg.writers.vtkhdf import Image, arrays_of, checked, times_of, with_components
 
+_AS_THEY_ARE = Encoding()
+
 
 def write_pvd(
     ds: xr.Dataset,
@@ -63,15 +65,15 @@ def write_pvd(
 
         def write(step: xr.Dataset, file: Path) -> None:
             write_by_vtk(
-                vtkXMLImageDataWriter(), image_of(step, encoding.reduced), file, overwrite=overwrite
+                vtkXMLImageDataWriter(), image_of(step, encoding), file, overwrite=overwrite
             )
             bar.update()
 
         write_series(fields, path, ".vti", write, overwrite=overwrite)
 
 
-def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarray) -> Any:
-    """Return the fields of a step, in memory, as vtkImageData with units; `reduced` is called on all values."""
+def image_of(step: xr.Dataset, encoding: Encoding = _AS_THEY_ARE) -> Any:
+    """Return the fields of a step, in memory, as vtkImageData with units."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkDataArray
     from vtkmodules.vtkCommonDataModel import vtkImageData
@@ -82,7 +84,8 @@ def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarra
     image.SetSpacing(frame.spacing)
     for array in arrays_of(step):
         data = step[array.variable]
-        values = reduced(np.asarray(array.values(data.variable, frame)))
+        values = np.asarray(array.values(data.variable, frame))
+        values = encoding.reduced(values, array.variable)
         found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
         found.SetName(array.name)
         rank = len({"component", "direction"} & {*data.dims})

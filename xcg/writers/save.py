@@ -14,7 +14,7 @@ from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
 from xcg.writers.paraview import write_pvd
 from xcg.writers.store import Format, write_file
-from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
+from xcg.writers.vtkhdf import VTKHDF, to_vtkhdf
 
 
 class Writer(Protocol):
@@ -68,7 +68,7 @@ def register_writer(suffix: str, write: Writer) -> None:
 
     >>> import xcg
     >>> def write_csv(ds, path, encoding, *, overwrite):
-    ...     ds.squeeze().to_dataframe().to_csv(path)
+    ...     ds.squeeze().reset_coords(drop=True).to_dataframe().to_csv(path)
     >>> xcg.register_writer(".csv", write_csv)
     """
     if not suffix.startswith(".") or len(suffix) < 2:
@@ -145,12 +145,14 @@ def save(
     ImportError
         If Zarr is not installed.
     SceneError
-        If the file to resume was begun for another scene or by another call; the message says what differs.
+        If the file to resume was begun for another scene or by another call; the message says what differs. If a
+        finite number is beyond the range of `dtype`; the message names the variable.
     TypeError
         If variables are quantities of pint.
     ValueError
-        If the name ends otherwise, `resume` is asked for in another format, or `dtype`, `digits` or `compression` is
-        none of those above.
+        If the name ends otherwise, `resume` is asked for in another format, `dtype`, `digits` or `compression` is
+        none of those above, or the format does not take it: chains in VTKHDF take none of the three, ``*.pvd`` takes no
+        `compression`.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
@@ -167,15 +169,20 @@ def save(
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]
-    if writer is VTKHDF and "chain_id" in ds:
-        writer = write_vtkhdf
-    if isinstance(writer, Format):
-        write_file(
-            ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress
-        )
-    elif resume:
+    of_chains = writer is VTKHDF and "chain_id" in ds
+    if writer is write_pvd and compression is not None:
+        raise ValueError(f"{path}: VTK chooses the compression of images; leave out compression=")
+    if resume and (of_chains or not isinstance(writer, Format)):
         raise ValueError(
             f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
+        )
+    if of_chains:
+        to_vtkhdf(
+            ds, path, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression
+        )
+    elif isinstance(writer, Format):
+        write_file(
+            ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress
         )
     else:
         writer(

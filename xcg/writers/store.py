@@ -97,9 +97,16 @@ class StoreLayout:
         ]
         ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
-        ds = _aligned(
-            ds.assign(dask.compute(rest)[0]), over
-        )  # at once, as one task computes all fields of a step
+        # at once, as one task computes all fields of a step
+        ds = ds.assign(dask.compute(rest)[0])
+        constant = [
+            str(n) for n, v in ds.data_vars.items() if n not in over and v.dtype.kind == "f"
+        ]
+        for name in constant:
+            values = ds.variables[name]
+            reduced = encoding.reduced(values.to_numpy(), name)
+            ds = ds.assign({name: values.copy(data=reduced)})
+        ds = _aligned(ds, over)
         chunks = (
             ds.variables[name].chunksizes["time"][0]
             for name in over
@@ -109,6 +116,15 @@ class StoreLayout:
             ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1)))
         )
         return layout if together is None else replace(layout, steps=together(layout))
+
+    @property
+    def constant(self) -> list[str]:
+        """Names of the other arrays of numbers, which have no time and are written at once."""
+        return [
+            str(name)
+            for name, data in self.ds.data_vars.items()
+            if name not in self.over and data.dtype.kind in "biufc" and data.ndim
+        ]
 
     @property
     def lazy(self) -> list[str]:

@@ -86,6 +86,12 @@ def to_vtkhdf(
         If the fields do not form an image: unknown dimensions, nodes that are not evenly spaced, no time
         steps, or values that are not numbers.
     """
+    options = {"dtype": dtype, "digits": digits, "compression": compression}
+    given = [f"{name}=" for name, value in options.items() if value is not None]
+    if given and "chain_id" in fields:
+        raise ValueError(
+            f"{path}: chains in VTKHDF are written as they are; leave out {', '.join(given)}, or save as .nc or .zarr"
+        )
     encoding = Encoding.of(fields, dtype, digits, compression)
     write_vtkhdf(fields, Path(path), encoding, overwrite=overwrite)
     return Path(path)
@@ -332,7 +338,8 @@ def _lay_out(
         target = data.create_dataset(array.name, shape, dtype, chunks=chunk, **packed)
         _describe(target, fields[array.variable].attrs)
         if array.variable not in layout.over:
-            target[...] = encoding.reduced(array.values(fields[array.variable].variable, image))
+            values = array.values(fields[array.variable].variable, image)
+            target[...] = encoding.reduced(values, array.variable)
     if image.times is not None:
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = len(image.times)

@@ -214,7 +214,9 @@ def test_arguments_do_not_repeat_columns(name):
         xcg.SceneError, match=f"{name}= is given, and the tables hold '{name}', too"
     ):
         xcg.scene_from_table(table, **{name: [[7.0], [7.0]]})
-    ds = xcg.scene_from_table(table, **{name: None}, density=5.0, velocity=[[[1.0, 0, 0]]] * 2)
+    options = {name: None, "density": 5.0, "velocity": [[[1.0, 0, 0]]] * 2}
+    with pytest.warns(xcg.SceneWarning, match="density=5 is not used"):
+        ds = xcg.scene_from_table(table, **options)
     assert (ds.mass == 1).all()
     assert (ds.velocity[:, :, 0] == 1).all()
 

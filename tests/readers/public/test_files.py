@@ -161,7 +161,7 @@ def write_vtk_pieces(folder):
 @pytest.mark.parametrize("chunks", [None, 1])
 def test_pieces_of_a_step_are_one_step(tmp_path, write_pieces, chunks):
     write_pieces(tmp_path)
-    scene = xcg.open_scene(f"{tmp_path}/piece*", density=1, units="SI", chunks=chunks)
+    scene = xcg.open_scene(f"{tmp_path}/piece*", units="SI", chunks=chunks)
     np.testing.assert_array_equal(scene.step, [0, 1000])
     np.testing.assert_array_equal(scene.particle_id, [[1, 3, 4]] * 2)
     np.testing.assert_array_equal(scene.position[..., 0], [[1, 3, 4]] * 2)

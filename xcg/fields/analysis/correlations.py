@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
+from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import evenly_spaced, require_steps, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call, provenance
@@ -44,6 +45,8 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
 
     Raises
     ------
+    SceneError
+        If results of different options were joined, or the result has lost its options.
     ValueError
         If a field is not in the result, the two have other dimensions, or no axis is resolved by two nodes or more at
         equal distances.
@@ -63,8 +66,10 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    f, other = with_time(f), name if other is None else other
+    f, other = with_facts(with_time(f)), name if other is None else other
     require_steps(f, "spatial_correlation")
+    way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
+    require_facts(f, ("wrapped_axes",), "this result", way_out)
     a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
     if set(a.dims) != set(b.dims):
         raise ValueError(
@@ -77,7 +82,7 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         )
     spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
     wraps = [
-        axis in str(f.attrs.get("wrapped_axes", ""))
+        axis in str(f.attrs["wrapped_axes"])
         and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
         for axis, size in (
             (axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True)
@@ -156,7 +161,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     Raises
     ------
     SceneError
-        If the steps are not at equal distances.
+        If the steps are not at equal distances, or results of different options were joined.
     ValueError
         If the field is not in the result, there are fewer than three steps, or the lag is out of range.
 
@@ -165,7 +170,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     The mean that is subtracted is that of the series, so that C is too low by about twice the correlation time over the
     length of the series.
     """
-    f = with_time(f)
+    f = with_facts(with_time(f))
     a = _field_of(f, name, "time_correlation")
     steps = a.sizes.get("time", 1)
     if steps < 3:

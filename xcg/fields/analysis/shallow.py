@@ -16,6 +16,7 @@ from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
+from xcg.scene.facts import with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
@@ -51,6 +52,8 @@ def free_surface(
 
     Raises
     ------
+    SceneError
+        If results of different options were joined.
     ValueError
         If the axis is not resolved, the field is not there, or the threshold is not between 0 and 1.
 
@@ -61,6 +64,7 @@ def free_surface(
     >>> free_surface(f).height.dims
     ('time', 'x')
     """
+    f = with_facts(f)
     if of not in f:
         raise ValueError(
             f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}"

@@ -23,6 +23,7 @@ from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
 from xcg.scene.description import Description, describe
+from xcg.scene.facts import SETUP
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Setup, Variable, units_in
@@ -127,8 +128,8 @@ def flow_rate(
         )
     found = {f"{one}_flow_rate": _rate(flux, one, scene) for one in wanted}
     result = xr.Dataset(found).drop_vars(
-        [*COMPONENTS, "direction"], errors="ignore"
-    )  # where the plane is
+        [*COMPONENTS, "direction", SETUP], errors="ignore"
+    )  # where the plane is, and the options of fields
     return result.assign_attrs(
         provenance(ds, call),
         kernel=smooth.name,

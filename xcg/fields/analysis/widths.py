@@ -22,6 +22,7 @@ from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
+from xcg.scene.facts import SETUP, with_setup
 from xcg.steps.labels import provenance
 
 if TYPE_CHECKING:
@@ -142,12 +143,14 @@ def _join_widths(
 ) -> xr.Dataset:
     """Coarse-grain a prepared scene with each of the widths (m): fields with the dimension width."""
     along = xr.Variable("width", widths, {"long_name": "width of the kernel"})
-    joined = xr.concat([answer(ds, ask(width=width)) for width in widths], along, join="override")
+    # their setups differ in the width, which becomes a dimension
+    fields = [answer(ds, ask(width=width)).drop_vars(SETUP) for width in widths]
+    joined = xr.concat(fields, along, join="override")
     joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
     joined.attrs = {
         name: value for name, value in joined.attrs.items() if name not in ("width", "cutoff")
     }
-    return joined
+    return with_setup(joined)
 
 
 def _with_nodes(

@@ -23,6 +23,7 @@ from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.fields.sums.kernels import Kernel, kernel_of
 from xcg.scene.conform import in_order, labels_along
+from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import SKIPPED
@@ -59,10 +60,12 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
 
     Raises
     ------
+    SceneError
+        If results of different options were joined, or the result has lost its options.
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
-    f, noise = _without_noise(f)
+    f, noise = _without_noise(with_facts(f))
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
@@ -111,10 +114,12 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
 
     Raises
     ------
+    SceneError
+        If results of different options were joined, or the result has lost its options.
     ValueError
         If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
     """
-    f, noise = _without_noise(with_time(f))
+    f, noise = _without_noise(with_facts(with_time(f)))
     if "time" not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
     count = f.sizes["time"]
@@ -131,7 +136,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
-        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
+        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE, errors="ignore")
     else:
         window = int(window)
         steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
@@ -356,6 +361,11 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         raise ValueError(
             f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
         )
+    anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
+    if anew:
+        required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
+        way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
+        require_facts(f, required, "this result", way_out)
     missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())

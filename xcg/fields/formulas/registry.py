@@ -29,6 +29,7 @@ from xcg.fields.formulas.rows import (
     rheology,
 )
 from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
+from xcg.scene.facts import SETUP
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
@@ -128,6 +129,7 @@ COORDINATES = (
     "time",
     "step",
     "skipped",
+    SETUP,
     *COMPONENTS,
     "phase",
     "other_phase",

@@ -90,6 +90,8 @@ _WITHOUT_EFFECT = (
     "size",
     "temperature",
     "fluid_viscosity",
+    "friction",
+    "by_pair",
     "errors",
     "for_averages",
 )
@@ -177,9 +179,9 @@ def translate(
     require_scene(scene.columns, (), "coarse_grain")
     own = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
     names = _choose(request.fields, possible_fields(scene, own))
-    if scene.cylindrical or any(
-        map(np.ndim, (request.at or {}).values())
-    ):  # which have no differences
+    points = any(map(np.ndim, (request.at or {}).values()))
+    if request.gradient == "finite_difference" and (scene.cylindrical or points):
+        # rings and points have no differences
         names = [name for name in names if request.fields is not None or name not in _GRADIENTS]
         if not set(names) & set(_GRADIENTS):
             own = replace(own, gradient="least_squares")

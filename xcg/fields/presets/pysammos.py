@@ -288,6 +288,9 @@ def translate(
         raise ValueError(
             "preset='pysammos': averages take fields under names of xcg; leave out preset= or for_averages="
         )
+    idle = request.changed(("fluid_viscosity", "friction"))
+    if idle:
+        raise ValueError(f"preset='pysammos': none of its fields depends on {idle}; leave them out")
     if clash:
         raise ValueError(
             f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
