@@ -144,7 +144,8 @@ def test_frozen_pairs_and_glued_pairs_are_left_out():
 
 def test_coincident_centres_have_no_normal():
     ds = xcg.scene_from_arrays(np.zeros((2, 3)), diameter=np.ones(2), density=1.0)
-    c = ds.cg.find_contacts(k_n=1.0)
+    with pytest.warns(xcg.SceneWarning, match="1 contacts join particles at the same position"):
+        c = ds.cg.find_contacts(k_n=1.0)
     assert c.overlap.item() == 1.0
     assert (c.contact_normal.values == 0).all()
     assert (c.contact_point.values == 0).all()
@@ -196,7 +197,9 @@ def test_padding_of_the_bound_changes_nothing():
 
 
 def test_too_many_contacts_raise_and_suggest_a_bound():
-    crowd = xcg.scene_from_arrays(np.zeros((20, 3)), diameter=np.ones(20), density=1.0)
+    crowd = xcg.scene_from_arrays(
+        np.random.default_rng(1).uniform(0, 0.1, (20, 3)), diameter=np.ones(20), density=1.0
+    )
     assert crowd.cg.find_contacts().sizes["contact"] == 190
     with pytest.raises(
         xcg.SceneError, match=r"step 0: 190 contacts .* than the 140 rows.*max_contacts=190"

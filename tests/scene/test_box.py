@@ -91,10 +91,10 @@ def test_finite_differences_at_the_edge_of_a_box_that_changed(t):
 def test_a_body_across_the_edge_of_a_box_that_shrinks(lazy):
     position = [[[0.1, 5, 5], [edge - 0.1, 5, 5]] for edge in (10.0, 8.0)]
     ds = xcg.scene_from_arrays(
-        position, diameter=np.ones((2, 2)), density=1.0, body_id=np.zeros((2, 2), int), periodic="x",
+        position, diameter=np.ones((2, 2)), density=1.0, clump=np.zeros((2, 2), int), periodic="x",
         box=[[[0, edge], [0, 10], [0, 10]] for edge in (10.0, 8.0)],
     )  # fmt: skip
-    bodies = (ds.chunk(time=1) if lazy else ds).cg.group_bodies().compute()
+    bodies = (ds.chunk(time=1) if lazy else ds).cg.group_bodies("clump").compute()
     np.testing.assert_allclose(bodies.position.values[:, 0], [[0, 5, 5]] * 2, atol=1e-12)
 
 

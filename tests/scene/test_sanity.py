@@ -128,7 +128,7 @@ def test_walls_and_unknown_partners_are_kept():
         "contact_j": [-1, -1, -2, -1, 8],
         "contact_force": [[0, 0, 1.0]] * 5,
     }
-    point = [[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0], [3.0, 0, 0], [0, 0, 0]]
+    point = [[0.0, 0, 0], [0, 0, 1e-5], [0, 0, 0], [3.0, 0, 0], [0, 0, 0]]
     ds = xcg.scene_from_arrays(**bodies, **wall, contact_point=point, allow_unknown=True)
     assert ds.contact_i.values.tolist() == [[0, 0, 1, 7]]
     assert ds.contact_j.values.tolist() == [[-1, -2, -1, 8]]

@@ -221,9 +221,9 @@ _share_of_i = inlined(share_of_i)
 def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, out):
     """Write the points (n, 3) where spheres touch, up to the first pair that needs a closer look; return its number.
 
-    Such a pair lacks a sphere; or touches in other images as well; or has a side that is half a period long, to a share
-    `hair` of that. Where branches (n, 3) were `seen`, images are those nearest to them, and a pair needs a closer look
-    if its branch is off by more than a share `same` of its length.
+    Such a pair lacks a sphere; or its centres coincide; or it touches in other images as well; or it has a side that is
+    half a period long, to a share `hair` of that. Where branches (n, 3) were `seen`, images are those nearest to them,
+    and a pair needs a closer look if its branch is off by more than a share `same` of its length.
     """
     for n in range(row_i.size):
         later = min(n + AHEAD, row_i.size - 1)
@@ -239,6 +239,8 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
         z = image_near(position[i, 2] - position[j, 2], near_z, period[2])
         length, radius_i, radius_j = _length(x, y, z), diameter[i] / 2, diameter[j] / 2
+        if length == 0.0:
+            return n
         if seen is None:
             reach = max(length, radius_i + radius_j) * (1 + hair)
             if (
@@ -251,7 +253,7 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
             near_x, near_y, near_z
         ):
             return n
-        share = _share_of_i(length if length > 0 else 1.0, radius_i, radius_j)
+        share = _share_of_i(length, radius_i, radius_j)
         for k, along in enumerate((x, y, z)):
             out[n, k] = position[i, k] - share * along
             side, half = position[i, k] - out[n, k], 0.5 * (1 - hair) * period[k]

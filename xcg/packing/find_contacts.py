@@ -18,6 +18,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import require_steps, stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame, Setup, variable
+from xcg.scene.spheres import warn_of_coincident
 from xcg.steps.labels import format_call, label
 from xcg.steps.mapping import is_lazy, map_over_time
 
@@ -138,6 +139,8 @@ class Search:
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
+        same = length == 0.0
+        warn_of_coincident(ids[i[same]], ids[j[same]], source)
         normal = unit_vectors(branch)
         overlap = radius[i] + radius[j] - length
         found = {
@@ -224,7 +227,8 @@ def find_contacts(
 
     Notes
     -----
-    The contact point lies at ``R_i - overlap / 2`` from the centre of i, the normal points from j to i. Source of the
+    The contact point lies at ``R_i - overlap / 2`` from the centre of i, the normal points from j to i. Where both
+    centres coincide, the normal and the force are zero, with a warning. Source of the
     method: Ogarko & Luding (2012); Shire, Hanley & Stratford (2020). Of Hertz contacts: Johnson (1985), eq. 4.22.
 
     Examples

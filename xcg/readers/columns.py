@@ -22,7 +22,7 @@ from xcg.readers.names import (
     PARTICLE_SLOTS,
     Slots,
     canonical,
-    canonical_columns,
+    columns_by_name,
     components,
     resembling,
 )
@@ -86,15 +86,14 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     displaced = tuple(
         rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in by_caller)
     )
-    named = canonical_columns(column for column in ref.columns if column not in mapped)
-    filled = {}
-    for slot, aliases in slots.items():
-        columns = [column for alias in aliases for column in named.get(canonical(alias), ())]
-        if slot in by_caller:
-            filled[slot] = by_caller[slot]
-        elif columns and not slot.startswith(displaced):
-            filled[slot] = columns[0]
-    return filled
+    free = [column for column in ref.columns if column not in mapped]
+    by_name = {
+        slot: column
+        for slot, column in columns_by_name(free, slots).items()
+        if not slot.startswith(displaced)
+    }
+    filled = by_name | by_caller
+    return {slot: filled[slot] for slot in slots if slot in filled}
 
 
 def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -> None:

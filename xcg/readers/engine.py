@@ -275,6 +275,10 @@ class Engine(ABC):
         """Names of what `read_contacts` returns; from the header where that is quicker than reading the step."""
         return list(self.read_contacts(ref, options))
 
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> Mapping[str, str]:
+        """Columns of the variables of `read_contacts` by their names, for messages; none by default."""
+        return {}
+
     def recover_periods(self, ref: StepRef, options: ReadOptions) -> Mapping[str, float]:
         """Length of the period along some axes from the contacts of a step, where files lack it."""
         return {}

@@ -254,7 +254,8 @@ class Source:
                     f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
                 )
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
-        return complete_particles(frame, self.setup, source_of(ref))
+        with self.once.active():
+            return complete_particles(frame, self.setup, source_of(ref))
 
     def contacts(
         self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame
@@ -266,20 +267,21 @@ class Source:
             if ref.size:
                 _check_unchanged(ref)
             raw = read_step(self.engine, self.options, ref, contacts=True)
-            if "wrapped_branch" in raw:
-                scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
-                with self.once.active():
+            columns = self.engine.contact_columns(ref, self.options) if "overlap" in raw else {}
+            with self.once.active():
+                if "wrapped_branch" in raw:
+                    scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
                     check_ends(raw, scaled, lattice.scaled(self.setup.scales[0]), source_of(ref))
-            parts.append(
-                complete_contacts(
+                part = complete_contacts(
                     raw,
                     particles,
                     lattice,
                     self.setup,
                     source_of(ref),
                     allow_unknown=self.allow_unknown,
+                    columns=columns,
                 )
-            )
+            parts.append(part)
             _require(parts[-1], names, ref)
             unread = self.engine.unread_forces(ref, self.options)
             if unread and is_central(parts[-1], particles, lattice):

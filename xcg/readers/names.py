@@ -186,6 +186,34 @@ _WHOLE_VECTORS = {slot: _PARTICLE_VECTORS[slot] for slot in ("velocity", "angula
 PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
 
 
+def columns_by_name(columns: Sequence[str], slots: Slots) -> dict[str, str]:
+    """Return the column of each slot that is called by one of its aliases, the preferred first.
+
+    All components of a vector are of one spelling, the one with the most components: ``wx`` beside
+    ``omega_z`` is something else.
+    """
+    named = canonical_columns(columns)
+    by_alias = {
+        slot: [named.get(canonical(alias), [""])[0] for alias in aliases]
+        for slot, aliases in slots.items()
+    }
+    filled = {}
+    for slot, found in by_alias.items():
+        vector, _, axis = slot.rpartition("_")
+        siblings = [by_alias.get(f"{vector}_{other}", []) for other in COMPONENTS]
+        places = [place for place, column in enumerate(found) if column]
+        if axis in COMPONENTS:
+            counts = [
+                sum(bool(place < len(other) and other[place]) for other in siblings)
+                for place in range(max(map(len, siblings), default=0))
+            ]
+            best = max(counts, default=0)
+            places = [place for place in places if place == counts.index(best)]
+        if places:
+            filled[slot] = found[places[0]]
+    return filled
+
+
 # --- names that resemble a variable ----------------------------------------------------------------
 
 # Words in the names of columns, whole or by their beginning ("veloc*").

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
-from xcg.common.messages import SceneError, did_you_mean, warn_user
+from xcg.common.messages import Once, SceneError, did_you_mean, warn_user
 from xcg.readers.columns import read_names, report_missing_ids, split_names
 from xcg.readers.engine import Engine, ReadOptions, StepRef, load_engine
 from xcg.readers.files.text import source_of
@@ -163,7 +163,8 @@ def open_scene(
     sides : {"mean", "first", "separate"}
         What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
         from f and points up to 0.15 of the smaller radius apart: one contact with the mean of both sides
-        (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
+        (default), or as the first row has it, with a warning; or two. Rows whose forces and points agree to 1e-4 are
+        always one; rows (i, j) in one order at different points always count each.
     missing : {"raise", "skip", "empty"}
         What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
@@ -208,7 +209,9 @@ def open_scene(
     SceneWarning
         If a step occurs twice with the same particles (the later one counts), steps are left out, a
         LAMMPS file does not name its units, files of contacts are of another box, or columns look
-        like forces or contacts with walls and are not read.
+        like forces or contacts with walls and are not read. If contacts contradict the positions
+        and radii of spheres (no force across a gap, a false overlap, a point off both surfaces), or
+        most particles are of one body; the message says what becomes of these.
 
     Notes
     -----
@@ -323,8 +326,10 @@ def open_scene(
         unit_system = units_of_headers(indexed) if units is None else units
         thickness = Setup.make(units=unit_system).scales[0]
     shape = shape or of_files.shape or "sphere"
+    once = Once()
     with (
-        tolerate()
+        tolerate(),
+        once.active(),
     ):  # steps that cannot be read stay in the scene; their faults are told when they are computed
         raw = _ends(
             reader,
@@ -390,6 +395,7 @@ def open_scene(
         setup,
         None if frozen is None else _frozen_species(frozen, raw),
         allow_unknown,
+        once,
     )
     ends = []
     for ref in list(raw):

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import SceneError, did_you_mean
+from xcg.common.messages import Once, SceneError, did_you_mean
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
@@ -210,7 +210,8 @@ def scene_from_arrays(
     sides : {"mean", "first", "separate"}
         What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
         from f and points up to 0.15 of the smaller radius apart: one contact with the mean of both sides
-        (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
+        (default), or as the first row has it, with a warning; or two. Rows whose forces and points agree to 1e-4 are
+        always one; rows (i, j) in one order at different points always count each.
     **variables
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
         ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
@@ -280,23 +281,24 @@ def scene_from_arrays(
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []
-    for t in range(total):
-        source = f"step {t}" if total > 1 else "scene"
-        particles.append(
-            complete_particles(
-                _prefix(steps, particle_names, "particle_id", t, source), setup, source
-            )
-        )
-        images = Lattice.of(
-            {name: values[t] for name, values in domain.items()}, setup.periodic, source
-        )
-        if contact_names:
-            frame = _prefix(steps, contact_names, "contact_i", t, source)
-            contacts.append(
-                complete_contacts(
-                    frame, particles[-1], images, setup, source, allow_unknown=allow_unknown
+    with Once().active():
+        for t in range(total):
+            source = f"step {t}" if total > 1 else "scene"
+            particles.append(
+                complete_particles(
+                    _prefix(steps, particle_names, "particle_id", t, source), setup, source
                 )
             )
+            images = Lattice.of(
+                {name: values[t] for name, values in domain.items()}, setup.periodic, source
+            )
+            if contact_names:
+                frame = _prefix(steps, contact_names, "contact_i", t, source)
+                contacts.append(
+                    complete_contacts(
+                        frame, particles[-1], images, setup, source, allow_unknown=allow_unknown
+                    )
+                )
     if particles:
         check_sizes(particles[0], setup)
     measured, arrays = measure_frames(particles), Frame()

@@ -13,14 +13,18 @@ from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of, unit_vectors, without_repeats
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variable
+from xcg.scene.spheres import (
+    SAME_BRANCH,
+    SphereContacts,
+    are_spheres,
+    nearest_branches,
+    warn_of_coincident,
+)
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
 _WHOLE = 2.0**53  # from here on floats of 64 bits leave whole numbers out
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
-_SAME_BRANCH = (
-    0.25  # a branch that is off by more of its length is another vector; it may be a time step old
-)
 _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
 REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
@@ -36,7 +40,7 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
             flat = values.shape == (rows, 2) and expected == (rows, 3)
             hint = " (of a layer, add a column of zeros for z and give dimension=2)" if flat else ""
             problems.append(f"'{name}' has shape {values.shape}, expected {expected}{hint}")
-        elif values.dtype.kind == "f" and not np.isfinite(values).all():
+        elif values.dtype.kind == "f" and not _all_finite(values):
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
@@ -46,6 +50,13 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
             else ""
         )
         raise SceneError(f"{source}: {'; '.join(problems)}{repair}")
+
+
+def _all_finite(values: NDArray) -> bool:
+    """Return whether all values are finite. Their sum, which takes no memory, shows it unless it overflows."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        total = values.sum()
+    return bool(np.isfinite(total)) or bool(np.isfinite(values).all())
 
 
 def refuse_mask(name: str, values: Any, where: str = "") -> None:
@@ -98,7 +109,8 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
 
     Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
     the layer's thickness), ``mass = density * volume``. Moments of inertia of particles with an angular velocity are
-    of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is.
+    of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is, but for a body of more than
+    half of the particles: these become single ones (``body_id = -1``), with a warning.
 
     Parameters
     ----------
@@ -148,6 +160,8 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
                 f"{'0 or more' if may_be_zero else 'a positive number'}"
             )
     _complete_size_and_mass(given, setup)
+    if "body_id" in given:
+        _take_apart(given["body_id"], source)
     if "diameter" in given:
         beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
         if beyond.size:
@@ -187,6 +201,28 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
     return order
 
 
+def _take_apart(body: NDArray, source: str) -> None:
+    """Set ids of bodies (n,) to -1 where more than half of the grains are of one body, with a warning.
+
+    Files name all grains 1 that are in no body, or leave a default. Pairs within a body would count as glued.
+    """
+    count = len(body)
+    if count < 2:
+        return
+    middle = np.partition(body, count // 2)[count // 2]  # what more than half of the grains have
+    members = body == middle
+    number = int(members.sum())
+    if middle < 0 or 2 * number <= count or number < 2:
+        return
+    warn_once(
+        "bodies",
+        f"{source}: {number} of {count} particles are of one body (body_id={middle}), as if it were a default: they "
+        "count as single grains (body_id=-1), and contacts between them are found. If they are glued, read the column "
+        "as names={'mol': 'my_body'}, and assign ds.assign(body_id=ds.my_body.fillna(-1).astype(int))",
+    )
+    body[members] = -1
+
+
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     count = len(frame["position"])
     disc = np.pi / 4 * (setup.thickness or 0.0)
@@ -220,6 +256,7 @@ def complete_contacts(
     source: str,
     *,
     allow_unknown: bool = False,
+    columns: Mapping[str, str] | None = None,
 ) -> Frame:
     """Check the contacts of one frame against its particles and derive contact points that are not given.
 
@@ -227,7 +264,9 @@ def complete_contacts(
     ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
     the shortest one.
 
-    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`.
+    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`. Between spheres, pairs
+    without a force and with a gap are dropped, overlaps that are another quantity are replaced, and contact points
+    midway between the centres are moved, each with a warning, see `xcg.scene.spheres`.
 
     Parameters
     ----------
@@ -243,6 +282,8 @@ def complete_contacts(
         Periodic images, in the scene's units.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
+    columns : mapping, optional
+        Columns of the file by variable, for messages.
 
     Raises
     ------
@@ -280,7 +321,9 @@ def complete_contacts(
         raise SceneError(
             f"{source}: contact row {number[row]} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
         )
-    unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
+    unknown = row_j < 0
+    unknown &= j >= 0
+    unknown |= row_i < 0
     if unknown.any() and not allow_unknown:
         row = int(np.flatnonzero(unknown)[0])
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
@@ -292,6 +335,30 @@ def complete_contacts(
     derived = np.asarray(
         frame.get("point_is_middle", np.full(len(i), "contact_point" not in given))
     )
+    if are_spheres(particles):
+        spheres = SphereContacts(given, number, particles, row_i, row_j, seen, lattice, source)
+        dropped = spheres.rows_without_contact()
+        if dropped.size:  # all else depends on the rows
+            kept = {
+                name: np.delete(np.asarray(values), dropped, axis=0)
+                for name, values in {**frame, "row_of_file": number}.items()
+            }
+            return complete_contacts(
+                kept,
+                particles,
+                lattice,
+                setup,
+                source,
+                allow_unknown=allow_unknown,
+                columns=columns,
+            )
+        if "overlap" in given:
+            column = (columns or {}).get("overlap", "overlap")
+            given["overlap"] = spheres.checked_overlaps(column)
+        if "contact_point" in given and "point_is_middle" not in frame:
+            spheres.warn_of_coincident_centres()
+            if spheres.points_are_middles():
+                derived = (row_i >= 0) & (row_j >= 0)
     if derived.any() or "contact_point" not in given:
         given["contact_point"] = _derive_points(
             given, number, derived, particles, row_i, row_j, seen, lattice, source
@@ -359,7 +426,7 @@ def _plain_points(
         return None
     points, (period, _) = np.empty((len(row_i), 3)), lattice.for_loops
     of_particles = particles["position"], particles["diameter"]
-    plain = touching_points(row_i, row_j, *of_particles, seen, _SAME_BRANCH, period, _HAIR, points)
+    plain = touching_points(row_i, row_j, *of_particles, seen, SAME_BRANCH, period, _HAIR, points)
     return points if plain == len(row_i) else None
 
 
@@ -406,6 +473,8 @@ def _contact_points(
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
     if branch is None:
         return None
+    same = both[(branch == 0.0).all(axis=1)]
+    warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], source)
     points[both] = found = contact_points(centre, branch, radius_i, radius_j)
     for side in (centre - found, centre - found - branch):
         refuse(
@@ -431,9 +500,7 @@ def _branches(
     None where these are not near to what was seen.
     """
     if seen is not None:
-        branch = lattice.shortest(apart, seen)
-        near = np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)
-        return branch if near.all() else None
+        return nearest_branches(apart, seen, lattice)
     branch = lattice.shortest(apart)
     rows, _ = lattice.within(
         branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR)

@@ -9,9 +9,11 @@ from xcg.common.messages import SceneError, warn_once, warn_user
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 
-# Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
-# six digits, and their points by no more than this share of the distance from the centre.
-_SAME_FORCE, _SAME_POINT = 1e-4, 0.05
+# Rows of one pair are copies where their forces, and their points, differ by no more than this share of the force, and
+# of the distance from the centre: rounding in files of six digits.
+_ROUNDED = 1e-4
+# Rows from both sides with the same force are an error up to this distance, over the distance from the centre.
+_SAME_POINT = 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 # Rows from both sides are one contact where their forces differ from opposite ones by no more than this share of the
 # larger, or of a hundredth of the mean force of such rows, and their points by this share of the smaller radius.
@@ -25,12 +27,12 @@ def without_repeats(
 ) -> Frame:
     """Merge contacts that are listed more than once.
 
-    Copies, (i, j, f) twice, and rows that list a contact from both sides, (i, j, f) and (j, i, -f), are one contact
-    where forces agree to 1e-4 and points to a twentieth of the distance from the centre. Rows from both sides whose
-    forces are opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller radius
-    apart, are one contact unless `sides` is "separate": with the mean of both forces, points, normals and overlaps for
-    "mean", or as the row that comes first for "first". Other variables come from the first row. A warning states
-    how many, and how far they differ. Other contacts of one pair, which differ in force or place, all stay.
+    Copies, (i, j, f) twice or from both sides as (j, i, -f), are one contact where forces agree to 1e-4, and points to
+    1e-4 of the distance from the centre. Rows from both sides whose forces are opposite to a quarter of the larger, and
+    whose points are no more than 0.15 of the smaller radius apart, are one contact unless `sides` is "separate": with
+    the mean of both forces, points, normals and overlaps for "mean", or as the row that comes first for "first". Other
+    variables come from the first row. A warning states how many, and how far they differ, where forces do by more than
+    1e-4. Other contacts of one pair, which differ in force or place, all stay.
 
     Parameters
     ----------
@@ -62,7 +64,8 @@ def without_repeats(
         if unlike.size:
             _warn_of_unlike(contacts, unlike, source)
         if first.size:
-            _warn_of_mirrored(apart, sides, source)
+            if (apart > _ROUNDED).any():
+                _warn_of_mirrored(apart, sides, source)
             contacts = (
                 _with_means(contacts, first, second, lattice) if sides == "mean" else contacts
             )
@@ -143,23 +146,23 @@ def _copies(
     mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
     force = contacts["contact_force"][rows]
     size = np.linalg.norm(force, axis=1)
-    reach = _SAME_POINT * np.linalg.norm(lattice.shortest(point - centre), axis=1)
+    radius = np.linalg.norm(lattice.shortest(point - centre), axis=1)
     copy = np.zeros(len(rows), bool)
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
         near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
-        near &= size[distance:] - size[:-distance] <= _SAME_FORCE * size[distance:]
+        near &= size[distance:] - size[:-distance] <= _ROUNDED * size[distance:]
         one = np.flatnonzero(near)
         if not one.size:
             break
         other = one + distance
-        together = (
-            np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
-        )
-        one, other = one[together], other[together]
-        turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
+        apart = np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1)
+        near = apart <= _SAME_POINT * radius[other]
+        one, other, apart = one[near], other[near], apart[near]
+        together = apart <= _ROUNDED * radius[other]
+        turned, least = mirrored[one] != mirrored[other], _ROUNDED * size[other]
         same = np.linalg.norm(force[one] - force[other], axis=1) <= least
         opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
-        copy[other[np.where(turned, opposite, same)]] = True
+        copy[other[together & np.where(turned, opposite, same)]] = True
         wrong = turned & same & ~opposite
         if wrong.any():
             first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]

@@ -223,7 +223,14 @@ def test_arguments_do_not_repeat_columns(name):
 
 def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
     table = pd.DataFrame(
-        {"x": [0.0, 1.0], "position_x": 7.0, "y": 0.0, "z": 0.0, "radius": 0.5, "diameter": 1.0}
+        {
+            "x": [0.0, 1.0],
+            "position_x": [7.0, 8.0],
+            "y": 0.0,
+            "z": 0.0,
+            "radius": 0.5,
+            "diameter": 1.0,
+        }
     )
     table = table.assign(id=[3, 4], particle_id=[5, 6], type=1, species=2)
     contacts = pd.DataFrame({"id1": [5], "id2": [6], "fx": [1.0], "fy": 0.0, "fz": 0.0, "age": 3.0})

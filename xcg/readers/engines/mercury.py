@@ -70,6 +70,7 @@ class Mercury(Columnar):
     ROWS_ARE_IDS = True
     PARTICLE_SLOTS: ClassVar[names.Slots] = {
         **names.PARTICLE_SLOTS,
+        **names.components("angular_velocity", "om?"),
         "angular_velocity_z": ("omz", "om"),
     }
 

@@ -168,6 +168,10 @@ class Vtk(Engine):
                 )
         return refs
 
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Return the arrays of the variables of contacts by their names."""
+        return self.targets(ref, options, contacts=True)
+
     def targets(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> dict[str, str]:

@@ -1,0 +1,271 @@
+"""Contacts compared with the spheres of their particles: gaps, overlaps, contact points, coincident centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import warn_once
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import Frame
+
+_ROUNDING = 1e-6  # of R_i + R_j; spheres with a smaller gap touch
+SAME_BRANCH = 0.25  # of its length; a branch that is off by more is another vector, or a step old
+_SAMPLE = 256  # contacts that are compared; more would slow down the reading of small steps
+_SIX_DIGITS = 1e-5  # error of distances from positions of six digits, over the largest coordinate
+_MOST = 0.9  # share of the compared contacts that a verdict needs
+_SAME_OVERLAP = 0.25  # relative difference of two columns of overlaps, by their medians
+_UNEQUAL = 1e-3  # difference of radii, over their sum, from which the middle is another point
+_SOFT = 0.2  # largest overlap or gap, over R_i + R_j, of spheres that are taken to touch
+_MIDDLE = 0.25  # distance to the middle, over the distance from there to the surfaces
+
+
+def are_spheres(particles: Frame) -> bool:
+    """Return whether particles are spheres of known size, and not of another known shape."""
+    return "diameter" in particles and "half_axis_x" not in particles
+
+
+def nearest_branches(apart: NDArray, seen: NDArray | None, lattice: Lattice) -> NDArray | None:
+    """Return the images of vectors (n, 3) nearest to branches `seen` in the data, or None.
+
+    None if the data hold no branches, or vectors that are not those between the positions.
+    """
+    if seen is None:
+        return None
+    branch = lattice.shortest(apart, seen)
+    off = np.linalg.norm(branch - seen, axis=1)
+    near = off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)
+    return branch if near.all() else None
+
+
+def warn_of_coincident(i: NDArray, j: NDArray, source: str) -> None:
+    """Warn of contacts (n,) between particles, given by their ids, at the same position."""
+    if len(i):
+        warn_once(
+            "coincident centres",
+            f"{source}: {len(i)} contacts join particles at the same position (contact_i={i[0]}, "
+            f"contact_j={j[0]}): their normal is undefined and taken as zero, and a contact point "
+            "that follows from radii is the common centre. Drop particles that are listed twice",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Contacts of two spheres.
+
+    Attributes
+    ----------
+    rows : array (n,)
+        Rows of the contacts.
+    radius_i, radius_j : array (n,)
+        Radii of both spheres (m).
+    branch : array (n, 3)
+        Vectors from j to i (m), in the images of the contact.
+    side_sum : array (n, 3) or None
+        Vectors from the contact point to i and to j, added up (m); None without contact points.
+    """
+
+    rows: NDArray
+    radius_i: NDArray
+    radius_j: NDArray
+    branch: NDArray
+    side_sum: NDArray | None
+
+    @cached_property
+    def touching(self) -> NDArray:
+        """Distance of the centres where the spheres touch (n,)."""
+        return self.radius_i + self.radius_j
+
+    @cached_property
+    def overlap(self) -> NDArray:
+        """Overlaps (n,), negative across a gap."""
+        return self.touching - np.sqrt(np.einsum("nk,nk->n", self.branch, self.branch))
+
+
+@dataclass(frozen=True, eq=False)
+class SphereContacts:
+    """Contacts of one step between spheres of known size.
+
+    Attributes
+    ----------
+    contacts : Frame
+        Contacts in the scene's units.
+    number : array (n,)
+        Rows of the file, for messages.
+    particles : Frame
+        Particles of the same step, with diameters.
+    row_i, row_j : array (n,)
+        Rows of both partners among the particles, negative for partners that are not there.
+    seen : array (n, 3) or None
+        Branches in the data (m), which select the images.
+    source : str
+        File and step, for messages.
+    """
+
+    contacts: Frame
+    number: NDArray
+    particles: Frame
+    row_i: NDArray
+    row_j: NDArray
+    seen: NDArray | None
+    lattice: Lattice
+    source: str
+
+    def rows_without_contact(self) -> NDArray:
+        """Return the rows of pairs that have no force and do not touch. Warn of them.
+
+        Lists of neighbours hold such pairs. Spheres that touch without a force are contacts, and
+        so are spheres that a force joins across a gap, such as a capillary bridge.
+        """
+        force = self.contacts["contact_force"]
+        rows = np.flatnonzero(force[:, 0] == 0.0)  # by one component first, as there are few
+        rows = rows[(force[rows] == 0.0).all(axis=1)]
+        if not rows.size:
+            return rows
+        pairs = self._pairs(rows)
+        apart = np.flatnonzero(pairs.overlap < -_ROUNDING * pairs.touching)
+        rows = pairs.rows[apart]
+        if rows.size:
+            warn_once(
+                "pairs without contact",
+                f"{self.source}: {rows.size} of {len(force)} rows of contacts have no force, and a "
+                f"gap between their spheres ({self._name(rows[0])}: {-pairs.overlap[apart[0]]:.3g}), "
+                "as pairs in a list of neighbours have: they are no contacts and are dropped. LAMMPS "
+                "leaves them out where compute pair/local and property/local say 'cutoff radius'",
+            )
+        return rows
+
+    def checked_overlaps(self, column: str) -> NDArray:
+        """Return the overlaps (n,), or those of the spheres with a warning if they are not overlaps.
+
+        Parameters
+        ----------
+        column : str
+            Name of the overlaps in the file, for the message.
+        """
+        overlap = self.contacts["overlap"]
+        rows, expected = self._sample.rows, self._sample.overlap
+        if rows.size:
+            plausible = self._agree(rows, expected)
+        else:
+            rows = self._walls_among(self._sampled_rows)
+            if not rows.size:
+                return overlap
+            expected = self._depths(rows)
+            # codes put the point at R (which tells no overlap), R - overlap / 2 or R - overlap
+            plausible = bool(np.median(expected) <= self._rounding(rows))
+            plausible |= any(self._agree(rows, k * expected) for k in (1.0, 2.0))
+        if plausible:
+            return overlap
+        worst = np.argmax(np.abs(overlap[rows] - expected))
+        warn_once(
+            f"overlaps from {column}",
+            f"{self.source}: {column!r} is not the overlap ({self._name(rows[worst])}: "
+            f"{overlap[rows[worst]]:.3g}, but radii and positions give {expected[worst]:.3g}): "
+            "overlaps are computed from radii and positions instead. Name the column by what it "
+            f"is, such as names={{{column!r}: 'contact_area'}}, or drop it by None",
+        )
+        every = np.arange(len(overlap))
+        pairs, walls = self._pairs(every), self._walls_among(every)
+        computed = overlap.copy()
+        computed[pairs.rows] = pairs.overlap
+        if walls.size:
+            computed[walls] = self._depths(walls)
+        return computed
+
+    def points_are_middles(self) -> bool:
+        """Return whether points lie midway between centres of unequal spheres. Warn if they do."""
+        pairs = self._sample
+        unequal = np.abs(pairs.radius_i - pairs.radius_j)
+        tested = unequal > _UNEQUAL * pairs.touching
+        if pairs.side_sum is None or not tested.any():
+            return False
+        from_middle = np.linalg.norm(pairs.side_sum, axis=1) / 2
+        # the surfaces are |R_i - R_j| / 2 from the middle
+        at_middle = from_middle <= _MIDDLE * unequal / 2
+        near = np.abs(pairs.overlap) <= _SOFT * pairs.touching
+        if (at_middle & near)[tested].mean() < _MOST:
+            return False
+        warn_once(
+            "points in the middle",
+            f"{self.source}: contact points lie midway between the centres of spheres of unequal "
+            f"sizes ({self._name(pairs.rows[tested][0])}), off both surfaces, as those of MercuryDPM "
+            "before 2016: they are moved to where the spheres touch, R_i - overlap / 2 from the "
+            "centre of i",
+        )
+        return True
+
+    def warn_of_coincident_centres(self) -> None:
+        """Warn if centres of a pair coincide; a sample of large steps is checked."""
+        same = self._sample.rows[self._sample.overlap == self._sample.touching]
+        contacts = self.contacts
+        warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], self.source)
+
+    @cached_property
+    def _sampled_rows(self) -> NDArray:
+        """Rows spread over all contacts."""
+        count = len(self.row_i)
+        return np.arange(0, count, max(1, count // _SAMPLE))
+
+    @cached_property
+    def _sample(self) -> Pairs:
+        return self._pairs(self._sampled_rows)
+
+    def _pairs(self, rows: NDArray) -> Pairs:
+        """Return those of some rows whose partners are both known.
+
+        Images are those nearest to the branches in the data, else to the contact points, else the
+        shortest.
+        """
+        rows = rows[(self.row_i[rows] >= 0) & (self.row_j[rows] >= 0)]
+        i, j = self.row_i[rows], self.row_j[rows]
+        centre_i, centre_j = self.particles["position"][i], self.particles["position"][j]
+        seen = None if self.seen is None else self.seen[rows]
+        branch = nearest_branches(centre_i - centre_j, seen, self.lattice)
+        side_sum = None
+        if "contact_point" in self.contacts:
+            point = self.contacts["contact_point"][rows]
+            side_i = self.lattice.shortest(centre_i - point)
+            side_j = self.lattice.shortest(centre_j - point)
+            side_sum = side_i + side_j
+            branch = side_i - side_j if branch is None else branch
+        if branch is None:
+            branch = self.lattice.shortest(centre_i - centre_j)
+        diameter = self.particles["diameter"]
+        return Pairs(rows, diameter[i] / 2, diameter[j] / 2, branch, side_sum)
+
+    def _walls_among(self, rows: NDArray) -> NDArray:
+        """Return those of some rows in which a sphere touches a wall at a known point."""
+        if "contact_point" not in self.contacts:
+            return rows[:0]
+        return rows[(self.row_i[rows] >= 0) & (self.contacts["contact_j"][rows] < 0)]
+
+    def _depths(self, rows: NDArray) -> NDArray:
+        """Depths (n,) of contact points with walls below the surface of the sphere."""
+        i, point = self.row_i[rows], self.contacts["contact_point"][rows]
+        to_point = self.lattice.shortest(self.particles["position"][i] - point)
+        return self.particles["diameter"][i] / 2 - np.linalg.norm(to_point, axis=1)
+
+    def _rounding(self, rows: NDArray) -> float:
+        """Error of distances between positions of six digits (m)."""
+        return _SIX_DIGITS * float(np.abs(self.particles["position"][self.row_i[rows]]).max())
+
+    def _agree(self, rows: NDArray, expected: NDArray) -> bool:
+        """Return whether the overlaps of some rows are those expected (n,).
+
+        True if grains are too far apart for spheres in contact, so that nothing is expected.
+        Medians forgive single rows, and positions that are a time step older than the contacts.
+        """
+        rounding = self._rounding(rows)
+        if (expected >= -rounding).mean() < _MOST:
+            return True
+        off = abs(np.median(self.contacts["overlap"][rows] - expected))
+        size = np.median(np.abs(expected))
+        return bool(off <= _SAME_OVERLAP * size + rounding / np.sqrt(len(rows)))
+
+    def _name(self, row: int) -> str:
+        i, j = self.contacts["contact_i"][row], self.contacts["contact_j"][row]
+        return f"contact row {self.number[row]}, contact_i={i}, contact_j={j}"
