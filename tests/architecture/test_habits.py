@@ -69,7 +69,7 @@ def walled():
     one = xcg.datasets.random_scene(60, seed=1, walls=True, periodic="xy")
     steps = [one.assign_coords(time=one.time + k, step=one.step + k) for k in range(3)]
     joined = xr.concat(steps, "time", data_vars="all", coords="minimal", combine_attrs="override")
-    joined["time"].attrs = one.time.attrs
+    joined["time"].attrs = {"units": "s", "long_name": "time", "axis": "T"}
     return joined
 
 

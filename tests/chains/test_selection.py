@@ -9,6 +9,7 @@ import xarray as xr
 import xcg
 from tests.networks import chains_of, nine_particles
 from xcg import BoxRegion, Sphere
+from xcg.common.messages import SceneError
 from xcg.scene.lattice import Lattice
 
 EVERYWHERE = xcg.BoxRegion((-np.inf,) * 3, (np.inf,) * 3)
@@ -213,3 +214,14 @@ def test_wrong_regions_raise(make, message):
 
 def test_xcg_box_is_an_alias_of_box_region():
     assert xcg.Box is xcg.BoxRegion
+
+
+@pytest.mark.parametrize(
+    "combine", [lambda a: a, lambda a: ~a, lambda a: a | xcg.Sphere((0, 0, 0), 1.0)]
+)
+def test_regions_that_move_need_times(combine):
+    ds = xcg.datasets.random_scene(30, seed=1)
+    region = combine(xcg.BoxRegion((0, 0, 0), (1, 1, 1), velocity=(1.0, 0, 0)))
+    with pytest.raises(SceneError, match="times of the steps are not known"):
+        ds.cg.force_chains(region=region)
+    ds.assign_coords(time=[0.0]).cg.force_chains(region=region)

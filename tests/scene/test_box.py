@@ -221,3 +221,118 @@ def test_each_step_has_the_images_of_its_own_box():
         alone = ds.isel(time=[t]).cg.coarse_grain(["density", "stress"], **options)
         for name in ("density", "stress"):
             np.testing.assert_array_equal(together[name][t], alone[name][0])
+
+
+# --- images of grains ------------------------------------------------------------------------------------
+
+OWN = np.array([7.3, -1.9, 4.4])  # motion beside that of the box in a step, in periods about 2
+
+
+def vectors_of(kind, steps=5):
+    """Lattice vectors (t, 3, 3) of a box as codes write it."""
+    vectors = np.tile(np.diag([3.0, 3.0, 3.0]), (steps, 1, 1))
+    t = np.arange(steps)
+    if kind == "stretched":
+        vectors *= (1 + 0.1 * t)[:, None, None]
+    if kind == "tilted":
+        vectors[:, 1, 0] = 0.7
+    if kind in ("sheared", "flipped"):
+        vectors[:, 1, 0] = 0.6 * t
+    if kind == "flipped":  # as a tilt beyond half a period
+        vectors[:, 1, 0] -= 3.0 * np.rint(vectors[:, 1, 0] / 3.0)
+    return vectors
+
+
+def moving(kind, *, unwrapped=False, **options):
+    """Make grains that move with the box and by OWN, in it or unwrapped; return them and their gradients."""
+    vectors, start = vectors_of(kind), np.random.default_rng(3).uniform(0, 3, (20, 3))
+    smooth = vectors_of("sheared" if kind == "flipped" else kind)
+    place, places, images = start, [], []
+    for t, cell in enumerate(vectors):
+        if t:
+            place = place @ np.linalg.inv(smooth[t - 1]) @ smooth[t] + OWN
+        image = np.zeros((20, 3)) if unwrapped else np.floor(place @ np.linalg.inv(cell))
+        places.append(place - image @ cell)
+        images.append(image)
+    given = {
+        "image": images,
+        "box": [[[0, cell[k, k]] for k in range(3)] for cell in vectors],
+        "lattice": vectors,
+        "shear_rate": {},
+        "periodic": "xyz",
+        "time": np.arange(len(vectors)),
+        "diameter": np.full((len(vectors), 20), 0.1),
+        "density": 1.0,
+    }
+    return xcg.scene_from_arrays(places, **(given | options))
+
+
+@pytest.mark.parametrize("unwrapped", [False, True])
+@pytest.mark.parametrize("kind", ["constant", "tilted", "stretched", "sheared", "flipped"])
+def test_images_follow_grains_beside_the_motion_of_their_box(kind, unwrapped):
+    ds = moving(kind, unwrapped=unwrapped)
+    msd = ds.cg.mean_squared_displacement(1, remove_drift=False).mean_squared_displacement
+    np.testing.assert_allclose(msd, [OWN @ OWN], rtol=1e-9)
+    if kind in ("constant", "tilted"):
+        velocity = ds.cg.derive_velocity().velocity
+        np.testing.assert_allclose(velocity, np.broadcast_to(OWN, velocity.shape), rtol=1e-9)
+
+
+def test_wrapped_and_unwrapped_positions_have_equal_fields():
+    scenes = [moving("sheared", unwrapped=unwrapped) for unwrapped in (False, True)]
+    names = ["displacement", "displacement_gradient", "d2min"]
+    wrapped, unwrapped = (ds.cg.displacement(names, axes="xyz", width=1.0) for ds in scenes)
+    for name in names:
+        np.testing.assert_allclose(wrapped[name], unwrapped[name], rtol=1e-6, atol=1e-9)
+    wrapped, unwrapped = (ds.cg.coarse_grain("density", axes="xyz", width=1.0) for ds in scenes)
+    np.testing.assert_allclose(wrapped.density, unwrapped.density, rtol=1e-9)
+
+
+def test_unwrapped_positions_tell_images():
+    ds = moving("sheared")
+    cells = ds.lattice.values[:, None]
+    unwrapped = ds.position.values + (ds.image.values[:, :, None] @ cells)[:, :, 0]
+    again = moving("sheared", image=None, unwrapped_position=unwrapped)
+    np.testing.assert_array_equal(again.image, ds.image)
+    assert "unwrapped_position" not in again
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_selections_and_saved_scenes_keep_images(tmp_path, lazy):
+    ds = moving("constant")
+    ds = ds.chunk(time=1) if lazy else ds
+    ds.cg.save(tmp_path / "s.nc")
+    ds.cg.save(tmp_path / "s.zarr")
+    parts = [ds.isel(time=slice(0, 3)), ds.isel(time=slice(3, None))]
+    selections = [
+        ds.isel(time=slice(1, 4)),
+        ds.isel(particle=slice(3, 9)),
+        ds.where(ds.position.sel(component="x") > -1),
+        ds.sel(component=["z", "x", "y"]),
+        xr.concat(parts, "time"),
+        xcg.open_scene(tmp_path / "s.nc"),
+        xcg.open_scene(tmp_path / "s.zarr"),
+    ]
+    for part in selections:
+        velocity = part.cg.derive_velocity().velocity.transpose("time", "particle", "component")
+        velocity = velocity.sel(component=["x", "y", "z"])
+        np.testing.assert_allclose(velocity, np.broadcast_to(OWN, velocity.shape), rtol=1e-9)
+
+
+FRAMES = {
+    "by 30 degrees": {"x": (3**0.5, 1, 0), "z": (0, 0, 1)},
+    "by 90 degrees": {"x": (0, 1, 0), "z": (0, 0, 1)},
+    "upside down": {"x": (1, 0, 0), "z": (0, 0, -1)},
+    "cyclic": {"x": (0, 1, 0), "z": (1, 0, 0)},
+}
+
+
+@pytest.mark.parametrize("kind", ["constant", "tilted"])
+@pytest.mark.parametrize("turn", FRAMES)
+def test_displacements_across_periods_turn_with_the_frame(kind, turn):
+    frame = xcg.Rotated(**FRAMES[turn])
+    at = dict.fromkeys("xyz", 0.5)
+    f = moving(kind).cg.displacement("displacement", frame=frame, axes="", at=at, width=2.0)
+    found = f.displacement.values.reshape(-1, 3)
+    expected = np.broadcast_to(frame.axes @ OWN, found.shape)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -102,7 +102,7 @@ def test_the_summary_of_a_scene_names_files_and_ignored_columns(opened, tmp_path
     assert {"vx", "vy", "vz"} <= set(said["ignored"].removeprefix("particles: ").split(", "))
     assert said["gravity"] == "(0, 0, -9.81) m s^-2"
     assert said["units"] == "SI"
-    assert said["time"] == "10 to 20"
+    assert said["time"] == "10 to 20 (numbers of steps, times are not known)"
     assert said["missing"] == "velocity, contact_force"
 
 

@@ -328,7 +328,11 @@ def test_rates_follow_from_the_tilt_of_steps_and_flips_do_not_count():
     assert "lattice_velocity" not in still
     with pytest.warns(SceneWarning, match="give shear_rate="):
         xcg.scene_from_arrays(
-            position[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 2.4, 4.8]}
+            position[:3], time=time[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 2.4, 4.8]}
+        )
+    with pytest.warns(SceneWarning, match="times of the steps are not known"):
+        xcg.scene_from_arrays(
+            position[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 0.4, 0.8]}
         )
 
 

@@ -27,9 +27,9 @@ from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import THREADS, for_parts
 from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.frame import particle_rows, require_rising_times, steps_in, with_time
+from xcg.scene.frame import particle_rows, require_rising_times, steps_in, unit_of_times, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, units_in
+from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.faults import OnError
 from xcg.steps.labels import empty_results, format_call, label, provenance, results_of
 from xcg.steps.mapping import map_over_time, threads_a_chunk
@@ -192,7 +192,7 @@ def force_chains(
             f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
         )
     check_choice("algorithm", algorithm, Algorithm)
-    check_region(region)
+    check_region(region, ds)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
@@ -374,7 +374,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
     first = np.nonzero(track >= 0)[0][first]
     birth, end = times[first], times[first + seen - 1]
-    second = units_in("s", fc.attrs.get("unit_system", "SI"))
+    unit = unit_of_times(fc)
     data = {
         "track_id": (
             ("time", "chain"),
@@ -396,12 +396,12 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
             survivors,
             {"units": "1", "long_name": "chains that continue one of the step before"},
         ),
-        "birth_time": ("track", birth, {"units": second, "long_name": "first time of the track"}),
-        "last_time": ("track", end, {"units": second, "long_name": "last time of the track"}),
+        "birth_time": ("track", birth, {"units": unit, "long_name": "first time of the track"}),
+        "last_time": ("track", end, {"units": unit, "long_name": "last time of the track"}),
         "lifetime": (
             "track",
             end - birth,
-            {"units": second, "long_name": "time from first to last step"},
+            {"units": unit, "long_name": "time from first to last step"},
         ),
         "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
     }

@@ -20,7 +20,7 @@ from xcg.chains.results import (
 )
 from xcg.common.checks import is_finite, is_positive, is_whole, vector
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.frame import particle_rows, require_known_times, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.steps.labels import format_call, label, results_of
@@ -76,12 +76,21 @@ def _three(
     return x, y, z
 
 
-def check_region(region: object) -> None:
-    """Raise ValueError unless this is a region, or None."""
+def _moves(region: object) -> bool:
+    """Return whether a region, or one that it is made of, has a velocity."""
+    if isinstance(region, _Combined):
+        return any(map(_moves, region.regions))
+    return isinstance(region, _Moving) and bool(np.any(region.velocity))
+
+
+def check_region(region: object, ds: xr.Dataset) -> None:
+    """Raise ValueError unless this is a region, or None; SceneError if it moves, and times are not known."""
     if region is not None and not isinstance(region, Region):
         raise ValueError(
             f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
         )
+    if _moves(region):
+        require_known_times(ds, f"region={region!r} moves")
 
 
 class _Moving(Region):
@@ -259,7 +268,7 @@ def select_chains(
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
         )
-    check_region(region)
+    check_region(region, fc)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
     compute = partial(

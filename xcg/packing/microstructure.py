@@ -15,7 +15,7 @@ from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.packing.samples import Bounds, Measure
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import require_rising_times
+from xcg.scene.frame import require_times, times_are_known
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
@@ -288,11 +288,8 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[s
 def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
     """Return the source of the strain rate: "box", "velocity", or the rate itself."""
     if given is None:
-        return (
-            "box"
-            if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
-            else "velocity"
-        )
+        deforms = "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
+        return "box" if deforms and times_are_known(ds) else "velocity"
     if isinstance(given, str):
         if given not in get_args(RateSource):
             raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
@@ -443,7 +440,7 @@ def _with_series(
             attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
             result[name] = values.drop_attrs(deep=False).assign_attrs(attrs)
         if _is(rate, "box"):
-            require_rising_times(ds, "the strain rate of the box")
+            require_times(ds, "the strain rate of the box")
             # one chunk, as finite differences reach over chunks; a box is six numbers a step
             whole = stretch.chunk(time=-1) if stretch.chunks else stretch
             rate = _deviatoric(whole.differentiate("time"), len(setup.plane))

@@ -32,7 +32,14 @@ from xcg.scene.schema import COMPONENTS, Frame, variable
 _FORCES = ("contact_force", "normal_force", "tangential_force")
 _CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
 _CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
-_PARTICLE_VECTORS = ("position", "scaled", "velocity", "angular_velocity")
+_PLACES = (("position", "scaled"), ("unwrapped_position", "unwrapped_scaled"))
+_PARTICLE_VECTORS = (
+    *_PLACES[0],
+    *_PLACES[1],
+    "image",
+    "velocity",
+    "angular_velocity",
+)
 _PARTICLE_COMPONENTS = {component for slot in _PARTICLE_VECTORS for component in components(slot)}
 
 # What the caller maps to the first displaces what fills the second by itself.
@@ -194,6 +201,70 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
             )
 
 
+def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
+    """Return the slots that positions and their images are read from.
+
+    Positions are unwrapped along axes without others. Images follow from unwrapped positions, else from ``image``; from
+    neither where a component is missing along an axis that may be periodic.
+    """
+    filled = dict(filled)
+    for axis in COMPONENTS:
+        if not {f"{slot}_{axis}" for slot in _PLACES[0]} & filled.keys():
+            for slot, unwrapped in zip(*_PLACES, strict=True):
+                if f"{unwrapped}_{axis}" in filled:
+                    filled[f"{slot}_{axis}"] = filled[f"{unwrapped}_{axis}"]
+    needed = {axis for slot in _PLACES[0] for axis in _axes(filled, slot)}
+    if ref.periodic is not None:
+        needed &= {*ref.periodic}
+    known = {axis for slot in _PLACES[1] for axis in _axes(filled, slot)}
+    unused = ["image_", "unwrapped_"]
+    if known and needed <= known:
+        unused.remove("unwrapped_")
+    elif needed <= {*_axes(filled, "image")}:
+        unused.remove("image_")
+    return {slot: column for slot, column in filled.items() if not slot.startswith(tuple(unused))}
+
+
+def _warn_of_lost_motion(filled: Mapping[str, str], read: Mapping[str, str], ref: StepRef) -> None:
+    """Warn of images or unwrapped positions that are not used, as those of an axis are missing."""
+    motion = ("image_", "unwrapped_")
+    columns = [column for slot, column in filled.items() if slot.startswith(motion)]
+    if columns and not any(slot.startswith(motion) for slot in read):
+        warn_user(
+            f"{source_of(ref)}: columns {' '.join(columns)} count periods along some axes only, and are not used to "
+            "follow grains across periodic edges; write them for all periodic axes (ix iy iz, or xu yu zu)"
+        )
+
+
+def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: StepRef) -> None:
+    """Add the components of a place that follow from fractions of the box.
+
+    Raises
+    ------
+    SceneError
+        If the header has no box, or a fraction that a tilted box takes is missing.
+    """
+    for k, axis in enumerate(COMPONENTS):
+        if f"{place}_{axis}" in values or f"{scaled}_{axis}" not in values:
+            continue
+        if ref.box is None:
+            raise SceneError(
+                f"{source_of(ref)}: positions are fractions of a box, and the header has no 'BOX "
+                "BOUNDS'; dump x y z"
+            )
+        low, high = ref.box[k]
+        values[f"{place}_{axis}"] = low + values[f"{scaled}_{axis}"] * (high - low)
+        for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
+            if other == axis or not vector[k]:
+                continue
+            if f"{scaled}_{other}" not in values:
+                raise SceneError(
+                    f"{source_of(ref)}: the box is tilted, so {axis} follows from {axis}s and "
+                    f"{other}s, and {other}s is missing; dump xs ys zs, or x y z"
+                )
+            values[f"{place}_{axis}"] += values[f"{scaled}_{other}"] * vector[k]
+
+
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
     vector = np.empty((len(next(iter(values.values()))), 3))
@@ -248,7 +319,7 @@ def warn_of_unread(
     others = [column for column in unread if column not in suspects]
     warn_of_resembling(ref, others, filled, contacts=contacts)
     for column, slot in spare.items():
-        if slot in filled and not slot.startswith(_MAY_STAND_TWICE):
+        if slot in filled:
             warn_user(
                 f"{source_of(ref)}: both {filled[slot]!r} and {column!r} may be {slot!r}, and "
                 f"{filled[slot]!r} is read; drop one of them, names={{{column!r}: None}}"
@@ -273,10 +344,6 @@ def warn_of_resembling(
 def _is_whole(slot: str, slots: Container[str | None]) -> bool:
     """Return whether all components of the vector of a slot are among these slots."""
     return all(f"{slot[:-2]}_{axis}" in slots for axis in COMPONENTS)
-
-
-# positions may be listed wrapped and unwrapped
-_MAY_STAND_TWICE = ("position", "scaled")
 
 
 def _warn_of_wall_arrays(ref: StepRef, expected: set[str]) -> set[str]:
@@ -469,7 +536,9 @@ class Columnar(Engine):
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
         refs = self.list_steps(paths, options, contacts=False)
-        warn_of_unread(refs[0], self.particle_columns(refs[0], options), options, contacts=False)
+        read = self.particle_columns(refs[0], options)
+        warn_of_unread(refs[0], read, options, contacts=False)
+        _warn_of_lost_motion(assign(refs[0], self.PARTICLE_SLOTS, options), read, refs[0])
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -486,6 +555,7 @@ class Columnar(Engine):
         filled = assign(ref, self.PARTICLE_SLOTS, options)
         if self.NEEDS_ID and "particle_id" not in filled:
             raise _lacks(ref, "id of the particle", "particle_id")
+        filled = _with_motion(filled, ref)
         present = {axis for slot in ("position", "scaled") for axis in _axes(filled, slot)}
         for axis in "xy":
             if axis not in present:
@@ -494,6 +564,8 @@ class Columnar(Engine):
             if _axes(filled, "velocity") and f"velocity_{axis}" not in filled:
                 raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
         unwanted = options.unwanted
+        if "image" in unwanted:
+            unwanted = (*unwanted, "unwrapped_")
         turning = _axes(filled, "angular_velocity")
         if 0 < len(turning) < 3 and turning != [
             "z"
@@ -580,24 +652,13 @@ class Columnar(Engine):
         columns = self.particle_columns(ref, options)
         table = self.read_columns(ref, columns.values(), ref.rows, options)
         values = {slot: table[column] for slot, column in columns.items()}
-        for k, axis in enumerate(COMPONENTS):
-            if f"position_{axis}" not in values and f"scaled_{axis}" in values:
-                if ref.box is None:
-                    what = "positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y z"
-                    raise SceneError(f"{source_of(ref)}: {what}")
-                low, high = ref.box[k]
-                values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
-                for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
-                    if other == axis or not vector[k]:
-                        continue
-                    if f"scaled_{other}" not in values:
-                        raise SceneError(
-                            f"{source_of(ref)}: the box is tilted, so {axis} follows from {axis}s and "
-                            f"{other}s, and {other}s is missing; dump xs ys zs, or x y z"
-                        )
-                    values[f"position_{axis}"] += values[f"scaled_{other}"] * vector[k]
+        for place, scaled in _PLACES:
+            _add_unscaled(values, place, scaled, ref)
+        for axis in _axes(values, "position"):  # not periodic where only the others are unwrapped
+            if _axes(values, "unwrapped_position"):
+                values.setdefault(f"unwrapped_position_{axis}", values[f"position_{axis}"])
         frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-        vectors = ("position", "velocity", "angular_velocity")
+        vectors = ("position", "unwrapped_position", "image", "velocity", "angular_velocity")
         frame |= {slot: _stacked(values, slot) for slot in vectors if _axes(values, slot)}
         unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none

@@ -30,7 +30,7 @@ from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_ends, is_central
-from xcg.scene.schema import ROTATION, VARIABLES, Frame, Setup, variable
+from xcg.scene.schema import MOTION, ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
 from xcg.steps.mapping import picked
 
@@ -246,16 +246,19 @@ class Source:
         """Return the same with other options of reading: `alone`, or variables that are `unwanted`."""
         return replace(self, options=replace(self.options, **options))
 
-    def complete(self, frame: Frame, ref: StepRef) -> Frame:
-        """Check and complete the particles of one step."""
+    def complete(self, frame: Frame, ref: StepRef, box: Frame) -> Frame:
+        """Check and complete the particles of one step, in the box of this step."""
         if self.frozen is not None:
             if "species" not in frame:
                 raise SceneError(
                     f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
                 )
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
+        lattice = None
+        if "unwrapped_position" in frame:
+            lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
         with self.once.active():
-            return complete_particles(frame, self.setup, source_of(ref))
+            return complete_particles(frame, self.setup, source_of(ref), lattice)
 
     def contacts(
         self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame
@@ -330,17 +333,18 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
 
 
 def read_particle_chunk(
-    source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int
+    source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int, boxes: Frame
 ) -> Frame:
     """Particles of the steps of a chunk, padded."""
 
-    def read(_: int, step: Step) -> Frame:
+    def read(t: int, step: Step) -> Frame:
         ref = step.particles
         if ref.size:
             _check_unchanged(ref)
         frame = source.opened.take(ref, types)
         if frame is None:
-            frame = source.complete(read_step(source.engine, source.options, ref), ref)
+            raw = read_step(source.engine, source.options, ref)
+            frame = source.complete(raw, ref, {name: values[t] for name, values in boxes.items()})
         _require(frame, list(types), ref)
         return frame
 
@@ -423,18 +427,21 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     rows, contact_rows = series.rows()
     graphs: dict[str, tuple[HighLevelGraph, str]] = {}
     # what few fields need is read by tasks of its own; contacts are checked against the particles, which come last
-    kinds = {"rotation": [name for name in particle_types if name in ROTATION]}
-    kinds["particles"] = [name for name in particle_types if name not in ROTATION]
+    seldom = [*ROTATION, *MOTION]
+    kinds = {
+        "rotation": [name for name in particle_types if name in ROTATION],
+        "motion": [name for name in particle_types if name in MOTION],
+        "particles": [name for name in particle_types if name not in seldom],
+    }
     for kind, wanted in kinds.items():
         layer, tasks = f"read-{kind}-{token}", dict[Any, Any]()
         types = {name: particle_types[name] for name in wanted}
-        reader = (
-            source.reading(unwanted=ROTATION)
-            if kind == "particles" and kinds["rotation"]
-            else source
-        )
+        others = [name for name in seldom if name in particle_types and name not in wanted]
+        reader = source.reading(unwanted=tuple(others)) if others else source
         for k, part in enumerate(parts):
-            tasks[layer, k] = (partial(read_particle_chunk, reader, steps[part], types, rows),)
+            edges = {name: values[part] for name, values in boxes.items()}
+            task = partial(read_particle_chunk, reader, steps[part], types, rows, edges)
+            tasks[layer, k] = (task,)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
         graphs |= dict.fromkeys(wanted, (graph, layer))
     if series.contact_names:
@@ -507,12 +514,12 @@ class _Variable(BackendArray):
 
     def _step(self, t: int) -> NDArray:
         series, steps, rows = self.series, self.series.steps[t : t + 1], self.series.rows()
+        boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
 
         def particles() -> Frame:
-            return read_particle_chunk(series.source, steps, series.particle_types, rows[0])
+            return read_particle_chunk(series.source, steps, series.particle_types, rows[0], boxes)
 
         def contacts() -> Frame:
-            boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
             beside = _kept((self.token, t, "particles"), particles)
             return read_contact_chunk(
                 series.source, steps, series.contact_names, rows[1], boxes, beside

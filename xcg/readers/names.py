@@ -88,11 +88,18 @@ _PARTICLE_SCALARS = {
 }  # fmt: skip
 _PARTICLE_VECTORS = {
     "position": (
-        "position ?", "?", "?u", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
+        "position ?", "?", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
         "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
         "centroid ?", "particle position ?",
     ),
-    "scaled": ("scaled ?", "?s", "?su"),
+    "scaled": ("scaled ?", "?s"),
+    "unwrapped_position": (
+        "unwrapped position ?", "?u", "? unwrapped", "unwrapped ?", "unwrapped coordinates ?",
+    ),
+    "unwrapped_scaled": ("unwrapped scaled ?", "?su"),
+    "image": (
+        "image ?", "i?", "images ?", "image flag ?", "image flags ?", "periodic image ?",
+    ),
     "velocity": (
         "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
         "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
@@ -177,12 +184,15 @@ def _arrays(
     for variable, names in (*scalars.items(), *vectors.items()):
         for name in names:
             word = canonical(name.replace("?", ""))
-            if len(word) > 1 or word == "v":
+            if len(word) > 1 or word in "vi":  # "i" is what LAMMPS and LIGGGHTS make of ix iy iz
                 arrays.setdefault(word, variable)
     return arrays
 
 
-_WHOLE_VECTORS = {slot: _PARTICLE_VECTORS[slot] for slot in ("velocity", "angular_velocity")}
+_WHOLE_VECTORS = {
+    slot: _PARTICLE_VECTORS[slot]
+    for slot in ("velocity", "angular_velocity", "unwrapped_position", "image")
+}
 PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
 
 

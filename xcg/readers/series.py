@@ -229,8 +229,11 @@ def open_scene(
     What the headers of files said is remembered in the user's cache until the files change
     (``XCG_INDEX_CACHE=0`` turns this off).
 
-    Without times in the files, `times` or ``timestep``, the coordinate ``time`` is the step number,
-    and its ``long_name`` says so.
+    Without times in the files, `times` or ``timestep``, the coordinate ``time`` is the step number, its ``long_name``
+    says so, and what takes differences of times is refused.
+
+    Images of grains in files (``ix iy iz``) and unwrapped positions (``xu yu zu``) become ``image``, the periods that
+    each grain went through; without it, grains are taken to move less than half a period from step to step.
 
     Values in the files come before `density`, and box, periodicity and gravity given here before those in the
     files.
@@ -399,7 +402,9 @@ def open_scene(
     )
     ends = []
     for ref in list(raw):
-        ends.append(source.complete(raw.pop(ref), ref))
+        t = next(t for t, step in enumerate(steps) if step.particles is ref)
+        box_of_step = {name: values[t] for name, values in domain.items()}
+        ends.append(source.complete(raw.pop(ref), ref, box_of_step))
         source.opened.keep(ref, ends[-1])
     check_sizes(ends[0], setup)
     types = {
@@ -415,17 +420,12 @@ def open_scene(
     numbers = [step.particles.step for step in steps]
     scene = to_dataset(
         arrays,
-        time=numbers if time is None else time,
+        time=time,
         step=numbers,
         box=domain,
         setup=setup,
         measured=measure_frames(ends),
     )
-    if not clock:
-        said_nothing = (
-            "number of the time step, as the files do not tell the time (give timestep= or times=)"
-        )
-        scene["time"].attrs.update(units="1", long_name=said_nothing)
     if unnamed:
         scene.attrs["assumed_units"] = "SI"
     if nameless:
@@ -494,12 +494,18 @@ def _ends(
     return raw
 
 
+_OF_TIME = ("dt", "delta_t", "step_size", "time_step")  # what others call timestep=
+
+
 def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
     for option in engine_options:
         if option not in engine.OPTIONS:
             likely = did_you_mean(
                 option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS]
             )
+            if option.lower() in _OF_TIME:
+                time = "timestep" if "timestep" in engine.OPTIONS else "times"
+                likely = f"; did you mean {time}=?"
             raise SceneError(
                 f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}"
             )

@@ -208,11 +208,14 @@ class BoxMotion:
         Displacement that belongs to the origin of coordinates (m).
     lattice : Lattice
         Periodic images of the later frame.
+    turned : array (k, k)
+        Whole numbers: the vectors of the first frame are ``turned @ lattice.given``, moved with the box.
     """
 
     gradient: NDArray
     shift: NDArray
     lattice: Lattice
+    turned: NDArray
 
     @classmethod
     def between(cls, first: Lattice, later: Lattice) -> BoxMotion:
@@ -227,15 +230,44 @@ class BoxMotion:
             moved = later.shortest(moved[None])[0]
         if first.vectors is None and later.vectors is None:
             stretch[wraps] = later.period[wraps] / first.period[wraps] - 1.0
-            return cls(np.diag(stretch), moved - stretch * lower, later)
+            return cls(np.diag(stretch), moved - stretch * lower, later, np.eye(wraps.sum()))
         before, after = first.given, later.given
-        turned = same_vectors(before, after, np.flatnonzero(wraps)) @ after
-        gradient = (np.linalg.pinv(before) @ (turned - before)).T
-        return cls(gradient, moved - gradient @ lower, later)
+        turned = same_vectors(before, after, np.flatnonzero(wraps))
+        gradient = (np.linalg.pinv(before) @ (turned @ after - before)).T
+        return cls(gradient, moved - gradient @ lower, later, turned)
 
-    def relative(self, position: NDArray, later: NDArray) -> NDArray:
-        """Displacements (n, 3) of grains less that of the box where they were, in the image that moved least."""
-        return self.lattice.shortest(later - position - self.shift - position @ self.gradient.T)
+    def relative(self, first: Frame, later: Frame, here: NDArray, there: NDArray) -> NDArray:
+        """Return the displacements (n, 3) of grains, less that of the box where they were.
+
+        Frames with ``image`` say which image each grain went to; in others it is the one that moved least.
+
+        Parameters
+        ----------
+        first, later : Frame
+            The two frames.
+        here, there : array (n,)
+            Rows of the same grains in the first and in the later frame.
+
+        Raises
+        ------
+        SceneError
+            If ``image`` changes along an axis that is not periodic.
+        """
+        position = first["position"][here]
+        moved = later["position"][there] - position - self.shift - position @ self.gradient.T
+        if "image" not in first:
+            return self.lattice.shortest(moved)
+        before, after = first["image"][here], later["image"][there]
+        axes = self.lattice.axes
+        crossed = np.argwhere(np.delete(after - before, axes, axis=1))
+        if crossed.size:
+            row, k = crossed[0]
+            axis = np.delete(list(COMPONENTS), axes)[k]
+            raise SceneError(
+                f"particle {first['particle_id'][here][row]} has another image along '{axis}' than before, and the "
+                f"scene is not periodic along it; give periodic= with '{axis}', or ds.drop_vars('image')"
+            )
+        return moved + (after[:, axes] - before[:, axes] @ self.turned) @ self.lattice.given
 
 
 def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:

@@ -21,6 +21,7 @@ from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
+    NUMBERED,
     PADDING,
     VARIABLES,
     VECTORS,
@@ -39,7 +40,7 @@ from xcg.scene.schema import (
 def to_dataset(
     arrays: Mapping[str, Any],
     *,
-    time: ArrayLike,
+    time: ArrayLike | None,
     step: ArrayLike,
     box: Mapping[str, NDArray],
     setup: Setup,
@@ -51,8 +52,10 @@ def to_dataset(
     ----------
     arrays : mapping
         Padded arrays by scene name, time first.
-    time, step : array (t,)
-        Times (s) and step numbers.
+    time : array (t,) or None
+        Times (s); None where they are not known, and the step numbers stand in their place.
+    step : array (t,)
+        Step numbers.
     box : mapping
         Variables of the domain, time first, see `domain_of`.
     """
@@ -61,12 +64,14 @@ def to_dataset(
         row = BOX[name] if name in box else variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    second = "s" if setup.unit_system == "SI" else "1"
+    unit, long_name = units_in("s", setup.unit_system), "time"
+    if time is None:
+        unit, long_name = "1", NUMBERED
     coords: dict[str, Any] = {
         "time": (
             "time",
-            np.asarray(time, float),
-            {"units": second, "long_name": "time", "axis": "T"},
+            np.asarray(step if time is None else time, float),
+            {"units": unit, "long_name": long_name, "axis": "T"},
         ),
         "step": (
             "time",
@@ -177,7 +182,8 @@ def scene_from_arrays(
     position : array (n, 3), array (t, n, 3) or list of arrays
         Positions of the centres (m).
     time, step : array (t,), optional
-        Times (s), rising, and step numbers; 0, 1, 2, ... by default.
+        Times (s) and step numbers, rising; step numbers are 0, 1, 2, ... by default. Without times, the coordinate
+        ``time`` is the step number, and whatever takes differences of times is refused.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain (m), needed along periodic axes.
     periodic : str
@@ -265,18 +271,18 @@ def scene_from_arrays(
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
-    times = (
-        np.arange(total, dtype=float)
-        if time is None
-        else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
-    )
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
+    times = None if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     for name, values in (("time", times), ("step", numbers)):
-        if values.shape != (total,):
+        if values is not None and values.shape != (total,):
             raise SceneError(
                 f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
             )
-    check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
+    check_times(
+        numbers if times is None else times,
+        "a scene",
+        "sort the steps, and leave out those that stand twice",
+    )
     domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
@@ -284,14 +290,11 @@ def scene_from_arrays(
     with Once().active():
         for t in range(total):
             source = f"step {t}" if total > 1 else "scene"
-            particles.append(
-                complete_particles(
-                    _prefix(steps, particle_names, "particle_id", t, source), setup, source
-                )
-            )
             images = Lattice.of(
                 {name: values[t] for name, values in domain.items()}, setup.periodic, source
             )
+            frame = _prefix(steps, particle_names, "particle_id", t, source)
+            particles.append(complete_particles(frame, setup, source, images))
             if contact_names:
                 frame = _prefix(steps, contact_names, "contact_i", t, source)
                 contacts.append(

@@ -104,13 +104,16 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
     return typed
 
 
-def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
+def complete_particles(
+    frame: Mapping[str, ArrayLike], setup: Setup, source: str, lattice: Lattice | None = None
+) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
     Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
     the layer's thickness), ``mass = density * volume``. Moments of inertia of particles with an angular velocity are
     of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is, but for a body of more than
-    half of the particles: these become single ones (``body_id = -1``), with a warning.
+    half of the particles: these become single ones (``body_id = -1``), with a warning. ``unwrapped_position`` becomes
+    ``image``, the whole periods between it and the position.
 
     Parameters
     ----------
@@ -120,6 +123,8 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
         What the data do not say.
     source : str
         File and step, for messages.
+    lattice : Lattice, optional
+        Periodic images, in the scene's units, which ``image`` is counted in; without them it is left out.
 
     Raises
     ------
@@ -159,9 +164,12 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
                 f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected "
                 f"{'0 or more' if may_be_zero else 'a positive number'}"
             )
+    unwrapped = given.pop("unwrapped_position", None)
+    if unwrapped is not None and lattice is not None:
+        given["image"] = _images(given["position"], unwrapped, lattice, ids, source)
     _complete_size_and_mass(given, setup)
     if "body_id" in given:
-        _take_apart(given["body_id"], source)
+        given["body_id"] = _without_default_body(given["body_id"], source)
     if "diameter" in given:
         beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
         if beyond.size:
@@ -201,26 +209,58 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
     return order
 
 
-def _take_apart(body: NDArray, source: str) -> None:
-    """Set ids of bodies (n,) to -1 where more than half of the grains are of one body, with a warning.
+def _without_default_body(body: NDArray, source: str) -> NDArray:
+    """Return ids of bodies (n,), -1 where more than half of the grains are of one body, with a warning.
 
     Files name all grains 1 that are in no body, or leave a default. Pairs within a body would count as glued.
     """
     count = len(body)
     if count < 2:
-        return
+        return body
     middle = np.partition(body, count // 2)[count // 2]  # what more than half of the grains have
     members = body == middle
     number = int(members.sum())
     if middle < 0 or 2 * number <= count or number < 2:
-        return
+        return body
     warn_once(
         "bodies",
         f"{source}: {number} of {count} particles are of one body (body_id={middle}), as if it were a default: they "
         "count as single grains (body_id=-1), and contacts between them are found. If they are glued, read the column "
         "as names={'mol': 'my_body'}, and assign ds.assign(body_id=ds.my_body.fillna(-1).astype(int))",
     )
-    body[members] = -1
+    return np.where(members, -1, body)
+
+
+_DIGITS = 0.01  # part of a period by which places in files may miss whole periods
+
+
+def _images(
+    position: NDArray, unwrapped: NDArray, lattice: Lattice, ids: NDArray, source: str
+) -> NDArray:
+    """Return the whole periods (n, 3) between positions and unwrapped positions (n, 3).
+
+    Raises
+    ------
+    SceneError
+        If a difference is no sum of whole periods.
+    """
+    images, away = np.zeros((len(ids), 3), "int64"), unwrapped - position
+    if not away.any():
+        return images
+    periods = lattice.given
+    whole = np.rint(away @ np.linalg.pinv(periods))
+    rest = np.abs(away - whole @ periods).max(axis=1)
+    shortest = np.linalg.norm(periods, axis=1).min() if len(periods) else np.ptp(position)
+    off = np.flatnonzero(rest > _DIGITS * shortest)
+    if off.size:
+        row = off[0]
+        raise SceneError(
+            f"{source}: the unwrapped position of particle {ids[row]} is {away[row].tolist()} m from "
+            f"its position, which is no sum of the periods {periods.tolist()}; give periodic= and box= "
+            "as in the simulation, or drop the unwrapped positions (files: names={'xu': None, ...})"
+        )
+    images[:, lattice.axes] = whole
+    return images
 
 
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:

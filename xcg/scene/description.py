@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, plain, printable
 from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
-from xcg.scene.frame import SIZES, with_measures
+from xcg.scene.frame import SIZES, times_are_known, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import (
     BOX,
@@ -438,6 +438,8 @@ def _times(ds: xr.Dataset) -> str:
     times = np.atleast_1d(ds["time"].to_numpy())
     unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
     text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
+    if not times_are_known(ds):
+        text += "(numbers of steps, times are not known)"
     return text.rstrip()
 
 

@@ -16,6 +16,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import (
     BOX,
     MAX_GROUPS,
+    NUMBERED,
     OF_STEP,
     PADDING,
     VARIABLES,
@@ -57,6 +58,43 @@ def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
         purpose,
         "order the steps with ds.sortby('time').drop_duplicates('time')",
     )
+
+
+def times_are_known(ds: xr.Dataset) -> bool:
+    """Return whether the coordinate time holds times, and not the numbers of the steps in their place.
+
+    Arithmetic keeps attributes, so that assigned times may still be labelled as numbers; they differ from the steps,
+    and where these are lazy, they are not whole.
+    """
+    if ds["time"].attrs.get("long_name") != NUMBERED:
+        return True
+    if "step" not in ds.coords:
+        return False
+    times = ds["time"].to_numpy()
+    if ds["step"].chunks is not None:
+        return bool((times % 1 != 0).any())
+    return not np.array_equal(times, ds["step"])
+
+
+def unit_of_times(ds: xr.Dataset) -> str:
+    """Return the unit of differences of times: "1" where the times are not known."""
+    second = units_in("s", str(ds.attrs.get("unit_system", "SI")))
+    return second if times_are_known(ds) else "1"
+
+
+def require_known_times(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a series whose times are numbers of steps: rates would have a wrong unit."""
+    if not times_are_known(ds):
+        raise SceneError(
+            f"{purpose}: the times of the steps are not known, and 'time' holds the numbers of the steps; give "
+            "timestep= or times= in open_scene, time= in scene_from_arrays, or ds.assign_coords(time=seconds)"
+        )
+
+
+def require_times(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a series whose times are not known, or do not rise."""
+    require_known_times(ds, purpose)
+    require_rising_times(ds, purpose)
 
 
 def evenly_spaced(values: NDArray, what: str) -> float:
@@ -292,7 +330,7 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
         whole = len(masses) == len(diameters)
         measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
     for name in frames[0] if frames else ():
-        values = [f[name] for f in frames if f[name].dtype.kind == "i"]
+        values = [f[name] for f in frames if f[name].dtype.kind == "i" and f[name].ndim == 1]
         if values and name != "particle_id":
             unique = np.unique(np.concatenate([_different(rows) for rows in values]))
             if 0 < len(unique) <= MAX_GROUPS:

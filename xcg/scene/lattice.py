@@ -100,6 +100,11 @@ class Lattice:
         """Vectors of the periodic axes (k, 3) as they were given, in the order of the axes."""
         return self.basis if self.cell is None else self.cell[self.cell.any(axis=1)]
 
+    @property
+    def axes(self) -> NDArray:
+        """Which of a, b, c are in `given`: their indices (k,)."""
+        return np.flatnonzero(np.isfinite(self.lengths))
+
     def scaled(self, unit: float) -> Lattice:
         """Return the same images with lengths over `unit` (m), without edges and cell; rates stay in m/s."""
         vectors = None if self.vectors is None else self.vectors / unit

@@ -59,6 +59,13 @@ _CONTACT = ("contact",)
 VARIABLES: dict[str, Variable] = {
     "particle_id": Variable(_PARTICLE, "1", "identifier of the particle", "int64"),
     "position": Variable((*_PARTICLE, "component"), "m", "position of the particle centre"),
+    # the unwrapped position is ``position + image @ lattice``, with the lattice vectors a, b, c of the same step
+    "image": Variable(
+        (*_PARTICLE, "component"),
+        "1",
+        "number of periods along a, b and c between the position and the unwrapped position",
+        "int64",
+    ),
     "velocity": Variable((*_PARTICLE, "component"), "m s^-1", "velocity of the particle"),
     "angular_velocity": Variable(
         (*_PARTICLE, "component"), "s^-1", "angular velocity of the particle"
@@ -89,6 +96,10 @@ VARIABLES: dict[str, Variable] = {
     "exponent_1": Variable(_PARTICLE, "1", "exponent n1 of a superquadric: 2 for ellipsoids"),
     "exponent_2": Variable(_PARTICLE, "1", "exponent n2 of a superquadric: 2 for ellipsoids"),
     "coordination_number": Variable(_PARTICLE, "1", "number of contact partners"),
+    # an input only: `image` follows from it, and it is not kept
+    "unwrapped_position": Variable(
+        (*_PARTICLE, "component"), "m", "position that goes on across periodic edges"
+    ),
     "contact_i": Variable(_CONTACT, "1", "id of the particle that the force acts on", "int64"),
     "contact_j": Variable(_CONTACT, "1", "id of its partner; negative for a wall", "int64"),
     "contact_force": Variable((*_CONTACT, "component"), "N", "contact force on particle i"),
@@ -105,6 +116,7 @@ VARIABLES: dict[str, Variable] = {
 }
 # Read only where they are asked for, as few fields need them.
 ROTATION = ("angular_velocity", "moment_of_inertia")
+MOTION = ("image",)
 # the domain of a step; the lattice is there where edges are not along x, y and z, its velocity where images move
 BOX: dict[str, Variable] = {
     "box": Variable(("component", "bound"), "m", "edges of the domain"),
@@ -115,6 +127,8 @@ BOX: dict[str, Variable] = {
         ("vector", "component"), "m s^-1", "rate at which the lattice vectors change"
     ),
 }
+# the long name of times that are numbers of steps
+NUMBERED = "number of the time step, as the times are not known"
 OF_STEP = (*BOX, "step")  # what tasks take of a step besides its rows
 VECTORS = ("a", "b", "c")
 

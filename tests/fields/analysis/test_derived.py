@@ -87,7 +87,7 @@ def test_tables_of_trackpy_are_read():
         "mass": [800.0, 900.0, 810.0, 905.0, 880.0, 790.0], "size": 2.1, "ecc": 0.1, "signal": 30.0, "raw_mass": 1e3,
         "ep": 0.05, "frame": [0, 0, 1, 1, 2, 3], "particle": [7, 3, 7, 3, 3, 7],
     })  # fmt: skip
-    names = {"frame": "step", "particle": "particle_id", "mass": None}
+    names = {"frame": "time", "particle": "particle_id", "mass": None}
     ds = xcg.scene_from_table(
         table[["x", "y", "frame", "particle", "mass"]].assign(z=0.0, diameter=3.0), names=names, dimension=2,
         thickness=1.0, density=1.0,

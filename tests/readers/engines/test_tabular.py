@@ -237,14 +237,15 @@ def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
     paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
     for path, rows in zip(paths, (table, contacts), strict=True):
         rows.to_csv(path, index=False)
-    ignored = "particles: x, id, type\ncontacts: age"
+    ignored = "particles: position_x, id, type\ncontacts: age"
     with pytest.warns(xcg.SceneWarning) as caught:
         ds = xcg.open_scene(paths[0], contacts=paths[1], density=1.0)
     assert ds.attrs["ignored_columns"] == ignored
     messages = [str(warning.message) for warning in caught]
-    assert "both 'particle_id' and 'id' may be 'particle_id'" in messages[0]
-    assert "both 'species' and 'type' may be 'species'" in messages[1]
-    assert len(messages) == 2
+    assert "both 'x' and 'position_x' may be 'position_x'" in messages[0]
+    assert "both 'particle_id' and 'id' may be 'particle_id'" in messages[1]
+    assert "both 'species' and 'type' may be 'species'" in messages[2]
+    assert len(messages) == 3
     assert (
         xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"]
         == ignored

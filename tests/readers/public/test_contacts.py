@@ -47,7 +47,7 @@ def neighbour_list(folder, form):
 
 @pytest.mark.parametrize("form", ["lammps", "lammps, without branches", "liggghts"])
 def test_pairs_of_a_neighbour_list_are_no_contacts(tmp_path, form):
-    ds = xcg.open_scene(**neighbour_list(tmp_path, form), density=1.0)
+    ds = xcg.open_scene(**neighbour_list(tmp_path, form))
     match = (
         r"3 of 4 rows of contacts have no force, and a gap .*contact row 1, contact_i=2, .*0\.01"
     )
@@ -139,17 +139,17 @@ def test_a_column_of_another_quantity_is_no_overlap(tmp_path, quantity, form):
             tmp_path / "c.csv", f"id1,id2,fx,fy,fz,overlap\n1,2,0,0,-7,{value}\n"
         )
     if engine == "table":
-        text = "id,x,y,z,radius\n1,.5,.5,.4,.05\n2,.5,.5,.49,.05\n"
+        text = "id,x,y,z,radius,mass\n1,.5,.5,.4,.05,1\n2,.5,.5,.49,.05,1\n"
         grains = dumps.write(tmp_path / "p.csv", text)
     else:
         grains = dump(tmp_path, GRAINS[:2], "id type x y z radius mass")
-    ds = xcg.open_scene(grains, contacts=contacts, engine=engine, density=1.0)
+    ds = xcg.open_scene(grains, contacts=contacts, engine=engine)
     with pytest.warns(SceneWarning) as warned:
         overlap = ds.overlap.compute()
     assert overlap.item() == pytest.approx(0.01, rel=1e-12)
     assert f"{column!r} is not the overlap" in str(warned[0].message)
     named = xcg.open_scene(
-        grains, contacts=contacts, engine=engine, density=1.0, names={column: "contact_quantity"}
+        grains, contacts=contacts, engine=engine, names={column: "contact_quantity"}
     )
     assert named.contact_quantity.compute().item() == pytest.approx(value)
 

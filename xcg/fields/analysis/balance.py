@@ -14,7 +14,7 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.description import describe
-from xcg.scene.frame import require_rising_times
+from xcg.scene.frame import require_times, times_are_known
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import provenance
 
@@ -223,7 +223,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If the scene lacks what the fields need, or its times do not rise.
+        If the scene lacks what the fields need, or its times are not known or do not rise.
     ValueError
         If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset; if
         `of` names no such balance or a quantity that the scene lacks, or torque, power, spin or energy with `by`.
@@ -263,8 +263,8 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         raise ValueError(
             f"axes {short} have fewer than five nodes, which differences take; lower spacing="
         )
-    if ds.sizes["time"] > 1:
-        require_rising_times(ds, "balance")
+    if any(law.rate for law in laws.values()):
+        require_times(ds, "balance")
     f = answer(ds, request)
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
@@ -322,9 +322,11 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
             raise ValueError(
                 f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
             )
-    return {
-        name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))
-    }
+    if asked.of:
+        return {name: LAWS[name] for name in asked.of}
+    if not times_are_known(ds):
+        lacking |= {name for name, law in LAWS.items() if law.rate}
+    return {name: LAWS[name] for name in USUAL if name not in lacking}
 
 
 def _halfway(

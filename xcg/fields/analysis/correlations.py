@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.facts import require_facts, with_facts
-from xcg.scene.frame import evenly_spaced, require_steps, with_time
+from xcg.scene.frame import evenly_spaced, require_known_times, require_steps, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call, provenance
 
@@ -178,6 +178,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     last = steps // 2 if max_lag is None else max_lag
     if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
         raise ValueError(f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}")
+    require_known_times(f, "time_correlation")
     interval = evenly_spaced(f["time"].to_numpy(), "times")
     tail = [dim for dim in _TAIL if dim in a.dims]
     nodes = [str(dim) for dim in a.dims if dim in COMPONENTS]

@@ -15,9 +15,9 @@ from xcg.common.checks import is_positive, unit_vector
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.frame import particle_rows, require_rising_times, steps_in
+from xcg.scene.frame import particle_rows, require_times, steps_in
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in
+from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, VARIABLES, units_in
 from xcg.steps.labels import format_call, label, results_of
 from xcg.steps.mapping import map_over_time
 
@@ -228,10 +228,11 @@ _LARGE_SHARE = 0.25  # of a period
 def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     """Add velocities from positions by differences in time; lazy where the scene is.
 
-    ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id, with the nearest periodic image relative to
-    the box; one-sided in the first and last step, and where a particle is missing before or after. Exact for constant
-    acceleration and even steps. Steps have to be so close that no particle moves by half a period: from there on the
-    nearest image is another one, and the velocity is wrong.
+    ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id; one-sided in the first and last step, and
+    where a particle is missing before or after. Exact for constant acceleration and even steps. Across periodic edges
+    particles are followed by ``image`` of the scene. Without it the image nearest relative to the box is taken, and
+    steps have to be so close that no particle moves by half a period: from there on the nearest image is another one,
+    and the velocity is wrong.
 
     Parameters
     ----------
@@ -247,12 +248,13 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If there is one step only, or times do not rise.
+        If there is one step only, or times are not known or do not rise.
 
     Warns
     -----
     SceneWarning
-        When it is computed, if a particle moves by more than a quarter of a period between two steps.
+        When it is computed, if a particle moves by more than a quarter of a period between two steps, and the scene
+        has no ``image``.
 
     Examples
     --------
@@ -269,11 +271,11 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     count = ds.sizes["time"]
     if count < 2:
         raise SceneError("derive_velocity needs two steps or more, and this scene has one")
-    require_rising_times(ds, "derive_velocity")
+    require_times(ds, "derive_velocity")
     names = [
         "particle_id",
         "position",
-        *(name for name in OF_STEP if name in ds and name != "lattice_velocity"),
+        *(name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"),
     ]
     series = ds.drop_vars("velocity", errors="ignore").assign(
         moment=("time", ds["time"].to_numpy())
@@ -313,9 +315,9 @@ def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
             row = rows_of(other[0]["particle_id"], now[0]["particle_id"])
             there = np.flatnonzero(row >= 0) if apart else np.empty(0, int)
             motion = BoxMotion.between(now[1], other[1])
-            moved = motion.relative(position[there], other[0]["position"][row[there]])
+            moved = motion.relative(now[0], other[0], there, row[there])
             share = np.abs(moved).max(axis=0, initial=0.0) / now[1].period
-            if share.max() > _LARGE_SHARE:  # the nearest image may be another one
+            if "image" not in now[0] and share.max() > _LARGE_SHARE:  # it may be another image
                 warn_once(
                     "velocities across a period",
                     f"{now[2]}: particles move by up to {share.max():.2f} of the period along "

@@ -17,9 +17,9 @@ from xcg.fields.formulas.averages import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import evenly_spaced, phase_of, steps_in, without_frozen
+from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
+from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
 from xcg.steps.labels import format_call, provenance, with_phase_labels
 from xcg.steps.mapping import each_step
 
@@ -38,8 +38,9 @@ def mean_squared_displacement(
 ) -> xr.Dataset:
     """Mean squared displacement of the grains over several lags, and their self-diffusion (computes, step by step).
 
-    Grains are followed by their ids from step to step, across periodic edges by the image that moves least relative to
-    the box, and each step and the one `lag` steps later are a pair. As many steps as the longest lag are in memory.
+    Grains are followed by their ids from step to step, across periodic edges by ``image`` of the scene, else by the
+    image that moves least relative to the box, and each step and the one `lag` steps later are a pair. As many steps
+    as the longest lag are in memory.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def mean_squared_displacement(
     Raises
     ------
     SceneError
-        If the steps are not at equal distances, or one has no grain of the step before.
+        If times are not known, the steps are not at equal distances, or one has no grain of the step before.
     ValueError
         If a lag or the range of the fit does not fit the series.
 
@@ -95,6 +96,7 @@ def mean_squared_displacement(
     require_ids(ds, "mean_squared_displacement")
     steps = ds.sizes["time"]
     chosen = _lags(lags, steps)
+    require_known_times(ds, "mean_squared_displacement")
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
     at = interval * np.array(chosen)
     used = _range(fit, at)
@@ -225,7 +227,9 @@ def _ways(
 ) -> Iterator[_Places]:
     """Follow the grains from step to step."""
     names = [
-        n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds
+        n
+        for n in ("particle_id", "position", *MOTION, "frozen", by, *OF_STEP)
+        if n is not None and n in ds
     ]
     periodic, before = str(ds.attrs.get("periodic", "")), None
     for t, step in enumerate(each_step(ds[names])):
@@ -240,7 +244,7 @@ def _ways(
             rows = partners(old_frame, frame, (old_source, source))
             stay = rows >= 0
             motion = BoxMotion.between(old_lattice, lattice)
-            moved = motion.relative(old_frame["position"][stay], position[rows[stay]])
+            moved = motion.relative(old_frame, frame, np.flatnonzero(stay), rows[stay])
             if remove_drift and len(moved):
                 moved -= moved.mean(axis=0)
             place[rows[stay]], seen[rows[stay]] = old.place[stay] + moved, old.first_seen[stay]

@@ -22,8 +22,15 @@ from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_ids, require_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import require_rising_times, steps_in, with_measures
-from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
+from xcg.scene.frame import (
+    require_known_times,
+    require_rising_times,
+    steps_in,
+    times_are_known,
+    unit_of_times,
+    with_measures,
+)
+from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, PADDING
 from xcg.steps.faults import Compute, Result
 from xcg.steps.labels import mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk
@@ -58,7 +65,8 @@ class DisplacementRequest(SharedOptions):
     fields : str or list of str, optional
         Names of fields of displacements: ``displacement``, ``displacement_gradient``, ``deformation_gradient``,
         ``strain``, ``small_strain``, ``volumetric_strain``, ``shear_strain``, ``rotation``, ``rotation_vector``,
-        ``nonaffine_covariance``, ``d2min`` and ``self_diffusion``; all of them and ``sample_count`` by default.
+        ``nonaffine_covariance``, ``d2min`` and ``self_diffusion``; all of them and ``sample_count`` by default, without
+        ``self_diffusion`` where times are not known.
     lag : int
         Frames from each frame to the later one; 1 is the next.
     accumulate : bool
@@ -90,8 +98,9 @@ class DisplacementRequest(SharedOptions):
 def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and what an affine deformation leaves over.
 
-    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges it is the image that
-    moves least relative to the box; a box that deforms carries its images with it. Fields belong to frame t, at the
+    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges ``image`` of the scene
+    says how far; without it, it is the image that moves least relative to the box. A box that deforms carries its
+    images with it. Fields belong to frame t, at the
     places that grains have in frame t (the reference configuration), which therefore takes no contacts.
 
     Parameters
@@ -110,7 +119,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If times do not rise, or two frames have no id in common.
+        If times do not rise, two frames have no id in common, or `self_diffusion` is asked for and times are not known.
     ValueError
         If there are not enough frames for `lag`, a field is not one of displacements, or an argument is wrong.
 
@@ -172,7 +181,8 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         f = f.assign_coords(
             {name: ("time", ds[name].to_numpy()[1:], ds[name].attrs) for name in labels}
         )
-        since = {"units": f["interval"].attrs["units"], "long_name": "time since the first frame"}
+        since = f["interval"].attrs["long_name"].replace("to the later", "since the first")
+        since = {"units": f["interval"].attrs["units"], "long_name": since}
         f = f.assign_coords(
             interval=("time", ds["time"].to_numpy()[1:] - ds["time"].to_numpy()[0], since)
         )
@@ -200,7 +210,10 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
             )
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
+    timed = [name for name in known if "interval" in registry.FIELDS[name].moments]
     ours = [name for name in known if registry.FIELDS[name].default]
+    if not times_are_known(ds):
+        ours = [name for name in ours if name not in timed]
     given = ["sample_count", *ours] if asked.fields is None else asked.fields
     names = [str(name) for name in ([given] if isinstance(given, str) else given)]
     if not names:
@@ -210,6 +223,8 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     for name in names:
         if name not in (*known, *BESIDE):
             raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
+        if name in timed:
+            require_known_times(ds, f"displacement({name!r})")
     if asked.accumulate:
         total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
         if asked.fields is None:
@@ -242,7 +257,7 @@ def _between_frames(
         "particle_id",
         "position",
         "time",
-        *(name for name in OF_STEP if name in ds and name != "lattice_velocity"),
+        *(name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"),
     ]
     later = {
         f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable()
@@ -256,11 +271,11 @@ def _between_frames(
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
     f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
     times = ds["time"].to_numpy()
-    second = units_in("s", plan.setup.unit_system)
+    what = "time" if times_are_known(ds) else "steps of the simulation"
     coords = {
         "interval": (
             times[lag:] - times[:count],
-            {"units": second, "long_name": "time to the later frame"},
+            {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"},
         ),
         "left": (
             arrays["left"],
@@ -303,7 +318,7 @@ def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) ->
         place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
         ids[t, place] = given[place]
         first["velocity"][t, place] = motion.relative(
-            one[0]["position"][stay], other[0]["position"][rows[stay]]
+            one[0], other[0], np.flatnonzero(stay), rows[stay]
         )
         found["left"][t], found["entered"][t] = (
             (~stay).sum(),

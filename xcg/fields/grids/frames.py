@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, unit, unit_vector, vector
 from xcg.common.messages import SceneError
-from xcg.scene.schema import COMPONENTS, VECTORS, known_without_reading, mark_measured
+from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading, mark_measured
 
 CYLINDRICAL = "cylindrical"
 _PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given
@@ -239,7 +239,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     found = {}
     for name in map(str, ds.data_vars):
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]
-        if dims and name != "box":
+        if dims and name not in ("box", *MOTION):
             shift = origin if name in _PLACES else np.zeros(3)
             in_axes = (
                 partial(turned, axes=axes, origin=shift)
@@ -334,6 +334,12 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
         vectors = _mapped(lattice_of, ds["box"], ["component", "bound"], ["vector", "component"])
         found["lattice"] = vectors.assign_coords(vector=list(VECTORS))
+    if "image" in ds:
+        images = ds["image"].isel(component=rows).assign_coords(component=ds["component"])
+        if "lattice" not in ds and "lattice" not in found:  # periods lead along the new axes
+            ahead = np.sign(axes[range(3), rows]).astype("int64")
+            images = images * xr.DataArray(ahead, dims="component")
+        found["image"] = images
     return ds.assign(found).drop_attrs(deep=False).assign_attrs(attrs)
 
 

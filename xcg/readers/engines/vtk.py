@@ -30,7 +30,7 @@ from xcg.readers.names import (
 )
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
-_VECTORS = ("velocity", "angular_velocity")
+_VECTORS = ("velocity", "angular_velocity", "unwrapped_position", "image")
 _COMPONENTS = [component for vector in _VECTORS for component in components(vector)]
 # arrays that mark points which another piece holds, too
 _GHOSTS = ("vtkGhostType", "vtkGhostLevels")
@@ -244,6 +244,8 @@ class Vtk(Engine):
                         "three components; drop them by names={'...': None}"
                     )
                 frame.setdefault(vector, np.stack([*parts.values()], axis=1))
+        if "image" in frame and frame["image"].ndim == 1 and "image" not in options.names.values():
+            del frame["image"]  # a number named "i" is something else
         unify_sizes(frame, ref)
         return frame
 
