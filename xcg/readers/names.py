@@ -184,7 +184,7 @@ def _arrays(
     for variable, names in (*scalars.items(), *vectors.items()):
         for name in names:
             word = canonical(name.replace("?", ""))
-            if len(word) > 1 or word in "vi":  # "i" is what LAMMPS and LIGGGHTS make of ix iy iz
+            if len(word) > 1 or word in "vij":  # LAMMPS and LIGGGHTS make "i" of ix iy iz
                 arrays.setdefault(word, variable)
     return arrays
 
@@ -194,6 +194,10 @@ _WHOLE_VECTORS = {
     for slot in ("velocity", "angular_velocity", "unwrapped_position", "image")
 }
 PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
+CONTACT_ARRAYS = _arrays(
+    _CONTACT_SCALARS,
+    {slot: _CONTACT_VECTORS[slot] for slot in ("contact_force", "contact_point", "contact_normal")},
+)
 
 
 def columns_by_name(columns: Sequence[str], slots: Slots) -> dict[str, str]:

@@ -135,8 +135,8 @@ def test_momentum_is_balanced_where_parts_of_the_kernel_are_negative(by):
     ds = xcg.scene_from_arrays(
         [position, position + dt * velocity], velocity=[velocity] * 2, diameter=np.ones((2, 25)), density=1.0,
         species=[np.arange(25) % 2] * 2, time=[0.0, dt], box=[[0, 5]] * 3, periodic="xy", dimension=2,
-        gravity=(0, 0, 0), contact_i=[[0]] * 2, contact_j=[[1]] * 2, contact_force=np.zeros((2, 1, 3)),
-        contact_point=np.zeros((2, 1, 3)),
+        gravity=(0, 0, 0), contact_i=[[0]] * 2, contact_j=[[1]] * 2, contact_point=np.zeros((2, 1, 3)),
+        contact_force=np.full((2, 1, 3), 1e-30),  # without a force it would be no contact
     )  # fmt: skip
     options = {"kernel": "negative parts", "width": 0.7, "spacing": 0.05, "by": by}
     assert float(ds.cg.coarse_grain("density", **options).density.min()) < 0

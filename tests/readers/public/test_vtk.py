@@ -223,7 +223,11 @@ def test_masses_of_a_legacy_series_are_those_of_the_fields(tmp_path):
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_contacts_as_legacy_lines_are_read(tmp_path, binary):
+@pytest.mark.parametrize(
+    "arrays",
+    [("id1", "id2", "force"), ("i", "j", "Contact_Force"), ("ID_1", "ID_2", "Total Force")],
+)
+def test_contacts_as_legacy_lines_are_read(tmp_path, binary, arrays):
     """As YADE's exportInteractions does: a line between two centres, forces as arrays of the lines."""
     (tmp_path / "g_1.vtk").write_text(OF_YADE)
     data, points, lines = vtkPolyData(), vtkPoints(), vtkCellArray()
@@ -233,16 +237,13 @@ def test_contacts_as_legacy_lines_are_read(tmp_path, binary):
     lines.InsertNextCell(2, [2, 3])
     data.SetLines(lines)
     force = np.array([[1.0, 2, 3], [-4, 0, 1]])
-    for name, values in {"id1": [4, 2], "id2": [2, 3], "force": force}.items():
+    for name, values in zip(arrays, ([4, 2], [2, 3], force), strict=True):
         array = numpy_to_vtk(np.asarray(values), deep=True)
         array.SetName(name)
         data.GetCellData().AddArray(array)
     form = "FileTypeToBinary" if binary else "FileTypeToASCII"
     write(data, tmp_path / "c_1.vtk", "vtk", **{form: ()})
-    names = {"id1": "contact_i", "id2": "contact_j", "force": "contact_force"}
-    ds = xcg.open_scene(
-        tmp_path / "g_1.vtk", contacts=tmp_path / "c_1.vtk", names=names, density=1.0
-    ).load()
+    ds = xcg.open_scene(tmp_path / "g_1.vtk", contacts=tmp_path / "c_1.vtk", density=1.0).load()
     np.testing.assert_array_equal(ds.contact_i[0], [4, 2])
     np.testing.assert_array_equal(ds.contact_force[0], force)
 

@@ -22,6 +22,7 @@ from xcg.readers.files.legacy_vtk import is_legacy
 from xcg.readers.files.text import open_binary, plain_name
 from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.names import (
+    CONTACT_ARRAYS,
     PARTICLE_ARRAYS,
     PARTICLE_SLOTS,
     canonical,
@@ -91,7 +92,7 @@ class Vtk(Engine):
         What to do about contacts without ids or forces, a sentence.
     """
 
-    CONTACT_NAMES: ClassVar[Mapping[str, str]] = {}
+    CONTACT_NAMES: ClassVar[Mapping[str, str]] = CONTACT_ARRAYS
     OPTIONS: ClassVar[tuple[str, ...]] = ("timestep",)
     LINES: ClassVar[bool] = True
     ROWS_ARE_IDS: ClassVar[bool] = False
