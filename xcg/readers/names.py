@@ -206,10 +206,17 @@ def columns_by_name(columns: Sequence[str], slots: Slots) -> dict[str, str]:
     All components of a vector are of one spelling, the one with the most components: ``wx`` beside
     ``omega_z`` is something else.
     """
+    aliases = tuple((slot, tuple(names)) for slot, names in slots.items())
+    return dict(_columns_by_name(tuple(columns), aliases))
+
+
+@lru_cache(maxsize=256)  # the steps of a series have the same columns
+def _columns_by_name(
+    columns: tuple[str, ...], slots: tuple[tuple[str, tuple[str, ...]], ...]
+) -> dict[str, str]:
     named = canonical_columns(columns)
     by_alias = {
-        slot: [named.get(canonical(alias), [""])[0] for alias in aliases]
-        for slot, aliases in slots.items()
+        slot: [named.get(canonical(alias), [""])[0] for alias in aliases] for slot, aliases in slots
     }
     filled = {}
     for slot, found in by_alias.items():
