@@ -51,7 +51,7 @@ print(json.dumps({{
 #
 # `check` is a number that all programs of a row find: a mean of the velocity along x, weighted by mass.
 
-IMPORT_XCG = "import xcg, dask.array, xcg.fields.coarse_grain, xcg.readers.series"
+IMPORT_XCG = "import xcg, dask.array, xcg.fields.coarse_grain, xcg.readers.open"
 XCG_PROFILE = """
 ds = xcg.open_scene({files}, units="reduced")
 f = ds.cg.coarse_grain(["velocity", "density"], axes="z").compute()

@@ -518,7 +518,7 @@ def said_by(*words, **environment):
     """Run the command in a process of its own, which tells the modules that it has loaded after what it says."""
     code = """
 import atexit, sys
-heavy = ("numba", "dask", "scipy", "vtkmodules", "h5py", "netCDF4", "zarr", "xcg.jobs", "xcg.readers.series")
+heavy = ("numba", "dask", "scipy", "vtkmodules", "h5py", "netCDF4", "zarr", "xcg.jobs", "xcg.readers.open")
 atexit.register(lambda: print("loaded", [name for name in heavy if name in sys.modules]))
 from xcg.cli import main
 main()

@@ -33,7 +33,7 @@ from .packing.pairs import find_pairs
 from .readers.engines.vtk import mesh_points
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
-from .readers.series import open_scene
+from .readers.open import open_scene
 from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls

@@ -247,7 +247,7 @@ def chains(
     "chains_{step}.vtp"
     """
     from xcg.chains.search import force_chains
-    from xcg.readers.series import open_scene
+    from xcg.readers.open import open_scene
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped
     from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
@@ -329,7 +329,7 @@ def convert(
     xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
     """
     from xcg.jobs.config import read_config
-    from xcg.readers.series import open_scene
+    from xcg.readers.open import open_scene
     from xcg.scene.conform import conform
     from xcg.writers.save import save
 
@@ -372,7 +372,7 @@ def info(files: tuple[str, ...], **options: Any) -> None:
 
     For example: xcg info "particles.*.dump" -c "contacts.*.dump"
     """
-    from xcg.readers.series import open_scene
+    from xcg.readers.open import open_scene
 
     with plain_messages(quiet=False):
         click.echo(repr(open_scene(list(files), **said(options)).cg))

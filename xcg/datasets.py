@@ -142,7 +142,7 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     if name not in _SAMPLES:
         listed = f"samples are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
         raise ValueError(unknown("sample", name, _SAMPLES, listed))
-    from xcg.readers.series import open_scene  # and with it dask, which scenes in memory do without
+    from xcg.readers.open import open_scene  # and with it dask, which scenes in memory do without
 
     sample = _SAMPLES[name]
     for folder in _FOLDERS:

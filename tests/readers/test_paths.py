@@ -17,8 +17,8 @@ from xcg.readers.engines import lammps as lammps_engine
 from xcg.readers.engines import vtk_steps
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
+from xcg.readers.open import open_scene
 from xcg.readers.paths import remembered
-from xcg.readers.series import open_scene
 
 
 def settle(folder: Path) -> None:

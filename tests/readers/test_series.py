@@ -16,8 +16,8 @@ from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import Engine, StepRef
+from xcg.readers.open import open_scene
 from xcg.readers.paths import expand_paths
-from xcg.readers.series import open_scene
 
 
 @pytest.fixture

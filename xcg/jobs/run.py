@@ -26,8 +26,8 @@ from xcg.fields.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.jobs.config import PATHS, Job
+from xcg.readers.open import open_scene
 from xcg.readers.paths import expand_paths
-from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting

@@ -11,9 +11,9 @@ import xarray as xr
 from xarray.backends import BackendEntrypoint
 
 from xcg.readers.engine import Engine
+from xcg.readers.open import open_scene
 from xcg.readers.paths import PathLike
 from xcg.readers.recognise import is_recognised
-from xcg.readers.series import open_scene
 
 _OF_XARRAY = ("particles", "engine", "chunks", "engine_options")  # called otherwise there
 

@@ -368,7 +368,7 @@ def read_contact_chunk(
     return _chunk(steps, read, {name: variable(name).dtype for name in names}, rows)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Series:
     """The steps of a scene, and what their bodies hold.
 
@@ -380,6 +380,8 @@ class Series:
         Type of each variable of the particles.
     contact_names : sequence of str
         Variables of the contacts; empty without contacts.
+    times : array (t,) or None
+        Time of each step (s); None if it is not known.
     """
 
     source: Source
@@ -387,6 +389,7 @@ class Series:
     boxes: Frame
     particle_types: Mapping[str, Any]
     contact_names: Sequence[str]
+    times: NDArray | None = None
 
     def rows(self) -> tuple[int, int]:
         """Rows of particles and of contacts in a step, at most."""

@@ -14,7 +14,7 @@ from xcg.readers.engine import ReadOptions
 from xcg.readers.engines import lammps as lammps_engine
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files.table import parse_table
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 lammps = Lammps()
 

@@ -8,7 +8,7 @@ from tests.dumps import dump_text, pairs_text, write
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.liggghts import Liggghts
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 from xcg.scene.lattice import minimum_image
 
 liggghts = Liggghts()

@@ -8,7 +8,7 @@ from tests.dumps import write
 from xcg.common.messages import SceneError
 from xcg.readers.engines.mercury import Mercury
 from xcg.readers.engines.mercury_restart import restart_beside
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 mercury = Mercury()
 

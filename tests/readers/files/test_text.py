@@ -17,7 +17,7 @@ from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files import text
 from xcg.readers.files.table import parse_table
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 lammps = Lammps()
 

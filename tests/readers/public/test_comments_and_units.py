@@ -9,7 +9,7 @@ import xarray as xr
 import xcg
 from tests.dumps import dump_text, write
 from xcg.common.messages import SceneError
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from tests.dumps import dump_text, pairs_text, write
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 GRAINS = ["1 1 1 2 1 1 0.5", "2 1 1.9 2 1 1 0.5"]
 NUMBERS = {  # of the pair (1, 2) and of the contact of grain 1 with triangle 7 of mesh 3

@@ -8,7 +8,7 @@ import pytest
 import xcg
 from tests.dumps import write
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.readers.series import open_scene
+from xcg.readers.open import open_scene
 
 HEAD = """MercuryDPM 1.0 name run revision 1 repository none
 timeStep 0.001 time {time} ntimeSteps 1 timeMax 4

@@ -1,0 +1,173 @@
+"""Arguments of `xcg.open_scene`, as one value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, Literal, TypeAlias, get_args
+
+from numpy.typing import ArrayLike
+
+from xcg.common.messages import SceneError, did_you_mean
+from xcg.readers.columns import read_names, split_names
+from xcg.readers.engine import Engine, ReadOptions, load_engine
+from xcg.readers.lazy import Chunks
+from xcg.readers.paths import PathLike
+from xcg.readers.recognise import guess_engine
+from xcg.scene.schema import Shape, Sides
+from xcg.steps.faults import OnError, check_on_error, collecting
+
+Paths: TypeAlias = PathLike | Iterable[PathLike]
+# what becomes of steps of particles without contacts
+Missing: TypeAlias = Literal["raise", "skip", "empty"]
+
+# what a scene that was saved takes
+_OF_SAVED = ("particles", "chunks", "on_error")
+_OF_TIME = ("dt", "delta_t", "step_size", "time_step")  # what others call timestep=
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `xcg.open_scene`, which describes them.
+
+    Raises
+    ------
+    SceneError
+        If `missing` or `on_error` is no choice.
+    """
+
+    particles: Paths
+    contacts: Paths | None = None
+    walls: Paths | Mapping[str, str | Sequence[str]] | None = None
+    engine: str | Engine | type[Engine] | None = None
+    names: Mapping[str, Any] | Sequence[str | None] | str | None = None
+    times: ArrayLike | None = None
+    box: ArrayLike | Mapping[str, Sequence[float]] | None = None
+    periodic: str | None = None
+    lattice: ArrayLike | Mapping[str, ArrayLike] | None = None
+    shear_rate: Mapping[str, ArrayLike] | None = None
+    gravity: Sequence[float] | None = None
+    density: float | None = None
+    frozen: int | Sequence[int] | None = None
+    units: Mapping[str, float] | str | None = None
+    dimension: int | None = None
+    plane: str | None = None
+    thickness: float | None = None
+    shape: Shape | None = None
+    allow_unknown: bool = False
+    sides: Sides = "mean"
+    missing: Missing = "raise"
+    chunks: Chunks = "auto"
+    on_error: OnError = "raise"
+    engine_options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the choices."""
+        check_on_error(self.on_error)
+        if self.missing not in get_args(Missing):
+            raise SceneError(f"missing={self.missing!r}: expected 'raise', 'skip' or 'empty'")
+
+    @property
+    def wall_columns(self) -> dict[str, str | Sequence[str]]:
+        """Columns of the particles that hold contacts with walls, by the name of the wall."""
+        return dict(self.walls) if isinstance(self.walls, Mapping) else {}
+
+    @property
+    def paths(self) -> dict[str, Paths]:
+        """Paths of the files of each kind: particles, contacts, walls."""
+        kinds: dict[str, Any] = {"particles": self.particles, "contacts": self.contacts}
+        if not isinstance(self.walls, Mapping):
+            kinds["walls"] = self.walls
+        return {kind: paths for kind, paths in kinds.items() if paths is not None}
+
+    def tolerating(self) -> AbstractContextManager[dict[Any, str]]:
+        """Return a context that collects faults of files by their place, if these are skipped."""
+        return collecting() if self.on_error == "skip" else nullcontext({})
+
+    def check_beside_saved(self, saved: str) -> None:
+        """Raise SceneError for options of a code's files beside a saved scene, which takes none."""
+        described = list(self.engine_options)
+        for option in fields(self):
+            if option.name in _OF_SAVED or option.default is MISSING:
+                continue
+            if repr(getattr(self, option.name)) != repr(option.default):
+                described.append(option.name)
+        if described:
+            raise SceneError(
+                f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the "
+                "files of the code are opened, before they are saved"
+            )
+
+    def load_engine(self, files: Mapping[str, Sequence[str]]) -> Engine:
+        """Return the engine that reads the files: the given one, that of the options, or guessed.
+
+        Raises
+        ------
+        SceneError
+            If no engine reads them, or it does not take all of the options.
+        """
+        engine = self.engine
+        if engine is None and "mapping" in self.engine_options:
+            engine = "hdf5"
+        engine = engine or self._engine_of_names(files)
+        reader = load_engine(engine or guess_engine(files))
+        for option in self.engine_options:
+            if option not in reader.OPTIONS:
+                raise SceneError(
+                    f"open_scene has no argument {option!r} for the engine '{reader.name}'"
+                    f"{_likely(option, reader)}"
+                )
+        return reader
+
+    def _engine_of_names(self, files: Mapping[str, Sequence[str]]) -> str | None:
+        """Return the engine that takes `names` in order; None if they are a mapping or absent."""
+        kinds = self.names.values() if isinstance(self.names, Mapping) else [self.names]
+        if not any(isinstance(listed, list | tuple) for listed in kinds):
+            return "liggghts" if split_names(self.names)[1] else None
+        is_dump = load_engine("liggghts").recognises(files["particles"][0])
+        return "liggghts" if is_dump else "table"
+
+    def read_options(self, reader: Engine) -> ReadOptions:
+        """Return the options that the engine needs.
+
+        Raises
+        ------
+        SceneError
+            If `names` are of a form that the engine does not take.
+        """
+        words: dict[str, tuple[str, ...]] = {}
+        in_order: dict[str, Sequence[str | None]] = {}
+        if reader.name == "liggghts" or isinstance(self.names, str):
+            mapped, words = split_names(self.names)
+        else:
+            mapped, in_order = read_names(self.names)
+        if words and reader.name != "liggghts":
+            raise SceneError(
+                f"names={self.names!r}: expected a mapping from columns to variables; words of a "
+                f"compute are for the engine 'liggghts', not {reader.name!r}"
+            )
+        if in_order and not reader.NAMES_IN_ORDER:
+            raise SceneError(
+                f"names={self.names!r}: the engine '{reader.name}' reads the names of columns from the "
+                "files; map them, names={'column': 'variable'}"
+            )
+        skips = self.missing == "skip" or self.on_error == "skip"
+        answered = ("periodic", "lattice", "shape")
+        return ReadOptions(
+            mapped,
+            extra={**self.engine_options, "missing": "skip" if skips else "raise"},
+            walls=self.wall_columns,
+            words=words,
+            given=frozenset(name for name in answered if getattr(self, name) is not None),
+            columns=in_order,
+            alone=True,
+        )
+
+
+def _likely(option: str, reader: Engine) -> str:
+    """Return the argument that was meant, as the end of a message; "" if none is near."""
+    if option.lower() in _OF_TIME:
+        return f"; did you mean {'timestep' if 'timestep' in reader.OPTIONS else 'times'}=?"
+    known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]
+    return did_you_mean(option, [*known, *reader.OPTIONS])
