@@ -39,9 +39,8 @@ def stop(*_: object) -> None:
     An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
     stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
     """
-    abandon = getattr(
-        sys.modules.get("xcg.writers.files"), "abandon", None
-    )  # while it is not loaded nothing is begun
+    # while it is not loaded nothing is begun
+    abandon = getattr(sys.modules.get("xcg.writers.files"), "abandon", None)
     if abandon is not None:
         abandon()
     said = "".join(f"\n{words()}" for words in last_words)
@@ -337,9 +336,8 @@ def convert(
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
         encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
-        ds = conform(
-            open_scene(**scene | said(options))
-        )  # a step that was saved alone gets its time
+        # a step that was saved alone gets its time
+        ds = conform(open_scene(**scene | said(options)))
         save(ds, output, overwrite=overwrite, progress=not quiet, **encoding)
     click.echo(
         f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})"
@@ -497,9 +495,8 @@ def main() -> None:
     try:
         group(prog_name="xcg")
     except SystemExit as end:
-        if (
-            isinstance(end.code, int) and end.code
-        ):  # threads would be waited for, a file of a full disk closed again
+        # threads would be waited for, a file of a full disk closed again
+        if isinstance(end.code, int) and end.code:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(end.code)

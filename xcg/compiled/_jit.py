@@ -101,9 +101,8 @@ class _Compiling(event.Listener):
         self._depth, self._was_on, self._announced = 0, False, False
 
     def on_start(self, started: event.Event) -> None:
-        ours = str(started.data["dispatcher"].py_func.__module__).startswith(
-            "xcg."
-        )  # None for code from a text
+        # None for code from a text
+        ours = str(started.data["dispatcher"].py_func.__module__).startswith("xcg.")
         if ours and not self._announced and is_interactive():
             self._announced = True
             sys.stderr.write(_NOTICE)
@@ -150,9 +149,8 @@ def inner(function: Callable, **options: Any) -> Any:
             f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func"
         )
 
-    if (
-        compiled is not function
-    ):  # what is compiled is kept for loops alone: a call from Python would end the process
+    # what is compiled is kept for loops alone: a call from Python would end the process
+    if compiled is not function:
         compiled.add_overload = lambda result: compiled.overloads.update(
             {tuple(result.signature.args): result}
         )

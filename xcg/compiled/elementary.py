@@ -135,9 +135,8 @@ def add_logarithms(ratio, bits, exponent, factor, room, out):
     Logarithms are right to 2e-16 + 3 ulp.
     `bits` is the memory of `ratio` as integers, which are overwritten, and `exponent` is scratch (integers).
     """
-    for k in range(
-        room
-    ):  # floats and integers of one memory in separate loops, or none of them vectorises
+    # floats and integers of one memory in separate loops, or none of them vectorises
+    for k in range(room):
         exponent[k] = (bits[k] >> 52) - 1023
         bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
     for k in range(room):

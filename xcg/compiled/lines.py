@@ -47,10 +47,9 @@ from xcg.compiled.smoothing import (
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
-_FEW, _MANY = (
-    24,
-    48,
-)  # points of a line integral on one side of a node, for short branches and others
+# points of a line integral on one side of a node, for short branches and others
+_FEW = 24
+_MANY = 48
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
@@ -212,10 +211,11 @@ def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out)
         bell *= per_length
         for k in range(padded(count)):
             a, b, h2 = clipped(q2[k], along[k], length)
+            # mirrored where more of it lies before the foot: now b >= 0
             a, b = (
                 -min(b, -a),
                 max(b, -a),
-            )  # mirrored where more of it lies before the foot: now b >= 0
+            )
             from_a = exp(-per_2s2 * (h2 + a * a)) * erfcx(root * abs(a))
             from_b = exp(-per_2s2 * (h2 + b * b)) * erfcx(root * b)
             if a < 0.0:

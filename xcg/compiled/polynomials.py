@@ -49,9 +49,8 @@ def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, 
         if radius2 == 0.0:
             break
         for k in range(room):
-            h2 = min(
-                radius2, max(0.0, q2[k] - along[k] * along[k])
-            )  # lines farther away miss the shell as well
+            # lines farther away miss the shell as well
+            h2 = min(radius2, max(0.0, q2[k] - along[k] * along[k]))
             half = math.sqrt(radius2 - h2)
             begin = max(-along[k], -half)
             end = max(begin, min(length - along[k], half))
@@ -213,9 +212,8 @@ def lucy_line_value(q2, by_gradient):
 def lucy_plane_value(q2):
     """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
     q = math.sqrt(q2)
-    square = (1.0 - q) * (
-        1.0 - q
-    )  # its square is what the compiler makes of the fourth power, and Python does not
+    # its square is what the compiler makes of the fourth power, and Python does not
+    square = (1.0 - q) * (1.0 - q)
     return square * square * (0.1 + 0.4 * q + 0.5 * q2)
 
 

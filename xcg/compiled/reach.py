@@ -91,9 +91,8 @@ class Lists(NamedTuple):
 @inner
 def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
-    if (
-        x + high - period < first and x + low + period > last
-    ):  # nearly all: no more than the interval itself
+    # nearly all: no more than the interval itself
+    if x + high - period < first and x + low + period > last:
         return 0, 0 if x + high >= first and x + low <= last else -1
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 

@@ -48,10 +48,11 @@ def reference_deposit_segments(start, branch, force, node, active, value):
         first, last = (
             np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
         )
+        # angles on either side of the foot
         for low, high in (
             (first, min(last, 0.0)),
             (max(first, 0.0), last),
-        ):  # angles on either side of the foot
+        ):
             if low < high:
                 q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
                 mean = (

@@ -183,9 +183,8 @@ def _prefetch(typingctx, array, row):
         view = context.make_array(signature.args[0])(context, builder, args[0])
         index = builder.mul(args[1], cgutils.unpack_tuple(builder, view.strides)[0])
         first = builder.bitcast(view.data, cgutils.voidptr_t)
-        flags = [
-            ir.Constant(ir.IntType(32), flag) for flag in (0, 3, 1)
-        ]  # to read, into all caches, data
+        # to read, into all caches, data
+        flags = [ir.Constant(ir.IntType(32), flag) for flag in (0, 3, 1)]
         of = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t] + [flag.type for flag in flags])
         prefetch = cgutils.get_or_insert_function(builder.module, of, "llvm.prefetch.p0i8")
         builder.call(prefetch, [builder.gep(first, [index]), *flags])

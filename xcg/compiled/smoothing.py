@@ -110,9 +110,8 @@ def _shifted_value(kind, spread, q2):
     if kind == GAUSSIAN + 1:
         x = math.sqrt(y)
         total = SQRT_PI_2 * exp(-0.5 * q2 / s2) * erf(x) - SQRT2 * x * edge
-        if (
-            y < 1.0
-        ):  # sqrt(pi) exp(x^2) erf(x) = 2 x sum (2 x^2)^n / (2 n + 1)!!, less its first term
+        # sqrt(pi) exp(x^2) erf(x) = 2 x sum (2 x^2)^n / (2 n + 1)!!, less its first term
+        if y < 1.0:
             term, total = SQRT2 * x * edge, 0.0
             for n in range(1, _SERIES):
                 term *= 2.0 * y / (2.0 * n + 1.0)
@@ -291,9 +290,8 @@ def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, c
             out[k] = real(0.0)
         for g in range((order + 1) // 2):
             u, v = real(points[order, g] * length), real(points[order, last - g] * length)
-            w = real(
-                weights[order, g] * (0.5 if g == last - g else 1.0)
-            )  # the middle one is its own partner
+            # the middle one is its own partner
+            w = real(weights[order, g] * (0.5 if g == last - g else 1.0))
             for k in range(room):
                 a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
                 out[k] += w * (_at(kind, spread, table, a) + _at(kind, spread, table, b))

@@ -251,12 +251,13 @@ def _usual(text, at, end):
         sign = tail >> _EIGHT & _U(255)
         tens = np.int64(tail >> _U(16) & _U(255)) - 48
         ones = np.int64(tail >> _U(24) & _U(255)) - 48
+        # "e-05"
         if (
             tail & _U(0xDF) == 69
             and (sign == 43 or sign == 45)
             and 0 <= tens <= 9
             and 0 <= ones <= 9
-        ):  # "e-05"
+        ):
             power = 10 * tens + ones if sign == 43 else -10 * tens - ones
             end -= 4
     if 1 <= end - at <= 8:
@@ -349,12 +350,13 @@ def number(text, start, end):
 # --- tables ------------------------------------------------------------------------------------------------
 
 BEYOND = 2 * BLOCK  # bytes of white space that must follow a text
+# of words left to the caller
 REST = (
     "row",
     "place among the wanted",
     "first byte",
     "byte after it",
-)  # of words left to the caller
+)
 
 _LAST = _U(BLOCK - 1)
 

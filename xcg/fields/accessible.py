@@ -34,10 +34,9 @@ from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import is_lazy, shown
 
 LEAST = 0.01  # of the kernel; nodes that see less have no fields per accessible volume
-_POLAR, _TURNS = (
-    12,
-    24,
-)  # rays: directions towards and away from the nearest wall, and around its normal
+# rays: directions towards and away from the nearest wall, and around its normal
+_POLAR = 12
+_TURNS = 24
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
 _LONG = 10.0  # seconds; longer work warns before, and shows its progress
@@ -376,9 +375,8 @@ def _cumulative(kernel: Kernel) -> Any:
 
     sphere = {2: 2 * np.pi, 3: 4 * np.pi}[kernel.dimension or 3]
     x, w = leggauss(8)
-    edges = np.linspace(
-        0, kernel.cutoff * (1 - 1e-12), 129
-    )  # a kernel that jumps there has its value from inside
+    # a kernel that jumps there has its value from inside
+    edges = np.linspace(0, kernel.cutoff * (1 - 1e-12), 129)
     half = np.diff(edges)[:, None] / 2
     place = edges[:-1, None] + half * (x + 1)
 

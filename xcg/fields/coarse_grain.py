@@ -269,9 +269,8 @@ def _compute_step(
         if program:
             program.run(found, place, rows, part.order)
         if untraced:  # with NumPy
-            options = replace(
-                plan.options, wrapped=grid.fills(lattice.axis_periods)
-            )  # the box may change
+            # the box may change
+            options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))
             for name, values in registry.evaluate(untraced, found.moments, options).items():
                 rows[name][place] = values.swapaxes(0, 1)
 
@@ -427,16 +426,14 @@ def _choices(plan: Plan) -> dict[str, Any]:
 
 def about(row: Field, system: str) -> dict[str, str]:
     """Attributes of a field in a result."""
-    units = (
-        row.units if row.source else units_in(row.units, system)
-    )  # a scene's own variables may have any unit
+    # a scene's own variables may have any unit
+    units = row.units if row.source else units_in(row.units, system)
     found = {
         "units": units,
         "long_name": row.long_name,
         "formula": row.formula,
         "source": row.source,
     }
-    found |= (
-        {"weight": row.weight} if row.source else {}
-    )  # what averages of fields without a row need
+    # what averages of fields without a row need
+    found |= {"weight": row.weight} if row.source else {}
     return {key: text for key, text in found.items() if text}

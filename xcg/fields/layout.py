@@ -105,10 +105,11 @@ def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float
 
 def takes_gradient(name: str, options: Options) -> bool:
     """Return whether a field follows from the velocity gradient."""
+    # whose fluctuations are about the mean without it
     if name in (
         "velocity_gradient",
         "fluctuation_stress",
-    ):  # whose fluctuations are about the mean without it
+    ):
         return name == "velocity_gradient"
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 

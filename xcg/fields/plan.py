@@ -119,9 +119,8 @@ class Plan:
             "contact points": [points] if points else [],
             "means": [m.level for m in moments if m.column and m.level],
         }
-        self._numbers = deposit.phases * sum(
-            sum(columns) for columns in self._columns.values()
-        )  # sums at a node
+        # sums at a node
+        self._numbers = deposit.phases * sum(sum(columns) for columns in self._columns.values())
         self.reached = grid.nodes_within(2.0 * max(deposit.cutoffs))
         fewer = min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
         self.block_nodes = BLOCK_NODES if self.reached <= FINE else fewer

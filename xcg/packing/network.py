@@ -188,9 +188,8 @@ def _step_at(ds: xr.Dataset, time: int, names: Sequence[str]) -> tuple[Frame, Co
 def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     """Pairs in contact, each once: rows i < j, rows of walls after the grains', and sums over their contacts."""
     count = len(contacts.position)
-    key = np.where(
-        contacts.i < 0, contacts.key_i, contacts.key_j
-    )  # of the partner, where only one grain is there
+    # of the partner, where only one grain is there
+    key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)
     at_wall = walls & (key < 0) & (contacts.first_row >= 0)
     numbers, wall = np.unique(key[at_wall], return_inverse=True)
     rows = np.stack([contacts.i, contacts.j])

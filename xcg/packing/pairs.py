@@ -377,9 +377,8 @@ def pairs_of(
     )
     if lattice.vectors is None:
         return pairs
-    near = whose[
-        pairs[pairs[:, 0] < count]
-    ]  # of two images that are near each other one is in the box
+    # of two images that are near each other one is in the box
+    near = whose[pairs[pairs[:, 0] < count]]
     return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
 
 

@@ -147,9 +147,8 @@ def _velocity_rate(s: Any) -> float:
     if len(x) <= len(s.plane):
         return np.nan
     away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
-    if not (
-        np.isfinite(away).all() and np.isfinite(relative).all()
-    ):  # LAPACK would not come to an end
+    # LAPACK would not come to an end
+    if not (np.isfinite(away).all() and np.isfinite(relative).all()):
         return np.nan
     gradient = np.linalg.lstsq(away, relative, rcond=None)[0].T
     rate = _deviator((gradient + gradient.T) / 2)

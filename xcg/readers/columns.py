@@ -567,16 +567,16 @@ class Columnar(Engine):
         if "image" in unwanted:
             unwanted = (*unwanted, "unwrapped_")
         turning = _axes(filled, "angular_velocity")
-        if 0 < len(turning) < 3 and turning != [
-            "z"
-        ]:  # in a plane, grains turn about its normal alone
+        # in a plane, grains turn about its normal alone
+        if 0 < len(turning) < 3 and turning != ["z"]:
             axis = next(axis for axis in COMPONENTS if axis not in turning)
             if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
                 raise _lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
+            # the file's column was mapped to something else
             unwanted = (
                 *unwanted,
                 "angular_velocity",
-            )  # the file's column was mapped to something else
+            )
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | _own(ref, options, "particle")
 
@@ -595,9 +595,8 @@ class Columnar(Engine):
         for slot in ("contact_i", "contact_j"):
             if slot not in filled:
                 raise _lacks(ref, "ids of both partners", slot)
-        if (
-            len(_axes(filled, "contact_branch")) < 3
-        ):  # a hint: without all of it, images follow from positions
+        # a hint: without all of it, images follow from positions
+        if len(_axes(filled, "contact_branch")) < 3:
             filled = {
                 slot: column
                 for slot, column in filled.items()
@@ -680,9 +679,8 @@ class Columnar(Engine):
             frame["contact_force"] = frame.pop("normal_force") + frame.pop(
                 "tangential_force", np.zeros(3)
             )
-        if (
-            "end_i" in frame
-        ):  # wrapped positions: the nearest image is taken where the periods are known
+        # wrapped positions: the nearest image is taken where the periods are known
+        if "end_i" in frame:
             frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
         large = frame["contact_i"][frame["contact_i"] >= 1e6]
         if len(large) > 10 and (large % 10 == 0).all():

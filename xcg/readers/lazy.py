@@ -39,10 +39,9 @@ Chunks: TypeAlias = (
 )
 
 _TASK = 0.1  # seconds of work that make the scheduling of a task, and the writing of a chunk, small beside it
-_BYTE, _ROW = (
-    1e-8,
-    1e-6,
-)  # seconds to parse a byte of text, and to compute fields of a particle or contact
+# seconds to parse a byte of text, and to compute fields of a particle or contact
+_BYTE = 1e-8
+_ROW = 1e-6
 _EXPECTED = (
     "expected the number of steps in a chunk, -1 for all, 'auto', None for no dask, or such as {'time': 10}, as the "
     "rows of a step stay together"
@@ -473,9 +472,8 @@ _lock = threading.Lock()
 
 def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
     """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
-    series = replace(
-        series, source=series.source.reading(alone=len(series.steps) == 1)
-    )  # dask may wrap the arrays
+    # dask may wrap the arrays
+    series = replace(series, source=series.source.reading(alone=len(series.steps) == 1))
     token = series.token()
     return {
         name: indexing.MemoryCachedArray(

@@ -187,9 +187,8 @@ def _join(
         partner = list(range(len(others)))
     elif timed:
         partner = _same_time(steps, others)
-    elif one or (
-        others[-1].step < 0 and len(others) == len(steps)
-    ):  # files that tell neither, in their order
+    # files that tell neither, in their order
+    elif one or (others[-1].step < 0 and len(others) == len(steps)):
         partner = list(range(len(others)))
     else:
         rows = {ref.step: row for row, ref in enumerate(others)}

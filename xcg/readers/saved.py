@@ -83,10 +83,11 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     engine = "zarr" if path.lower().endswith(".zarr") else "netcdf4"
     try:
         ds = xr.open_dataset(path, engine=engine, cache=chunks is None)
+        # numbers of steps and boxes, by which faults are told
         for name in {
             *ds.coords,
             *(BOX.keys() & ds.keys()),
-        }:  # numbers of steps and boxes, by which faults are told
+        }:
             ds.variables[name].load()
     except DAMAGED as error:
         raise SceneError(
@@ -100,12 +101,10 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
         )
     if chunks is None:
         return ds
-    of_time = next(
-        iter(ds["time"].dims), None
-    )  # None for a step that was selected alone, "step" after swap_dims
-    sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (
-        0,
-    )  # there may be no step
+    # None for a step that was selected alone, "step" after swap_dims
+    of_time = next(iter(ds["time"].dims), None)
+    # there may be no step
+    sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (0,)
     whole: dict[Hashable, Any] = {dim: sizes if dim == of_time else -1 for dim in ds.dims}
     token = tokenize(path, os.stat(path).st_mtime_ns)
     lazy = {

@@ -36,9 +36,8 @@ _CONTACTS = (
     "contact_normal",
     "overlap",
 )
-_MISSING = -(
-    2**31
-)  # a partner that is not in the scene counts as a wall, and as none that has a name
+# a partner that is not in the scene counts as a wall, and as none that has a name
+_MISSING = -(2**31)
 
 
 @takes_scene

@@ -171,9 +171,8 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
         )
         return rates
     cells, largest = vectors[:, axes], 0.0
-    seen = np.zeros(
-        (2, len(time), len(axes), 3)
-    )  # rates before and after each step, of the vectors as written there
+    # rates before and after each step, of the vectors as written there
+    seen = np.zeros((2, len(time), len(axes), 3))
     for t, (one, two) in enumerate(pairwise(cells)):
         turned = same_vectors(one, two, axes)
         move = (turned @ two - one) * ~np.eye(3, dtype=bool)[axes]

@@ -85,9 +85,8 @@ def to_dataset(
     if "lattice" in box:
         coords["vector"] = ("vector", list(VECTORS))
     edges = box.get("box")
-    if (
-        edges is not None and (edges == edges[:1]).all()
-    ):  # attributes stay with every selection of steps
+    # attributes stay with every selection of steps
+    if edges is not None and (edges == edges[:1]).all():
         measured = {"box_lower": edges[0, :, 0], "box_upper": edges[0, :, 1], **measured}
     about: dict[str, Any] = {
         "Conventions": "CF-1.11",
@@ -307,9 +306,8 @@ def scene_from_arrays(
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)
-        for name in (
-            list(frames[0]) if frames else ()
-        ):  # so that no more than one variable is there twice
+        # so that no more than one variable is there twice
+        for name in list(frames[0]) if frames else ():
             arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
     return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
 
@@ -361,9 +359,8 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
         own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
-        prefix = (
-            "contact_" if name.startswith("contact_") else ""
-        )  # which all variables of contacts share
+        # which all variables of contacts share
+        prefix = "contact_" if name.startswith("contact_") else ""
         alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
         likely = "" if own else did_you_mean(name.removeprefix(prefix), alike, 0.77)
         if likely:

@@ -282,9 +282,8 @@ class Contacts:
         Contacts without a particle come last.
         """
         keys = len(order) + 1
-        rank = np.full(
-            keys, len(order), short_integers(max(keys, len(self.i)))
-        )  # row -1 is that of no particle
+        # row -1 is that of no particle
+        rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))
         rank[order] = np.arange(len(order), dtype=rank.dtype)
         return counting_sort(rank[self.first_row], keys)
 

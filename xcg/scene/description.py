@@ -256,9 +256,8 @@ def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
         and given.size
         and (given.chunks is None or lower is None or upper is None)
     ):
-        first = given.isel(
-            {dim: 0 for dim in given.dims if dim not in ("component", "bound")}
-        )  # "step", too
+        # "step", too
+        first = given.isel({dim: 0 for dim in given.dims if dim not in ("component", "bound")})
         box = first.transpose("component", "bound").to_numpy()
     elif lower is not None and upper is not None:
         box = np.stack([lower, upper], axis=1)
@@ -360,9 +359,8 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
 
 
 def _summary(ds: xr.Dataset) -> Summary:
-    steps = (
-        ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)
-    )  # also by other dimensions
+    # also by other dimensions
+    steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)
     particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0
     # one order, whatever that of a file is

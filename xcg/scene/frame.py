@@ -210,9 +210,8 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
     found: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
-        if (
-            row.dims[0] in rows
-        ):  # as loops are compiled for: files may hold bytes or axes the other way round
+        # as loops are compiled for: files may hold bytes or axes the other way round
+        if row.dims[0] in rows:
             found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, order="C", copy=False)
     for name in found:
         if name in VARIABLES:
@@ -298,9 +297,8 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     del order
     np.cumsum(share, out=share)
     sums = [(d**k).sum() for k in range(5)]
-    with np.errstate(
-        invalid="ignore", divide="ignore"
-    ):  # powers of zero: NaN, which no width may be
+    # powers of zero: NaN, which no width may be
+    with np.errstate(invalid="ignore", divide="ignore"):
         ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
     return {
         "d43": ratios[1],

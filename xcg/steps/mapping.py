@@ -204,9 +204,8 @@ class Gathered:
         sources: list[tuple[str, int]] = []
         entries = {}
         for name, array in arrays.items():
-            found = getattr(
-                array.dask.layers.get(array.name), "origin", None
-            )  # of what is `picked`
+            # of what is `picked`
+            found = getattr(array.dask.layers.get(array.name), "origin", None)
             layer, entry = found or (array.name, "")
             source = (layer, 1 if found else array.ndim)
             if source not in sources:
@@ -336,10 +335,11 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
             "mininterval": 0,
             "miniters": _SHARE * count,
         }
+        # which leaves out the line before the first step
         how |= {
             "maxinterval": float("inf"),
             "delay": 1e-9,
-        }  # which leaves out the line before the first step
+        }
     how |= {"delay": _LONG} if wanted is None else {}
     quiet = done >= count or not (redraws if wanted is None else wanted)
     with tqdm(total=count, initial=done, disable=quiet, unit=f" {what}", ascii="-#", **how) as bar:

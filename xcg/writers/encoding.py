@@ -123,7 +123,6 @@ class Encoding:
 
 def _bits(digits: int, *, twice: bool) -> int:
     """Bits of the mantissa that the digits take; `twice` where numbers are rounded to single precision before."""
-    share = 10.0**-digits - (
-        2 * _SINGLE if twice else 0.0
-    )  # twice the error that is left for these bits
+    # twice the error that is left for these bits
+    share = 10.0**-digits - (2 * _SINGLE if twice else 0.0)
     return math.ceil(-math.log2(share)) if share > 0 else _MANTISSA[4]

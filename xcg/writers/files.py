@@ -244,9 +244,8 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
     with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
         kept.mkdir(exist_ok=True)
         yield kept
-        kept.rename(
-            part_of(kept)
-        )  # at once, so that no half of it is taken for a run to go on with
+        # at once, so that no half of it is taken for a run to go on with
+        kept.rename(part_of(kept))
         for gone in leftovers(kept):
             shutil.rmtree(gone, ignore_errors=True)
 
@@ -262,9 +261,8 @@ def _part(path: Path) -> Iterator[Path]:
         failed = False
     finally:
         remove(part)
-        for _ in range(
-            100 if failed else 0
-        ):  # after one of them failed, tasks may write to a folder for a moment
+        # after one of them failed, tasks may write to a folder for a moment
+        for _ in range(100 if failed else 0):
             time.sleep(0.05)
             if not part.exists():
                 break
@@ -308,8 +306,7 @@ def locked(path: Path, what: str) -> Iterator[None]:
             path.write_text(str(os.getpid()))
         yield
     finally:
-        path.unlink(
-            missing_ok=True
-        )  # before it is released, so that nobody locks a file without a name
+        # before it is released, so that nobody locks a file without a name
+        path.unlink(missing_ok=True)
         temporary.discard(path)
         lock.release()

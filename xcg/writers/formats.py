@@ -29,9 +29,8 @@ from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
 if TYPE_CHECKING:
     import h5py
 
-_HEADER = (
-    1 << 16
-)  # bytes besides values, which the NetCDF library writes; it does not recover from a full disk
+# bytes besides values, which the NetCDF library writes; it does not recover from a full disk
+_HEADER = 1 << 16
 _ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
 
@@ -145,9 +144,8 @@ class Sink(io.FileIO):
     def __init__(self, path: Path, mode: str, *, journal: bool = False) -> None:
         super().__init__(path, mode)
         self.problem: OSError | None = None
-        self._end = (
-            os.fstat(self.fileno()).st_size if journal else 0
-        )  # what is before is changed in the end only
+        # what is before is changed in the end only
+        self._end = os.fstat(self.fileno()).st_size if journal else 0
         self._changes: list[tuple[int, bytes]] = []
 
     def write(self, data: Any) -> int:

@@ -343,9 +343,8 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator
     arrays = {name: ds.variables[name].data for name in layout.lazy}
     for first in range(0, ds.sizes["time"] if now else 0, layout.steps):
         part = slice(first, min(first + layout.steps, ds.sizes["time"]))
-        if (part.start, part.stop) in done or (
-            arrays and done
-        ):  # what is in memory was written before the tasks
+        # what is in memory was written before the tasks
+        if (part.start, part.stop) in done or (arrays and done):
             continue
         write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
     if not arrays:
@@ -485,9 +484,8 @@ def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict
         state[f"values of {name!r}"] = (
             data.data.name if data.chunks is not None else tokenize(data.to_numpy())
         )
-    attrs = {
-        name: value for name, value in ds.attrs.items() if name != "history"
-    }  # which has the time of the call
+    # which has the time of the call
+    attrs = {name: value for name, value in ds.attrs.items() if name != "history"}
     return state | {
         f"attribute {name!r}": str(np.asarray(value).tolist()) for name, value in attrs.items()
     }

@@ -347,9 +347,8 @@ def _lay_out(
         offsets = steps.create_group("PointDataOffsets")
         for array in arrays:
             offsets[array.name] = np.arange(len(image.times))
-        steps.create_group(
-            "CellDataOffsets"
-        )  # missed by the reader even where there are no cell data
+        # missed by the reader even where there are no cell data
+        steps.create_group("CellDataOffsets")
     _describe(file.create_group("xcg"), fields.attrs)
 
 

@@ -154,12 +154,13 @@ LAWS: dict[str, _Law] = {
     ),
 }
 USUAL = ("force", "mass", "momentum")
+# contacts between phases are shared, their sides are not
 OF_THE_MIXTURE = (
     "torque",
     "power",
     "spin",
     "energy",
-)  # contacts between phases are shared, their sides are not
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,9 +293,8 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
             units="1", long_name=f"{long_name}, relative to its largest term"
         )
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
-    coords = {
-        name: known[name] for name in (*f.coords, "interval") if name in known
-    }  # in the order of the fields
+    # in the order of the fields
+    coords = {name: known[name] for name in (*f.coords, "interval") if name in known}
     return xr.Dataset(
         {name: residual.variable for name, residual in out.items()},
         coords,

@@ -417,9 +417,8 @@ def _over_time(
         row = np.arange(len(position))
         if fitted is not None:
             warn_beyond(COMPONENTS[axis], position[:, axis], *fitted, source)
-        if (
-            lattice.vectors is not None
-        ):  # every image stands for itself, as its velocity may be another
+        # every image stands for itself, as its velocity may be another
+        if lattice.vectors is not None:
             reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
             low, high = (
                 np.where(np.arange(3) == axis, end, sign * np.inf)
@@ -495,9 +494,8 @@ def _planes(
         raise SceneError(
             f"a grain of diameter {2 * reach:.3g} m reaches over more than {_MOST_PERIODS} periods of {period:.3g} m"
         )
-    if np.isfinite(
-        period
-    ):  # planes and grains are taken to [0, period), and images as far as grains reach beyond it
+    # planes and grains are taken to [0, period), and images as far as grains reach beyond it
+    if np.isfinite(period):
         images = period * np.arange(-np.ceil(reach / period), np.ceil(reach / period) + 1)
         grain = np.tile(grain, len(images))
         x = (np.mod(x, period) + images[:, None]).ravel()

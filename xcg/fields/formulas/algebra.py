@@ -70,10 +70,11 @@ class Symbol:
         numbers = [self.number, self.record.of(other).number]
         if reflected:
             numbers.reverse()
+        # the order of two does not matter, to the last bit
         if operation in (
             loops.ADD,
             loops.MULTIPLY,
-        ):  # the order of two does not matter, to the last bit
+        ):
             numbers.sort()
         return self.record.add(operation, *numbers)
 

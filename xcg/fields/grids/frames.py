@@ -223,9 +223,8 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     SceneError
         If the axes lead out of the plane of a scene of one layer, or some components of a variable are not there.
     """
-    axes = (
-        frame if isinstance(frame, Rotated) else frame.rotated
-    ).axes  # in the scene's own, a row each
+    # in the scene's own, a row each
+    axes = (frame if isinstance(frame, Rotated) else frame.rotated).axes
     origin = np.asarray(frame.origin, float)
     across = [k for k, a in enumerate(COMPONENTS) if a not in ds.attrs.get("plane", "xyz")]
     plane = "".join(
@@ -309,9 +308,8 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         return ds
     own = [axis_of(row) for row in axes]
     others = [k for k in range(3) if k not in own]
-    rows = [
-        others.pop(0) if k is None else k for k in own
-    ]  # which of its axes stands in the place of each new one
+    # which of its axes stands in the place of each new one
+    rows = [others.pop(0) if k is None else k for k in own]
     periodic = str(ds.attrs.get("periodic", ""))
     loose = [k for k in range(3) if k not in own and COMPONENTS[k] in periodic]
     edges = partial(_edges, own=own, axes=axes, origin=origin)

@@ -335,9 +335,8 @@ class Cylinder(Wall):
         c = (np.hypot(x, y) - self.radius) * (np.hypot(x, y) + self.radius)
         with np.errstate(divide="ignore", invalid="ignore"):
             root = np.sqrt(b * b - a * c[:, None])
-            far = -b - np.where(
-                b < 0, -root, root
-            )  # the root without cancellation, and the other from their product
+            # the root without cancellation, and the other from their product
+            far = -b - np.where(b < 0, -root, root)
             both = np.stack([far / a, c[:, None] / far], axis=-1)
         return np.where(both > 0, both, np.inf)
 
@@ -444,9 +443,8 @@ class Surface(Wall):
         size = np.linalg.norm(twice, axis=1)
         if not (size > 0).any():
             raise ValueError(f"{name}: all triangles have no area")
-        self.corners = np.ascontiguousarray(
-            corners[size > 0]
-        )  # slivers without an area have no normal
+        # slivers without an area have no normal
+        self.corners = np.ascontiguousarray(corners[size > 0])
         self.area = size[size > 0] / 2
         self.normals = twice[size > 0] / size[size > 0, None]
         self.centre = self.corners.mean(axis=1)
@@ -517,9 +515,8 @@ class Surface(Wall):
         missed = np.flatnonzero(count == 0)
         if self._encloses:
             heights = self.centre[:, axis] - self.centre[0, axis]
-            volume = (
-                heights * self.normals[:, axis] * self.area
-            ).sum()  # negative if normals point inwards
+            # negative if normals point inwards
+            volume = (heights * self.normals[:, axis] * self.area).sum()
             is_open_below[missed] = volume > 0
         elif len(missed):
             points = starts[order[missed]].copy()

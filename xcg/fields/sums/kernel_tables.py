@@ -27,10 +27,9 @@ _Q = Polynomial([0.0, 1.0])
 _INTERVALS = 64
 _PLACES = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
 _MOST_ERROR = 1e-10  # of values at points, relative to the largest
-_MOST_LINE_ERROR, _PANELS = (
-    1e-7,
-    2000,
-)  # of quadratures along chords; and parts of these that tell it
+# of quadratures along chords; and parts of these that tell it
+_MOST_LINE_ERROR = 1e-7
+_PANELS = 2000
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
@@ -160,9 +159,8 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
             codes.PIECE
         )
         slope = series.deriv()(q) / q
-        if (
-            codimension == 1
-        ):  # with the slope of the chord; what a jump at the cutoff adds is left out
+        # with the slope of the chord; what a jump at the cutoff adds is left out
+        if codimension == 1:
             slope -= (series(q) - pieces[-1](1.0)) / (1.0 - q * q)
         for row, values in enumerate((series, Chebyshev.fit(q, slope, degree, domain))):
             powers = np.polynomial.chebyshev.cheb2poly(values.coef)

@@ -51,13 +51,11 @@ class Kernel:
     ratio = 1.0  # cutoff / width
     _any_ratio = False  # whether another one may be given
     smoothness = -1  # continuous derivatives
-    _norms: tuple[
-        float, ...
-    ] = ()  # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
+    # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
+    _norms: tuple[float, ...] = ()
     _table: NDArray | None = PLAIN  # as loops take it
-    _rims: Sequence[float] = (
-        1.0,
-    )  # radii over the cutoff where the profile is not smooth, the last of the support
+    # radii over the cutoff where the profile is not smooth, the last of the support
+    _rims: Sequence[float] = (1.0,)
 
     def __init__(
         self,
@@ -270,9 +268,8 @@ class Gaussian(Kernel):
             ball = {1: 2.0, 2: math.pi, 3: 4 * math.pi / 3}[dimension]
             y = 0.5 / s**2
             integral -= ball * tail
-            if (
-                y < 1
-            ):  # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
+            # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
+            if y < 1:
                 terms = accumulate(
                     (2 * y / (dimension + 2 * n) for n in range(1, 25)), operator.mul
                 )
@@ -364,9 +361,8 @@ def register_kernel(
         finite from 0 on, below 1, or has no positive integral.
     """
     _check_registration(name, profile, ratio, smoothness)
-    profile = partial(
-        profile
-    )  # an object for each registration, as what is kept of profiles goes by them
+    # an object for each registration, as what is kept of profiles goes by them
+    profile = partial(profile)
     check_table(name, profile)
     jumps = jumps_of(profile)
     if jumps and smoothness >= 0:

@@ -300,9 +300,8 @@ class Mesh:
         )
         self.period = np.where(grid.active, period, np.inf) / cutoff
         numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
-        self._along_active = [
-            (k, numbers[k]) for k in range(3) if self.active[k]
-        ]  # extent, spacing and period
+        # extent, spacing and period
+        self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]
 
     def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
         """Raise SceneError for places (3,) not finite or too far away to be numbered; damaged files hold them.
@@ -417,9 +416,8 @@ class Mesh:
         near, far = np.where(turned, start, end), np.where(turned, end, start)
         along = np.where(axes, far - near, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = (
-                np.array([lower - near, upper - near]) / along
-            )  # not a number: within, or on a face
+            # not a number: within, or on a face
+            crossings = np.array([lower - near, upper - near]) / along
         within = (lower <= near) & (near <= upper) | ~axes
         enters = np.where(
             along != 0.0, crossings.min(axis=0), np.where(within, -np.inf, np.inf)

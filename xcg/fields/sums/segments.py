@@ -137,9 +137,8 @@ class ListedAnew:
         for first in range(0, len(runs), _TOGETHER):
             some = runs[first : first + _TOGETHER]
             places = (RUN * some[:, None] + np.arange(RUN)).ravel()
-            contacts = self.contacts[
-                places[places < len(self.contacts)]
-            ]  # the last run may be shorter
+            # the last run may be shorter
+            contacts = self.contacts[places[places < len(self.contacts)]]
             records, _, _ = list_some(self.listing, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
@@ -227,9 +226,8 @@ def _segments(
         segments, contacts = segments[used[image]], contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
-            moved = step.frame | {
-                "velocity": step.frame["velocity"] + drift
-            }  # as seen in images that drift
+            # as seen in images that drift
+            moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
             moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]

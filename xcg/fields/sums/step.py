@@ -236,9 +236,8 @@ class StepRows:
     ) -> None:
         self.frame = without_frozen(frame)
         if not len(self.frame["position"]):
-            frame = self.frame = {
-                name: values[:0] for name, values in self.frame.items()
-            }  # nor contacts of theirs
+            # nor contacts of theirs
+            frame = self.frame = {name: values[:0] for name, values in self.frame.items()}
         self.spec, self.source = spec, source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
@@ -253,9 +252,8 @@ class StepRows:
             np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
         )
         self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
-        self.lattice = replace(
-            lattice.seen(spec.grid.active, source), edges=None
-        )  # which are a part of the scene
+        # which are a part of the scene
+        self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)
         self.meshes = {
             cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
         }
@@ -354,9 +352,8 @@ class StepRows:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
             return np.zeros(0, "int32")  # as of others, so that nothing is compiled for it
-        lower, upper = (
-            [float(found(x)) for x in position.T] for found in (np.min, np.max)
-        )  # axis=0 is slow
+        # axis=0 is slow
+        lower, upper = ([float(found(x)) for x in position.T] for found in (np.min, np.max))
         farthest = [
             max(abs(a - o), abs(b - o))
             for a, b, o in zip(lower, upper, self.spec.origin, strict=True)

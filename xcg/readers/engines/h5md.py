@@ -232,9 +232,8 @@ class _Group:
             if width > len(COMPONENTS):
                 ends = [f"[{k}]" for k in range(1, min(width, _MOST_COMPONENTS) + 1)]
             columns |= {f"{name}{end}": (name, k) for k, end in enumerate(ends)}
-        columns.setdefault(
-            "id", ("id", None)
-        )  # without ids the place in the datasets is the identity
+        # without ids the place in the datasets is the identity
+        columns.setdefault("id", ("id", None))
         return columns
 
     def exists(self, k: int) -> NDArray:

@@ -157,22 +157,22 @@ class Lammps(Dumps):
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------
 
 _FORMS = (lammps_binary, lammps_netcdf)
+# how the other items of a header begin
 _NO_BODY = (
     "UNITS",
     "TIME",
     "TIMESTEP",
     "NUMBER OF",
     "BOX BOUNDS",
-)  # how the other items of a header begin
+)
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
 _FEWEST_NUMBERED = 12  # of LIGGGHTS with positions, ids and forces; one compute of LAMMPS has fewer
 _TWIN = " (column "  # in the names of columns that occur before
-_SAMPLE, _TAIL = (
-    1 << 14,
-    1 << 16,
-)  # bytes of a body and of its end, by which it is seen whether more follows
+# bytes of a body and of its end, by which it is seen whether more follows
+_SAMPLE = 1 << 14
+_TAIL = 1 << 16
 
 
 def form_of(path: str) -> ModuleType | None:

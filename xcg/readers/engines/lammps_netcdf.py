@@ -231,9 +231,8 @@ class ClassicFile:
             else 0
         )
         first = min((v.begin for v in recorded), default=self._size)
-        room = (
-            (self._size - first + 3) // self._record if self._record else 0
-        )  # the last one may lack its padding
+        # the last one may lack its padding
+        room = (self._size - first + 3) // self._record if self._record else 0
         self.records = room if told == (1 << (64 if self._wide else 32)) - 1 else told
         if self._record and self.records > room:
             self.refuse(
@@ -302,9 +301,8 @@ class ClassicFile:
         if any(place >= len(dims) for place in places):
             self.refuse(f"gives '{name}' a dimension that it has not, and is damaged")
         attrs, dtype = self._attributes(), self._type()
-        self._count(
-            most=None
-        )  # its size, which follows from the dimensions where it is not too large for this field
+        # its size, which follows from the dimensions where it is not too large for this field
+        self._count(most=None)
         begin = int(
             struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0]
         )

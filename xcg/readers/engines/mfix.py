@@ -46,9 +46,10 @@ from xcg.scene.schema import COMPONENTS, Frame, variable
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list, by phase: three half-axes, m, n
+# in the headers of its files only
 _MARKS = re.compile(
     rb'<!--\s*Time\s*=|Name="(FORCE_CHAIN_|Particle_(Phase_)?ID"|coordinates"|Angular_velocity")'
-)  # in the headers of its files only
+)
 _HEAD = 1 << 14
 _SHAPE = _QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
 

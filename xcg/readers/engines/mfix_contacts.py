@@ -174,9 +174,8 @@ def both_sides_once(
     pair = np.unique(
         np.stack([np.minimum(i, j), np.maximum(i, j)])[:, shared], axis=1, return_inverse=True
     )[1].ravel()
-    first = np.arange(
-        len(i)
-    )  # row that each row is joined to: the first of its pair at the same place
+    # row that each row is joined to: the first of its pair at the same place
+    first = np.arange(len(i))
     while len(shared):
         _, leader, place_in = np.unique(pair, return_index=True, return_inverse=True)
         to = shared[leader][place_in]

@@ -104,9 +104,8 @@ def parse_table(
             line, *more = _lines(block)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
             raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
-        if (
-            end > table.shape[1]
-        ):  # it doubles, as copying it for each block would take most of the time
+        # it doubles, as copying it for each block would take most of the time
+        if end > table.shape[1]:
             table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
         table[:, filled:end] = numbers
         filled = end
@@ -145,9 +144,8 @@ def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
     left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
     row = done = 0
     while done < size:
-        with np.errstate(
-            over="ignore"
-        ):  # where nothing is compiled, NumPy warns of bits that products lose
+        # where nothing is compiled, NumPy warns of bits that products lose
+        with np.errstate(over="ignore"):
             rows, passed, count = read_rows(
                 text[done:], size - done + 1, columns, places, out, row, edges, lines, left
             )

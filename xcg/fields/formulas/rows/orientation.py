@@ -30,9 +30,8 @@ def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
     axis = np.zeros((*known.shape, 3))
     axis[..., o.plane] = vectors[..., -1]
     largest = np.argmax(np.abs(axis), axis=-1)[..., None]
-    axis = axis * np.sign(
-        np.take_along_axis(axis, largest, -1)
-    )  # of both signs the one whose largest part is positive
+    # of both signs the one whose largest part is positive
+    axis = axis * np.sign(np.take_along_axis(axis, largest, -1))
     return np.where(known, values[..., -1], np.nan), np.where(known[..., None], axis, np.nan)
 
 
