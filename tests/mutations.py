@@ -109,7 +109,7 @@ TABLE = [
         "test_half_axes_of_superquadrics_are_those_of_the_phase_times_the_scale",
     ),
     Mutation(
-        "readers/engines/mercury.py", "/ float(along[0])", "* float(along[0])",
+        "readers/engines/mercury_restart.py", "/ float(normal[axis])", "* float(normal[axis])",
         "test_periods_are_those_of_periodic_boundaries",
     ),
     Mutation(
