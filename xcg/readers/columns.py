@@ -662,7 +662,10 @@ class Columnar(Engine):
         unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
-        return frame
+        # copies of single columns, so that the table can go
+        return {
+            name: array if array.base is None else array.copy() for name, array in frame.items()
+        }
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step from the columns of `contact_columns`."""
