@@ -327,17 +327,31 @@ def warn_of_unread(
 
 
 def warn_of_resembling(
-    ref: StepRef, unread: Iterable[str], filled: Iterable[str], *, contacts: bool
+    ref: StepRef,
+    unread: Iterable[str],
+    filled: Iterable[str],
+    *,
+    contacts: bool,
+    whole_vectors: bool = False,
 ) -> None:
-    """Warn of unread columns whose names resemble a variable that the scene lacks."""
+    """Warn of unread columns whose names resemble a variable that the scene lacks.
+
+    Vectors are columns for each component, or `whole_vectors`.
+    """
     likely = resembling(unread, filled, contacts=contacts)
     if not likely:
         return
-    column, meant = next(iter(likely.items()))
     listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
+    example = ""
+    for column, meant in reversed(likely.items()):
+        axis = canonical(column)[-1].casefold()
+        if whole_vectors or meant not in _PARTICLE_VECTORS + _CONTACT_VECTORS:
+            example = f", for example names={{{column!r}: {meant!r}}}"
+        elif axis in COMPONENTS:
+            example = f", for example names={{{column!r}: '{meant}_{axis}'}}"
     warn_user(
-        f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them, for "
-        f"example names={{{column!r}: {meant!r}}}, or drop them by names={{{column!r}: None}}"
+        f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them{example}, "
+        f"or drop them by names={{{next(iter(likely))!r}: None}}"
     )
 
 

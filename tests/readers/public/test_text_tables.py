@@ -44,6 +44,14 @@ def test_contacts_are_found_beside_particles(tmp_path):
     np.testing.assert_array_equal(ds.contact_force[0], [[1, 0, 0]])
 
 
+def test_columns_of_words_are_dropped_as_the_error_says(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,radius,Label\n1,2,3,0.5,image.tif\n")
+    with pytest.raises(xcg.SceneError, match=r"'image.tif' .* dropped by names={'Label': None}"):
+        xcg.open_scene(tmp_path / "a.csv")
+    ds = xcg.open_scene(tmp_path / "a.csv", names={"Label": None})
+    assert ds.diameter.values.tolist() == [[1]]
+
+
 @pytest.mark.parametrize(("name", "separator"), [("a.csv", ";"), ("a.txt", ";"), ("a.dat", "\t")])
 def test_decimal_commas_are_named(tmp_path, name, separator):
     TABLE.to_csv(tmp_path / name, index=False, sep=separator, decimal=",")
