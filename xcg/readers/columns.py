@@ -274,6 +274,7 @@ def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
 
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
+_AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])")
 
 
 def warn_of_unread(
@@ -344,11 +345,11 @@ def warn_of_resembling(
     listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
     example = ""
     for column, meant in reversed(likely.items()):
-        axis = canonical(column)[-1].casefold()
+        axis = _AXIS.search(column)
         if whole_vectors or meant not in _PARTICLE_VECTORS + _CONTACT_VECTORS:
             example = f", for example names={{{column!r}: {meant!r}}}"
-        elif axis in COMPONENTS:
-            example = f", for example names={{{column!r}: '{meant}_{axis}'}}"
+        elif axis:
+            example = f", for example names={{{column!r}: '{meant}_{axis[0].lower()}'}}"
     warn_user(
         f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them{example}, "
         f"or drop them by names={{{next(iter(likely))!r}: None}}"

@@ -78,7 +78,7 @@ def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
 _PARTICLE_SCALARS = {
     "particle_id": (
         "particle id", "track id", "id", "particle", "particle number", "particle no", "label", "tag",
-        "atom id", "grain id", "grain", "global id",
+        "atom id", "grain id", "grain", "global id", "particle identifier",
     ),
     "species": (
         "species", "type", "species id", "type id", "particle type", "particle species", "mat id",
@@ -100,7 +100,7 @@ _PARTICLE_VECTORS = {
     "position": (
         "position ?", "?", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
         "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
-        "centroid ?", "particle position ?", "particle ? coordinate", "location ?", "loc ?",
+        "centroid ?", "particle position ?", "particle ? coordinate", "particle ? position", "location ?", "loc ?",
     ),
     "scaled": ("scaled ?", "?s"),
     "unwrapped_position": (
@@ -112,7 +112,7 @@ _PARTICLE_VECTORS = {
     ),
     "velocity": (
         "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
-        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
+        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?", "particle ? velocity",
     ),
     "angular_velocity": (
         "angular velocity ?", "omega ?", "ang vel ?", "ang vel vec ?", "? angular velocity",
@@ -258,6 +258,7 @@ _HINTS_OF_PARTICLES = {
     "density": "dens* rho",
     "mass": "mass* m",
     "body_id": "clump* molecule* mol",
+    "image": "image* wraps unwrap*",
 }
 _HINTS_OF_CONTACTS = {
     "overlap": "overlap* penetr* delta gap",
@@ -267,6 +268,7 @@ _HINTS_OF_CONTACTS = {
 _ENOUGH = {  # what is read in place of a variable
     "radius": ("diameter", "volume"),
     "diameter": ("radius", "volume"),
+    "image": ("unwrapped_",),
     "tangential_force": ("contact_force",),
 }
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")

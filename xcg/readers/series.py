@@ -189,6 +189,9 @@ def warn_of_missing_facts(
     """
     for cause in listing.skipped:
         warn_user(f"left out: {cause}")
+    if not any(len(frame["position"]) for frame in ends.values()):
+        first = source_of(listing.steps[0].particles)
+        warn_user(f"{first}: neither the first nor the last step holds particles")
     if arguments.units is None and listing.units_are_assumed:
         warn_user(
             f"{source_of(listing.refs['particles'][0])}: the header does not name the units, and SI is "

@@ -39,6 +39,7 @@ def write_steps(folder, columns):
         "particle",
         "Global-ID",
         "TRACK_ID",
+        "Particle Identifier",
     ],
 )
 def test_ids_of_any_spelling_follow_grains_whose_rows_change(tmp_path, name):
@@ -79,6 +80,7 @@ COLUMNS = {
         "v_x v_y v_z", "Vx Vy Vz", "Velocity:0 Velocity:1 Velocity:2", "velocity_x velocity_y velocity_z",
         "v[1] v[2] v[3]", "Velocity-X Velocity-Y Velocity-Z", "vel.x vel.y vel.z", "velX velY velZ",
         "VELOCITY_0 VELOCITY_1 VELOCITY_2", "x_velocity y_velocity z_velocity",
+        "particle-x-velocity particle-y-velocity particle-z-velocity",
     ],
     "x y z": [
         "X Y Z", "Points:0 Points:1 Points:2", "Points_0 Points_1 Points_2", "position_x position_y position_z",
@@ -136,6 +138,7 @@ def test_step_numbers_of_any_spelling_separate_steps(tmp_path, name):
         ("mat_name", "species"),
         ("bulk_density", "density"),
         ("No.", "particle_id"),
+        ("image_count", "image"),
         ("size", "diameter"),
     ],
 )
@@ -148,7 +151,7 @@ def test_columns_that_resemble_a_variable_are_named(tmp_path, column, meant):
 
 @pytest.mark.parametrize(
     "columns",
-    ["spin_rx spin_ry spin_rz", "V:mean:x V:mean:y V:mean:z"],
+    ["spin_r_x spin_r_y spin_r_z", "V:mean:x V:mean:y V:mean:z"],
 )
 def test_the_advice_for_components_can_be_followed(tmp_path, columns):
     path = tmp_path / "p.csv"

@@ -21,6 +21,7 @@ from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv,
 from xcg.readers.files.text import first_lines, plain_name
 from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
 from xcg.readers.paths import index_steps
+from xcg.readers.unread import unread_format
 
 _POSITION = ("position_x", "position_y")
 _ENDS = ("contact_i", "contact_j")
@@ -39,7 +40,9 @@ class Table(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table, or the first line of a text names its columns."""
-        return _suffix(path) in (".csv", ".tsv", ".parquet") or _has_header(path)
+        if _suffix(path) in (".csv", ".tsv"):
+            return unread_format(path) is None  # Excel, HTML and others are called .csv, too
+        return _suffix(path) == ".parquet" or _has_header(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool

@@ -32,6 +32,7 @@ _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
+_QUOTED = re.compile(rb'"[^"]*"|\S+')
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -318,7 +319,8 @@ def _cells(line: bytes) -> list[bytes]:
     """Return what is between separators of a line."""
     line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#").strip()
     separators = [mark.encode() for mark in _SEPARATORS if mark.encode() in line]
-    return [cell.strip() for cell in line.split(separators[0] if separators else None)]
+    cells = line.split(separators[0]) if separators else _QUOTED.findall(line)
+    return [cell.strip() for cell in cells]
 
 
 def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) -> tuple[str, ...]:
@@ -348,10 +350,15 @@ def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
         return names, row.split(None if separator == " " else separator)
 
 
+def _words(line: str) -> list[str]:
+    """Return words between blanks; quotes hold several together."""
+    return [word.decode() for word in _QUOTED.findall(line.encode())]
+
+
 def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     """Return what stands between the names of columns in a line, and the names."""
     separator = next((mark for mark in _SEPARATORS if mark in line), " ")
-    words = line.split(None if separator == " " else separator)
+    words = line.split(separator) if separator != " " else _words(line)
     if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
         del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
