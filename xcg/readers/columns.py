@@ -24,6 +24,7 @@ from xcg.readers.names import (
     canonical,
     columns_by_name,
     components,
+    other_unit,
     resembling,
 )
 from xcg.scene.contacts import FIRST_WALL
@@ -354,6 +355,16 @@ def warn_of_resembling(
         f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them{example}, "
         f"or drop them by names={{{next(iter(likely))!r}: None}}"
     )
+
+
+def warn_of_other_units(ref: StepRef, options: ReadOptions) -> None:
+    """Warn of columns that the caller maps, whose names hold a unit such as mm."""
+    columns = [name for name in ref.columns if options.names.get(name) and other_unit(name)]
+    if columns:
+        warn_user(
+            f"{source_of(ref)}: columns {', '.join(map(repr, columns))} name a unit, and SI is "
+            "taken; give the factors to SI, such as units={'length': 1e-3} for mm, or units='SI'"
+        )
 
 
 def _is_whole(slot: str, slots: Container[str | None]) -> bool:

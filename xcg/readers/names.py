@@ -100,7 +100,8 @@ _PARTICLE_VECTORS = {
     "position": (
         "position ?", "?", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
         "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
-        "centroid ?", "particle position ?", "particle ? coordinate", "particle ? position", "location ?", "loc ?",
+        "centroid ?", "particle position ?", "particle ? coordinate", "particle ? position",
+        "location ?", "loc ?",
     ),
     "scaled": ("scaled ?", "?s"),
     "unwrapped_position": (
@@ -112,7 +113,8 @@ _PARTICLE_VECTORS = {
     ),
     "velocity": (
         "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
-        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?", "particle ? velocity",
+        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
+        "particle ? velocity",
     ),
     "angular_velocity": (
         "angular velocity ?", "omega ?", "ang vel ?", "ang vel vec ?", "? angular velocity",

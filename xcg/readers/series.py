@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
-from xcg.readers.columns import report_missing_ids
+from xcg.readers.columns import report_missing_ids, warn_of_other_units
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
-from xcg.readers.names import other_unit
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
 from xcg.scene.box import domain_of
@@ -199,22 +198,11 @@ def warn_of_missing_facts(
             f"{listing.reader.UNNAMED_UNITS}"
         )
     if arguments.units is None:
-        _warn_of_other_units(listing)
+        for refs in listing.refs.values():
+            warn_of_other_units(refs[0], listing.options)
     if lacks_ids(listing, ends):
         by_id = any(step.contacts for step in listing.steps)
         report_missing_ids(listing.steps[0].particles, len(listing.steps), contacts=by_id)
-
-
-def _warn_of_other_units(listing: Listing) -> None:
-    """Warn of columns that the caller maps, whose names hold a unit such as mm."""
-    names = listing.options.names
-    for refs in listing.refs.values():
-        columns = [name for name in refs[0].columns if names.get(name) and other_unit(name)]
-        if columns:
-            warn_user(
-                f"{source_of(refs[0])}: columns {', '.join(map(repr, columns))} name a unit, and SI is "
-                "taken; give the factors to SI, such as units={'length': 1e-3} for mm, or units='SI'"
-            )
 
 
 def lacks_ids(listing: Listing, ends: Mapping[StepRef, Frame]) -> bool:

@@ -230,6 +230,24 @@ def test_brightness_in_tables_of_trackpy_is_no_mass(tmp_path):
     assert ds.mass.values.tolist() == [[250]]
 
 
+def test_tables_of_pandas_get_the_warnings_of_files():
+    table = pd.DataFrame(
+        {"id": [1, 2], "x (mm)": [0, 5], "y": 0, "z": 0, "r": 1, "time [ms]": [0, 1]}
+    )
+    with pytest.warns(xcg.SceneWarning) as warned:
+        xcg.scene_from_table(table, names={"x (mm)": "position_x"})
+    texts = [str(warning.message) for warning in warned]
+    for part in ("'r' (radius?)", "'time [ms]' may hold times", "'x (mm)' name a unit"):
+        assert sum(part in text for text in texts) == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_columns_beside_arguments_that_replace_them_are_not_named():
+    table = pd.DataFrame({"x": [0, 5], "y": 0, "z": 0, "size": 1})
+    ds = xcg.scene_from_table(table, diameter=[0.1, 0.2], density=1.0)
+    assert ds.diameter.values.tolist() == [[0.1, 0.2]]
+
+
 def test_sizes_given_as_an_option_are_answered_by_a_column(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("x,y,z,d\n0,0,0,1\n")

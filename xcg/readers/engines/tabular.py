@@ -53,8 +53,8 @@ class Table(Columnar):
         names = [name or f"column {k}" for k, name in enumerate(in_order)]
         scan = partial(_steps, given=clock, in_order=names)
         refs = index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
-        if refs and not clock_of(refs[0].columns, options.names):
-            _warn_of_unread_clock(refs[0], options)
+        if refs:
+            warn_of_unread_clock(refs[0], options)
         return refs
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
@@ -117,14 +117,16 @@ def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[st
     return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
 
 
-def _warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
-    """Warn of a column that may hold times, and does not separate the rows into steps."""
+def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
+    """Warn of a column that may hold times, where none separates the rows into steps."""
+    if clock_of(ref.columns, options.names):
+        return
     likely = resembling_clock(name for name in ref.columns if name not in options.names)
     if likely:
         listed = ", ".join(map(repr, likely))
         warn_user(
             f"{ref.path}: columns {listed} may hold times or numbers of steps and are not read, so all "
-            f"rows of a file are one step; map one, names={{{likely[0]!r}: 'time'}} (with "
+            f"rows are one step; map one, names={{{likely[0]!r}: 'time'}} (with "
             f"units={{'time': 1e-3}} for ms) or 'step', or drop it by names={{{likely[0]!r}: None}}"
         )
 

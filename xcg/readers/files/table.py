@@ -32,7 +32,7 @@ _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
-_QUOTED = re.compile(rb'"[^"]*"|\S+')
+_QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold several together
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -350,15 +350,11 @@ def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
         return names, row.split(None if separator == " " else separator)
 
 
-def _words(line: str) -> list[str]:
-    """Return words between blanks; quotes hold several together."""
-    return [word.decode() for word in _QUOTED.findall(line.encode())]
-
-
 def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     """Return what stands between the names of columns in a line, and the names."""
     separator = next((mark for mark in _SEPARATORS if mark in line), " ")
-    words = line.split(separator) if separator != " " else _words(line)
+    in_blanks = [word.decode() for word in _QUOTED.findall(line.encode())]
+    words = in_blanks if separator == " " else line.split(separator)
     if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
         del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
