@@ -58,6 +58,12 @@ FILES = {
     "a.json": (json.dumps({"x": 1}).encode(), "JSON.*scene_from_table"),
     "a.jsonl": (b'{"x": 1}\n{"x": 2}\n', "JSON"),
     "a.txt": ("x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16.*UTF-8"),
+    "a.html": (b"<!doctype html>\n<html>", "HTML.*download"),
+    "a.dump": (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS.*git lfs pull"),
+    "a.xdmf": (b"<?xml version='1.0'?>\n<!DOCTYPE Xdmf>\n<Xdmf Version='3.0'>", "XDMF.*mapping="),
+    "a.vtt": (b"<?xml version='1.0'?>\n<VTKFile type='Table'>", "VTK XML.*ParaView"),
+    "a.ply": (b"ply\nformat ascii 1.0\n", "PLY.*scene_from_arrays"),
+    "a.pcd": (b"# .PCD v.7\nVERSION .7\n", "PCD.*CSV"),
     "a.stl": (b"solid wall\n", "xcg.Surface"),
     "b.stl": (bytes(84), "xcg.Surface"),
 }

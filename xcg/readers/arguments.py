@@ -13,6 +13,7 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers.columns import read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
+from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS
 from xcg.readers.paths import PathLike
 from xcg.readers.recognise import guess_engine
 from xcg.scene.schema import Shape, Sides
@@ -169,5 +170,7 @@ def _likely(option: str, reader: Engine) -> str:
     """Return the argument that was meant, as the end of a message; "" if none is near."""
     if option.lower() in _OF_TIME:
         return f"; did you mean {'timestep' if 'timestep' in reader.OPTIONS else 'times'}=?"
+    if option in PARTICLE_SLOTS or option in CONTACT_SLOTS:
+        return f"; it is read from a column, names={{'its column': {option!r}}}"
     known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]
     return did_you_mean(option, [*known, *reader.OPTIONS])

@@ -24,6 +24,7 @@ from xcg.readers.names import (
     canonical,
     columns_by_name,
     components,
+    other_unit,
     resembling,
 )
 from xcg.scene.contacts import FIRST_WALL
@@ -274,6 +275,7 @@ def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
 
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
+_AXIS = re.compile(r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])")
 
 
 def warn_of_unread(
@@ -327,18 +329,42 @@ def warn_of_unread(
 
 
 def warn_of_resembling(
-    ref: StepRef, unread: Iterable[str], filled: Iterable[str], *, contacts: bool
+    ref: StepRef,
+    unread: Iterable[str],
+    filled: Iterable[str],
+    *,
+    contacts: bool,
+    whole_vectors: bool = False,
 ) -> None:
-    """Warn of unread columns whose names resemble a variable that the scene lacks."""
+    """Warn of unread columns whose names resemble a variable that the scene lacks.
+
+    Vectors are columns for each component, or `whole_vectors`.
+    """
     likely = resembling(unread, filled, contacts=contacts)
     if not likely:
         return
-    column, meant = next(iter(likely.items()))
     listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
+    example = ""
+    for column, meant in reversed(likely.items()):
+        axis = _AXIS.search(column)
+        if whole_vectors or meant not in _PARTICLE_VECTORS + _CONTACT_VECTORS:
+            example = f", for example names={{{column!r}: {meant!r}}}"
+        elif axis:
+            example = f", for example names={{{column!r}: '{meant}_{axis[0].lower()}'}}"
     warn_user(
-        f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them, for "
-        f"example names={{{column!r}: {meant!r}}}, or drop them by names={{{column!r}: None}}"
+        f"{source_of(ref)}: columns {listed} resemble variables and are not read; map them{example}, "
+        f"or drop them by names={{{next(iter(likely))!r}: None}}"
     )
+
+
+def warn_of_other_units(ref: StepRef, options: ReadOptions) -> None:
+    """Warn of columns that the caller maps, whose names hold a unit such as mm."""
+    columns = [name for name in ref.columns if options.names.get(name) and other_unit(name)]
+    if columns:
+        warn_user(
+            f"{source_of(ref)}: columns {', '.join(map(repr, columns))} name a unit, and SI is "
+            "taken; give the factors to SI, such as units={'length': 1e-3} for mm, or units='SI'"
+        )
 
 
 def _is_whole(slot: str, slots: Container[str | None]) -> bool:

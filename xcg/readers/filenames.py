@@ -24,6 +24,8 @@ _NUMBER = re.compile(
 _WHOLE = re.compile(r"\d+", re.ASCII)
 _POINT = re.compile(r"\d(\.|[eE][-+])\d", re.ASCII)
 _ENDING = re.compile(r"\.[A-Za-z]\w*$")  # ".h5" holds no number
+_SIGN = re.compile(r"(^|[_=\s])-$")  # before a number, as in "t_-0.5"
+_OTHER_UNIT = re.compile(r"\s?([mnuµμ]s|min|h|hr|hours)(?![A-Za-z])")  # after a number, as in "5ms"
 _OF_TIME = re.compile(r"(?:^|[^a-z])t(?:ime)?[^a-z0-9]*$", re.IGNORECASE)  # before a number
 
 
@@ -101,6 +103,8 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
         in_folders = bool(columns)
     if not columns:
         columns = [_last_numbers(names)]
+    for numbers in columns:
+        problem = problem or _doubt_about(folders if in_folders else names, numbers)
     steps: list[int | None] = [None] * len(paths)
     times: list[float | None] = [None] * len(paths)
     for numbers in [] if problem else columns:
@@ -115,6 +119,22 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
     return FileNumbers(steps, times, runs, problem)
 
 
+def _doubt_about(texts: Sequence[str], numbers: Sequence[_Number | None]) -> str:
+    """Return why numbers cannot be steps or times in the files' unit: a sign, or another unit; "" if they can."""
+    units = set()
+    for text, number in zip(texts, numbers, strict=True):
+        if number is None:
+            continue
+        end = number.start + len(number.text)
+        if _SIGN.search(text[: number.start]):
+            return f"'-{number.text}' in the names may be negative"
+        unit = _OTHER_UNIT.match(text[end:])
+        units.add(unit[1] if unit else "")
+        if unit and (not number.is_whole or len(units) > 1):
+            return f"times in the names have a unit ({text[number.start : end]}{unit[0]})"
+    return ""
+
+
 def _read_one_number(paths: Sequence[str]) -> FileNumbers | None:
     """Read the steps of paths that differ in one whole number only; None for all others.
 
@@ -126,7 +146,7 @@ def _read_one_number(paths: Sequence[str]) -> FileNumbers | None:
     after = _common_start([path[::-1] for path in paths])[::-1].lstrip("0123456789")
     digits = [path[len(before) : len(path) - len(after)] for path in paths]
     beside = f"{before[-3:]}0{after[:3]}"
-    may_be_other = _POINT.search(beside) or _ENDING.search(f"{before}0")
+    may_be_other = _POINT.search(beside) or _ENDING.search(f"{before}0") or _SIGN.search(before)
     if may_be_other or not all(map(_WHOLE.fullmatch, digits)):
         return None
     if not _are_whole(digits) or len(set(map(int, digits))) < len(paths):

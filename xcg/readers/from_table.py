@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.tabular import Table, clock_of, runs_of
+from xcg.readers.engines.tabular import Table, clock_of, runs_of, warn_of_unread_clock
 from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
@@ -125,6 +125,8 @@ def scene_from_table(
         what: [StepRef(what, len(table), columns=tuple(table.columns))]
         for what, table in tables.items()
     }
+    for (ref,) in refs.values():
+        _warn_of_columns(ref, said, options)
     ignored = printable(ignored_columns(Table(), refs, said))
     scene = scene_from_arrays(**(options | given))
     if nameless:
@@ -221,6 +223,18 @@ def _frames(
         )
         found[next(iter(told.values()), 0.0)] = told, frame
     return found
+
+
+def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str, Any]) -> None:
+    """Warn of columns that are probably not ignored on purpose, as of those of a file."""
+    contacts = ref.path == "contacts"
+    table = Table()
+    read = (table.contact_columns if contacts else table.particle_columns)(ref, options)
+    read = {name: "" for name, value in arguments.items() if value is not None} | read
+    columns.warn_of_unread(ref, read, options, contacts=contacts)
+    warn_of_unread_clock(ref, options)
+    if arguments.get("units") is None:
+        columns.warn_of_other_units(ref, options)
 
 
 class _InMemory(Table):

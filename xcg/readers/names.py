@@ -21,10 +21,20 @@ Slots: TypeAlias = Mapping[str, Sequence[str]]
 
 _UNITS_OF_SI = {
     "-", "m", "s", "kg", "n", "m/s", "ms-1", "1/s", "s-1", "rad/s", "rads-1", "m2", "m3",
-    "kg/m3", "kgm-3", "kgm2",
+    "kg/m3", "kgm-3", "kgm2", "sec",
 }  # fmt: skip
+_OTHER_UNIT = re.compile(
+    r"[\[(]\s*((?:[mcdknuµμ]m|in|ft)(?:/s|\^?3)?|[mnuµμ]s|min|h|m?g|t|g/cm\^?3|kN|mN)\s*[\])]$"
+    r"|_((?:[mcnuµμ]m)|[mnuµμ]s)$"
+)
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 _NUMBERED = re.compile(r"(.*?)([^A-Za-z0-9]?)[\[(]?(\d)[\])]?$")
+
+
+def other_unit(column: str) -> str:
+    """Return the unit in the name of a column, as in ``x (mm)`` or ``x_mm``; "" for SI or none."""
+    unit = _OTHER_UNIT.search(column)
+    return (unit[1] or unit[2]) if unit else ""
 
 
 @lru_cache(maxsize=1 << 14)
@@ -67,8 +77,8 @@ def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
 
 _PARTICLE_SCALARS = {
     "particle_id": (
-        "particle id", "id", "particle", "particle number", "particle no", "label", "tag", "atom id",
-        "grain id", "grain", "global id", "track id",
+        "particle id", "track id", "id", "particle", "particle number", "particle no", "label", "tag",
+        "atom id", "grain id", "grain", "global id", "particle identifier",
     ),
     "species": (
         "species", "type", "species id", "type id", "particle type", "particle species", "mat id",
@@ -81,7 +91,7 @@ _PARTICLE_SCALARS = {
     ),
     "diameter": ("diameter", "diameters", "diam", "dia", "particle diameter"),
     "radius": ("radius", "radii", "rad", "particle radius"),
-    "density": ("density", "rho", "particle density", "material density"),
+    "density": ("density", "rho", "ρ", "particle density", "material density"),
     "mass": ("mass", "masses", "particle mass"),
     "volume": ("volume", "vol", "particle volume"),
     "moment_of_inertia": ("moment of inertia", "inertia"),
@@ -90,7 +100,8 @@ _PARTICLE_VECTORS = {
     "position": (
         "position ?", "?", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
         "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
-        "centroid ?", "particle position ?",
+        "centroid ?", "particle position ?", "particle ? coordinate", "particle ? position",
+        "location ?", "loc ?",
     ),
     "scaled": ("scaled ?", "?s"),
     "unwrapped_position": (
@@ -103,11 +114,12 @@ _PARTICLE_VECTORS = {
     "velocity": (
         "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
         "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
+        "particle ? velocity",
     ),
     "angular_velocity": (
         "angular velocity ?", "omega ?", "ang vel ?", "ang vel vec ?", "? angular velocity",
-        "rotational velocity ?", "rot vel ?", "particle angular velocity ?", "w?", "om?", "omg?",
-        "ome?",
+        "rotational velocity ?", "rot vel ?", "particle angular velocity ?", "spin ?", "w?", "om?",
+        "omg?", "ome?", "ω?",
     ),
 }  # fmt: skip
 _CONTACT_SCALARS = {
@@ -239,7 +251,7 @@ def _columns_by_name(
 
 # Words in the names of columns, whole or by their beginning ("veloc*").
 _HINTS_OF_PARTICLES = {
-    "particle_id": "id ids label tag number index identifier",
+    "particle_id": "id ids label tag number no nr index identifier",
     "species": "species type material mat phase",
     "velocity": "vel veloc* speed u v momenta",
     "angular_velocity": "angvel angular* omega spin rot rotational",
@@ -248,6 +260,7 @@ _HINTS_OF_PARTICLES = {
     "density": "dens* rho",
     "mass": "mass* m",
     "body_id": "clump* molecule* mol",
+    "image": "image* wraps unwrap*",
 }
 _HINTS_OF_CONTACTS = {
     "overlap": "overlap* penetr* delta gap",
@@ -257,9 +270,23 @@ _HINTS_OF_CONTACTS = {
 _ENOUGH = {  # what is read in place of a variable
     "radius": ("diameter", "volume"),
     "diameter": ("radius", "volume"),
+    "image": ("unwrapped_",),
     "tangential_force": ("contact_force",),
 }
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_OF_LAMMPS = re.compile(r"^[vcf]_(?=\w\w)")  # variables, computes and fixes
+_OF_PARAVIEW = {
+    "pointid", "cellid", "celltype", "blockname", "blocknumber", "vtkoriginalpointids",
+    "vtkoriginalcellids", "vtkghosttype",
+}  # fmt: skip
+_CLOCK_WORDS = {
+    "t", "time", "times", "timestep", "timestamp", "step", "steps", "frame", "slice", "iteration",
+    "cycle",
+}  # fmt: skip
+_BESIDE_CLOCK_WORDS = {
+    "sim", "simulation", "physical", "elapsed", "current", "position", "no", "nr", "number", "index",
+    "id", "s", "sec", "seconds", "ms", "us", "ns", "min",
+}  # fmt: skip
 
 
 def resembling(
@@ -286,7 +313,20 @@ def resembling(
         stems = tuple(word[:-1] for word in text.split() if word.endswith("*"))
         whole = set(text.split())
         for column in columns:
-            words = [word.casefold() for word in _WORD.findall(column)]
+            if canonical(column) in _OF_PARAVIEW:
+                continue
+            words = [word.casefold() for word in _WORD.findall(_OF_LAMMPS.sub("", column))]
             if any(word in whole or (stems and word.startswith(stems)) for word in words):
                 likely.setdefault(column, variable)
+    return likely
+
+
+def resembling_clock(columns: Iterable[str]) -> list[str]:
+    """Return columns whose names resemble a time or the number of a step; ``T`` is a temperature."""
+    likely = []
+    for column in columns:
+        words = {word.casefold() for word in _WORD.findall(column)}
+        of_clock = words & _CLOCK_WORDS
+        if of_clock and words <= _CLOCK_WORDS | _BESIDE_CLOCK_WORDS and canonical(column) != "T":
+            likely.append(column)
     return likely

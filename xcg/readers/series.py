@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
-from xcg.readers.columns import report_missing_ids
+from xcg.readers.columns import report_missing_ids, warn_of_other_units
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
@@ -188,12 +188,18 @@ def warn_of_missing_facts(
     """
     for cause in listing.skipped:
         warn_user(f"left out: {cause}")
+    if not any(len(frame["position"]) for frame in ends.values()):
+        first = source_of(listing.steps[0].particles)
+        warn_user(f"{first}: neither the first nor the last step holds particles")
     if arguments.units is None and listing.units_are_assumed:
         warn_user(
             f"{source_of(listing.refs['particles'][0])}: the header does not name the units, and SI is "
             "taken; say units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or "
             f"{listing.reader.UNNAMED_UNITS}"
         )
+    if arguments.units is None:
+        for refs in listing.refs.values():
+            warn_of_other_units(refs[0], listing.options)
     if lacks_ids(listing, ends):
         by_id = any(step.contacts for step in listing.steps)
         report_missing_ids(listing.steps[0].particles, len(listing.steps), contacts=by_id)

@@ -152,17 +152,47 @@ _FORMATS = (
         rb"CDF[\x01\x02\x05]",
     ),
     UnreadFormat(
+        "a pointer of Git LFS in place of the file", "get the file by 'git lfs pull'",
+        rb"version https://git-lfs",
+    ),
+    UnreadFormat(
+        "a page of HTML, as when a download failed", "download the file again",
+        rb"(?i)\s*<(?:!doctype )?html",
+    ),
+    UnreadFormat(
+        "an XDMF file", "give the HDF5 files that it lists, with mapping=, docs/other_codes.md",
+        rb"(?s)(?:<\?xml[^>]*>\s*)?(?:<!DOCTYPE[^>]*>\s*)?<Xdmf",
+    ),
+    UnreadFormat(
+        "VTK XML without points of its own (a table, or a list of blocks)",
+        "give the files of grains that it lists, or save .vtp or CSV in ParaView",
+        rb"(?s)(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)?<VTKFile",
+    ),
+    UnreadFormat(
+        "a cloud of points or a mesh (PLY)",
+        f"read it by pyvista.read or open3d and pass its points to {_ARRAYS}", rb"ply[\r\n]",
+    ),
+    UnreadFormat(
+        "a cloud of points (PCD)", "save it as CSV with the names of FIELDS in the first line",
+        rb"# \.PCD|VERSION \.?\d",
+    ),
+    UnreadFormat(
         "a surface of triangles (STL)", "walls are given by xcg.Surface, see docs/walls.md",
         rb"solid |(?s:.{80})", (".stl",),
     ),
 )  # fmt: skip
 
 
-def refuse_unread(path: str) -> None:
-    """Raise SceneError if a file is of a format that is known and not read."""
+def unread_format(path: str) -> UnreadFormat | None:
+    """Return the format of a file if it is known and not read."""
     with scanned(path) as scanner:
         head = scanner.sample(_HEAD)
     suffix = Path(plain_name(path)).suffix.lower()
-    for form in _FORMATS:
-        if form.fits(head, suffix):
-            raise SceneError(f"{path} is {form.what}, which xcg does not read; {form.way}")
+    return next((form for form in _FORMATS if form.fits(head, suffix)), None)
+
+
+def refuse_unread(path: str) -> None:
+    """Raise SceneError if a file is of a format that is known and not read."""
+    form = unread_format(path)
+    if form:
+        raise SceneError(f"{path} is {form.what}, which xcg does not read; {form.way}")

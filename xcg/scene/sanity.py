@@ -316,7 +316,7 @@ def _check_density(frame: Frame, some: slice, setup: Setup) -> None:
         if "mass" in frame:
             warn_user(
                 f"density={setup.density:g} is not used, as the data hold masses and no sizes: leave it out, or give "
-                "diameter= or a column of sizes"
+                "sizes, a column or diameter= of scene_from_arrays"
             )
         return
     density = frame["density"][some]

@@ -246,10 +246,12 @@ def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
     assert "both 'particle_id' and 'id' may be 'particle_id'" in messages[1]
     assert "both 'species' and 'type' may be 'species'" in messages[2]
     assert len(messages) == 3
-    assert (
-        xcg.scene_from_table(table, contacts=contacts, density=1.0).attrs["ignored_columns"]
-        == ignored
-    )
+    with pytest.warns(xcg.SceneWarning) as caught:
+        ds = xcg.scene_from_table(table, contacts=contacts, density=1.0)
+    assert ds.attrs["ignored_columns"] == ignored
+    assert [str(warning.message).partition(": ")[2] for warning in caught] == [
+        message.partition(": ")[2] for message in messages
+    ]
     with pytest.raises(
         xcg.SceneError, match=r"particles.*: diameter 3 of row 1 is not 2 times radius 0\.5"
     ):

@@ -21,6 +21,10 @@ from xcg.readers.open import open_scene
         "# made today\n# x,y,z,radius\n1,2,3,0.5\n2,2,3,0.5\n",
         "#x y z radius\n# a comment of more words\n1 2 3 0.5\n2 2 3 0.5\n",
         "x; y; z; radius\n#\n1; 2; 3; 0.5\n2; 2; 3; 0.5\n",
+        "# time = 0.5\nx,y,z,radius\n1,2,3,0.5\n2,2,3,0.5\n",
+        "# time: 0.5 s\nx y z radius\n1 2 3 0.5\n2 2 3 0.5\n",
+        "# time 0.5\nx,y,z,radius\n1,2,3,0.5\n2,2,3,0.5\n",
+        "x,y,z,radius,\n1,2,3,0.5,\n2,2,3,0.5,\n",
     ],
 )
 def test_comments_of_csv_are_comments(tmp_path, text):

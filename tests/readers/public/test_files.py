@@ -42,6 +42,7 @@ def grains(ids, step=0, **options):
         (["mu0.5_t0.1_v2.csv", "mu0.5_t0.15_v2.csv", "mu0.5_t0.2_v2.csv"], [0.1, 0.15, 0.2]),
         (["p.0.05.csv", "p.0.1.csv", "p.0.15.csv"], [0.05, 0.1, 0.15]),
         (["0.05/p.csv", "0.1/p.csv", "0.15/p.csv"], [0.05, 0.1, 0.15]),
+        (["t=0.05s.csv", "t=0.1s.csv", "t=0.15s.csv"], [0.05, 0.1, 0.15]),
     ],
 )
 def test_decimals_in_names_are_times_in_their_order(tmp_path, names, times):
@@ -60,6 +61,7 @@ def test_decimals_in_names_are_times_in_their_order(tmp_path, names, times):
         (["r2.9000.csv", "r2.10000.csv"], [9000, 10000]),
         (["frame_1_step_100.csv", "frame_2_step_200.csv"], [100, 200]),
         (["100/p_7.csv", "200/p_7.csv"], [100, 200]),
+        (["2024-01-05_p-9ms.csv", "2024-01-05_p-10ms.csv"], [9, 10]),
     ],
 )
 def test_the_number_that_varies_is_the_step(tmp_path, names, steps):
@@ -85,6 +87,11 @@ def test_times_of_the_caller_follow_the_order_of_decimals(tmp_path):
         (["t_0,05.csv", "t_0,1.csv"], "not padded to one length"),
         (["2024.01.05.csv", "2024.01.06.csv", "2024.02.01.csv"], "several numbers"),
         (["p_1.csv", "p_2.csv", "final.csv"], "'final' holds 0 numbers"),
+        (["t_0.5ms.csv", "t_1.5ms.csv"], r"times in the names have a unit \(0.5ms\)"),
+        (["0.5 us/p.csv", "1.5 us/p.csv"], r"times in the names have a unit \(0.5 us\)"),
+        (["t=1s.csv", "t=500ms.csv"], r"times in the names have a unit \(500ms\)"),
+        (["t_-0.5.csv", "t_-0.25.csv", "t_0.0.csv"], "'-0.5' in the names may be negative"),
+        (["p_-10.csv", "p_-5.csv"], "'-10' in the names may be negative"),
     ],
 )
 def test_names_that_do_not_tell_the_steps_raise_until_times_are_given(tmp_path, names, match):
@@ -351,9 +358,15 @@ def test_lists_of_names_that_do_not_fit_are_an_error(tmp_path, names, match):
         xcg.open_scene(path, names=names, density=1)
 
 
+def test_a_title_above_rows_without_names_is_shown(tmp_path):
+    path = write(tmp_path / "p.txt", "my run\n1 0 0 0 0.1\n")
+    with pytest.raises(SceneError, match=r"first row has 2 values \(my run\).* begin with '#'"):
+        xcg.open_scene(path, names=["id", "x", "y", "z", "radius"], density=1)
+
+
 def test_a_list_of_names_is_for_tables_without_names(tmp_path):
     write_tables(tmp_path, ["p.csv"])
-    with pytest.raises(SceneError, match=r"the first line names them .*say names={'id': 'id'"):
+    with pytest.raises(SceneError, match=r"the first line names them .*leave the list out"):
         xcg.open_scene(tmp_path / "p.csv", names=["id", "x", "y", "z", "radius"], density=1)
     write(tmp_path / "p.dump", grains([1]))
     with pytest.raises(SceneError, match="'lammps' reads the names of columns from the files"):

@@ -38,6 +38,8 @@ def write_steps(folder, columns):
         "Label",
         "particle",
         "Global-ID",
+        "TRACK_ID",
+        "Particle Identifier",
     ],
 )
 def test_ids_of_any_spelling_follow_grains_whose_rows_change(tmp_path, name):
@@ -78,11 +80,13 @@ COLUMNS = {
         "v_x v_y v_z", "Vx Vy Vz", "Velocity:0 Velocity:1 Velocity:2", "velocity_x velocity_y velocity_z",
         "v[1] v[2] v[3]", "Velocity-X Velocity-Y Velocity-Z", "vel.x vel.y vel.z", "velX velY velZ",
         "VELOCITY_0 VELOCITY_1 VELOCITY_2", "x_velocity y_velocity z_velocity",
+        "particle-x-velocity particle-y-velocity particle-z-velocity",
     ],
     "x y z": [
         "X Y Z", "Points:0 Points:1 Points:2", "Points_0 Points_1 Points_2", "position_x position_y position_z",
         "pos_x pos_y pos_z", "PosX PosY PosZ", "x[m] y[m] z[m]", "Center:0 Center:1 Center:2",
-        "coordinates:0 coordinates:1 coordinates:2",
+        "coordinates:0 coordinates:1 coordinates:2", "location_x location_y location_z", "loc.x loc.y loc.z",
+        "ParticleX-Coordinate[m] ParticleY-Coordinate[m] ParticleZ-Coordinate[m]",
     ],
     "type": ["Type", "Species", "material", "MatId", "phase_id", "Material ID"],
 }  # fmt: skip
@@ -133,13 +137,122 @@ def test_step_numbers_of_any_spelling_separate_steps(tmp_path, name):
         ("Omega_z_total", "angular_velocity"),
         ("mat_name", "species"),
         ("bulk_density", "density"),
+        ("No.", "particle_id"),
+        ("image_count", "image"),
+        ("size", "diameter"),
     ],
 )
 def test_columns_that_resemble_a_variable_are_named(tmp_path, column, meant):
     path = tmp_path / "p.csv"
-    path.write_text(f"id,x,y,z,{column}\n1,0,0,0,0.1\n")
+    path.write_text(f"x,y,z,{column}\n0,0,0,1\n")
     with pytest.warns(xcg.SceneWarning, match=rf"{re.escape(repr(column))} \({meant}\?\) resemble"):
         xcg.open_scene(path)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    ["spin_r_x spin_r_y spin_r_z", "V:mean:x V:mean:y V:mean:z"],
+)
+def test_the_advice_for_components_can_be_followed(tmp_path, columns):
+    path = tmp_path / "p.csv"
+    path.write_text("id,x,y,z," + columns.replace(" ", ",") + "\n1,0,0,0,1,2,3\n")
+    with pytest.warns(xcg.SceneWarning, match="resemble variables") as warned:
+        xcg.open_scene(path)
+    advice = re.search(r"for example names=\{'(.*?)': '(.*?)'\}", str(warned[0].message))
+    variable = advice[2].removesuffix("_x")
+    assert advice[1] == columns.split()[0]
+    names = {column: f"{variable}_{column[-1]}" for column in columns.split()}
+    ds = xcg.open_scene(path, names=names)
+    np.testing.assert_array_equal(ds[variable][0, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [["Point ID", "Cell Type"], ["vtkOriginalPointIds"], ["v_press", "c_mean[1]", "f_ave[2]"]],
+)
+@pytest.mark.filterwarnings("error")
+def test_columns_of_paraview_and_lammps_that_are_no_variables_are_not_named(tmp_path, columns):
+    path = tmp_path / "p.csv"
+    path.write_text(",".join(["x,y,z,radius", *columns]) + "\n0,0,0,1" + ",5" * len(columns) + "\n")
+    assert xcg.open_scene(path, density=1).sizes["particle"] == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "time [ms]",
+        "Time_us",
+        "t_ms",
+        "POSITION_T",
+        "Slice",
+        "step_no",
+        "Frame number",
+        "elapsed time",
+    ],
+)
+def test_times_that_do_not_separate_steps_are_named(tmp_path, name):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,x,y,z,radius,{name}\n1,0,0,0,0.1,0\n2,5,0,0,0.1,1\n")
+    with pytest.warns(xcg.SceneWarning, match=rf"{re.escape(repr(name))} may hold times"):
+        xcg.open_scene(path, density=1)
+    ds = xcg.open_scene(path, density=1, names={name: "time"}, units="SI")
+    np.testing.assert_array_equal(ds.position[:, 0, 0], [0, 5])
+
+
+@pytest.mark.parametrize("name", ["T", "residence_time", "contact time", "lifetime", "next"])
+@pytest.mark.filterwarnings("error")
+def test_other_columns_are_no_times(tmp_path, name):
+    path = tmp_path / "p.csv"
+    path.write_text(f"x,y,z,radius,{name}\n0,0,0,0.1,0\n5,0,0,0.1,1\n")
+    assert xcg.open_scene(path, density=1).sizes["particle"] == 2
+
+
+@pytest.mark.parametrize("radius", ["radius (mm)", "R [mm]", "radius_mm", "size [um]"])
+def test_units_in_names_that_the_caller_maps_ask_for_factors(tmp_path, radius):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,x,y,z,{radius}\n1,0,0,0,5\n")
+    names = {radius: "radius"}
+    with pytest.warns(xcg.SceneWarning, match=rf"{re.escape(repr(radius))} name a unit, and SI is"):
+        xcg.open_scene(path, density=1, names=names)
+    ds = xcg.open_scene(path, density=1, names=names, units={"length": 1e-3})
+    np.testing.assert_allclose(ds.diameter, 0.01, rtol=1e-12)
+
+
+def test_brightness_in_tables_of_trackpy_is_no_mass(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(
+        "y,x,mass,size,ecc,signal,raw_mass,ep,frame,particle\n1,10,250,2,.1,9,800,.1,0,7\n"
+    )
+    with pytest.warns(xcg.SceneWarning, match=r"'mass' \(mass\?\).* resemble"):
+        ds = xcg.open_scene(path)
+    assert "mass" not in ds
+    ds = xcg.open_scene(path, names={"mass": "mass", "size": None, "raw_mass": None})
+    assert ds.mass.values.tolist() == [[250]]
+
+
+def test_tables_of_pandas_get_the_warnings_of_files():
+    table = pd.DataFrame(
+        {"id": [1, 2], "x (mm)": [0, 5], "y": 0, "z": 0, "r": 1, "time [ms]": [0, 1]}
+    )
+    with pytest.warns(xcg.SceneWarning) as warned:
+        xcg.scene_from_table(table, names={"x (mm)": "position_x"})
+    texts = [str(warning.message) for warning in warned]
+    for part in ("'r' (radius?)", "'time [ms]' may hold times", "'x (mm)' name a unit"):
+        assert sum(part in text for text in texts) == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_columns_beside_arguments_that_replace_them_are_not_named():
+    table = pd.DataFrame({"x": [0, 5], "y": 0, "z": 0, "size": 1})
+    ds = xcg.scene_from_table(table, diameter=[0.1, 0.2], density=1.0)
+    assert ds.diameter.values.tolist() == [[0.1, 0.2]]
+
+
+def test_sizes_given_as_an_option_are_answered_by_a_column(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("x,y,z,d\n0,0,0,1\n")
+    with pytest.raises(xcg.SceneError, match=r"'diameter' .*names={'its column': 'diameter'}"):
+        xcg.open_scene(path, diameter=0.1)
 
 
 def test_other_codes_share_the_table(tmp_path):

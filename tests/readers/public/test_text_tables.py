@@ -44,6 +44,46 @@ def test_contacts_are_found_beside_particles(tmp_path):
     np.testing.assert_array_equal(ds.contact_force[0], [[1, 0, 0]])
 
 
+@pytest.mark.parametrize("start", ["", "# "])
+def test_names_in_quotes_may_hold_blanks(tmp_path, start):
+    header = '"Particle Identifier" "Position.X" "Position.Y" "Position.Z" "Radius"'
+    (tmp_path / "a.txt").write_text(f"{start}{header}\n7 0.1 0.2 0.3 0.5\n")
+    ds = xcg.open_scene(tmp_path / "a.txt")
+    assert ds.particle_id.values.tolist() == [[7]]
+    np.testing.assert_array_equal(ds.position[0], [[0.1, 0.2, 0.3]])
+
+
+def test_a_header_without_rows_warns(tmp_path):
+    (tmp_path / "a.csv").write_text("id,x,y,z,radius\n")
+    with pytest.warns(
+        xcg.SceneWarning, match="neither the first nor the last step holds particles"
+    ):
+        assert xcg.open_scene(tmp_path / "a.csv", density=1).sizes["particle"] == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"<!DOCTYPE html>\n<html>", "a page of HTML.*download the file again"),
+        ("id,x,y,z\n1,0,0,0\n".encode("utf-16"), "text in UTF-16.*save it as UTF-8"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS.*git lfs pull"),
+        (b"PK\x03\x04", "a ZIP archive"),
+    ],
+)
+def test_other_files_that_are_called_csv_are_named(tmp_path, content, match):
+    (tmp_path / "a.csv").write_bytes(content)
+    with pytest.raises(xcg.SceneError, match=match):
+        xcg.open_scene(tmp_path / "a.csv")
+
+
+def test_columns_of_words_are_dropped_as_the_error_says(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,radius,Label\n1,2,3,0.5,image.tif\n")
+    with pytest.raises(xcg.SceneError, match=r"'image.tif' .* dropped by names={'Label': None}"):
+        xcg.open_scene(tmp_path / "a.csv")
+    ds = xcg.open_scene(tmp_path / "a.csv", names={"Label": None})
+    assert ds.diameter.values.tolist() == [[1]]
+
+
 @pytest.mark.parametrize(("name", "separator"), [("a.csv", ";"), ("a.txt", ";"), ("a.dat", "\t")])
 def test_decimal_commas_are_named(tmp_path, name, separator):
     TABLE.to_csv(tmp_path / name, index=False, sep=separator, decimal=",")

@@ -14,19 +14,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.columns import Columnar, assign
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv, scan_parquet
 from xcg.readers.files.text import first_lines, plain_name
-from xcg.readers.names import CLOCK_SLOTS, canonical_columns
+from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
 from xcg.readers.paths import index_steps
+from xcg.readers.unread import unread_format
 
 _POSITION = ("position_x", "position_y")
 _ENDS = ("contact_i", "contact_j")
 # also with a decimal comma, which is an error by name when it is read
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _NO_OPTIONS = ReadOptions()
+_OF_TRACKPY = {"mass", "signal", "ecc"}  # its mass is the brightness of a feature
 
 
 class Table(Columnar):
@@ -38,7 +40,9 @@ class Table(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table, or the first line of a text names its columns."""
-        return _suffix(path) in (".csv", ".tsv", ".parquet") or _has_header(path)
+        if _suffix(path) in (".csv", ".tsv"):
+            return unread_format(path) is None  # Excel, HTML and others are called .csv, too
+        return _suffix(path) == ".parquet" or _has_header(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -48,7 +52,17 @@ class Table(Columnar):
         in_order = options.columns.get("contacts" if contacts else "particles", ())
         names = [name or f"column {k}" for k, name in enumerate(in_order)]
         scan = partial(_steps, given=clock, in_order=names)
-        return index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
+        refs = index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
+        if refs:
+            warn_of_unread_clock(refs[0], options)
+        return refs
+
+    def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the column of each slot; the `mass` of trackpy is none unless `names` says so."""
+        columns = super().particle_columns(ref, options)
+        if set(ref.columns) >= _OF_TRACKPY and "mass" not in options.names:
+            columns.pop("mass", None)
+        return columns
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -101,6 +115,20 @@ def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[st
             clock[slot] = found[0]
     # the time, if there is one, separates the steps
     return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
+
+
+def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
+    """Warn of a column that may hold times, where none separates the rows into steps."""
+    if clock_of(ref.columns, options.names):
+        return
+    likely = resembling_clock(name for name in ref.columns if name not in options.names)
+    if likely:
+        listed = ", ".join(map(repr, likely))
+        warn_user(
+            f"{ref.path}: columns {listed} may hold times or numbers of steps and are not read, so all "
+            f"rows are one step; map one, names={{{likely[0]!r}: 'time'}} (with "
+            f"units={{'time': 1e-3}} for ms) or 'step', or drop it by names={{{likely[0]!r}: None}}"
+        )
 
 
 def _steps(

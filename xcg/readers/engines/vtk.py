@@ -146,7 +146,8 @@ class Vtk(Engine):
                 for array in ignored
                 if array not in options.names and not array.endswith(OF_CELLS)
             ]
-            warn_of_resembling(refs[0], unread, self.targets(refs[0], options), contacts=False)
+            read = self.targets(refs[0], options)
+            warn_of_resembling(refs[0], unread, read, contacts=False, whole_vectors=True)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

@@ -27,6 +27,7 @@ _MOST_COMMENTS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
 _MOST_COMPONENTS = 9
 _SHEARED = 1e-12  # of an edge: less is rounding
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
 
 
@@ -50,11 +51,17 @@ class Yade(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether a line of comments holds a format, time or columns in YADE's words."""
-        for line in first_lines(path):
+        lines = first_lines(path)
+        rows = [line for line in lines if not line.startswith("#")]
+        if rows and "," in rows[0]:  # CSV
+            return False
+        for line in lines:
             if not line.startswith("#"):
                 return False
             words = line.lstrip("#").split()
-            if words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words):
+            if words[:1] == ["format"] or {"id1", "id2"} <= set(words):
+                return True
+            if words[:1] == ["time"] and _NUMBER.fullmatch(" ".join(words[1:2])):
                 return True
         return False
 

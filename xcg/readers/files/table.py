@@ -32,6 +32,7 @@ _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
+_QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold several together
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -193,6 +194,8 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
             "; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv(file, sep=';', "
             "decimal=','), ...)"
         )
+    elif word[:1].isalpha() and word.casefold() != "nan":
+        fault += f"; a column of words is dropped by names={{{wrong!r}: None}}"
     return fault
 
 
@@ -316,21 +319,24 @@ def _cells(line: bytes) -> list[bytes]:
     """Return what is between separators of a line."""
     line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#").strip()
     separators = [mark.encode() for mark in _SEPARATORS if mark.encode() in line]
-    return [cell.strip() for cell in line.split(separators[0] if separators else None)]
+    cells = line.split(separators[0]) if separators else _QUOTED.findall(line)
+    return [cell.strip() for cell in cells]
 
 
 def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) -> tuple[str, ...]:
     """Return the caller's names of all columns; raise SceneError if the first row does not fit them."""
     texts = [word for word in words if math.isnan(_number(word.encode())) and word.lower() != "nan"]
-    if words and len(texts) == len(words):
+    if words and len(texts) == len(words) == len(in_order):
         raise SceneError(
             f"{path}: names= is a list for files without names of columns, and the first line names them "
-            f"({' '.join(words[:10])}); say names={{{words[0]!r}: {in_order[0]!r}, ...}}"
+            f"({' '.join(words[:10])}); leave the list out, or map names that xcg does not know, such as "
+            f"names={{{words[0]!r}: 'particle_id'}}"
         )
     if len(words) != len(in_order):
         raise SceneError(
             f"{path}: names= lists {len(in_order)} columns ({', '.join(in_order[:10])}), and the first row has "
-            f"{len(words)} values; name each column in its order, None for a column to skip"
+            f"{len(words)} values ({' '.join(words)[:60]}); name each column in its order, None for a column to skip. "
+            "Lines above the rows begin with '#'"
         )
     return tuple(in_order)
 
@@ -347,7 +353,10 @@ def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
 def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     """Return what stands between the names of columns in a line, and the names."""
     separator = next((mark for mark in _SEPARATORS if mark in line), " ")
-    words = line.split(None if separator == " " else separator)
+    in_blanks = [word.decode() for word in _QUOTED.findall(line.encode())]
+    words = in_blanks if separator == " " else line.split(separator)
+    if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
+        del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
 
 
