@@ -105,7 +105,7 @@ def read_config(path: str | Path) -> Job:
     return job
 
 
-# --- TOML ------------------------------------------------------------------------------------------------
+# --- TOML -----------------------------------------------------------------------------------------
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
 _OUTPUT = ("folder", "name", "netcdf", "vtkhdf", "dtype", "digits", "compression")
@@ -193,7 +193,7 @@ def _toml(path: Path) -> Job:
     )
 
 
-# --- config.ini of Pysammos ------------------------------------------------------------------------------
+# --- config.ini of Pysammos -----------------------------------------------------------------------
 
 
 # key_mapping: its keys and our variables

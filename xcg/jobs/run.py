@@ -122,8 +122,8 @@ def run_job(
 ) -> Iterator[tuple[int, int]]:
     """Run a job, yielding (steps done, steps in total) after each batch; files are complete at the end.
 
-    Files are written step by step in a hidden folder until all steps are there. A run that was interrupted goes on
-    where it was, unless the job or its input changed.
+    Files are written step by step in a hidden folder until all steps are there. A run that was
+    interrupted goes on where it was, unless the job or its input changed.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ def run_job(
     overwrite : bool
         Replace output that is there.
     resume : bool
-        Refuse to start anew where an interrupted run was of another job or other input, and be content where this
-        job has ended already.
+        Refuse to start anew where an interrupted run was of another job or other input, and be
+        content where this job has ended already.
     jobs : int, optional
         Chunks of time at the same time; as many as there are processors by default.
 

@@ -1,20 +1,22 @@
 """Microstructure of one step: samples of the particles and contacts of each region and group, and their mixing.
 
-Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and entropies.
-All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the share of phase a in cell k,
-p_a that in the region, W_k = sum w_i over the grains of the cell (w_i = 1, or the volume), W that over the region:
+Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and
+entropies. All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the
+share of phase a in cell k, p_a that in the region, W_k = sum w_i over the grains of the cell (w_i =
+1, or the volume), W that over the region:
 
 - variance ``S^2 = sum_k W_k / W (c_ka - p_a)^2``;
 - segregated: ``S_0^2 = p_a (1 - p_a)``, every cell of one phase;
-- random: ``S_r^2 = (K - 1) / (N - 1) * N sum_i w_i^2 (a_i - p_a)^2 / W^2``, the mean of S^2 over all ways to give the
-  N grains in the K cells that are not empty their phases (a_i = 1 in phase a, else 0): exact by number, of first order
-  in the number of grains of a cell by volume. With K cells of n grains it is Lacey's p (1 - p) / n for large N.
+- random: ``S_r^2 = (K - 1) / (N - 1) * N sum_i w_i^2 (a_i - p_a)^2 / W^2``, the mean of S^2 over
+  all ways to give the N grains in the K cells that are not empty their phases (a_i = 1 in phase a,
+  else 0): exact by number, of first order in the number of grains of a cell by volume. With K cells
+  of n grains it is Lacey's p (1 - p) / n for large N.
 
-Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average where they are at
-random. For the bulk, variances are summed over the phases.
+Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average
+where they are at random. For the bulk, variances are summed over the phases.
 
-Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int. Conf. on Multiphase
-Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
+Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int.
+Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
 """
 
 from __future__ import annotations
@@ -227,7 +229,8 @@ def _sample(
 ) -> SimpleNamespace:
     """Particles and contacts of one group, as the functions of the quantities take them.
 
-    A contact counts half for each of its particles in the group, and whole for a particle at a wall.
+    A contact counts half for each of its particles in the group, and whole for a particle at a
+    wall.
     """
     s = SimpleNamespace(
         count=int(member.sum()),
@@ -264,7 +267,7 @@ def _sample(
     return s
 
 
-# --- mixing ----------------------------------------------------------------------------------------------
+# --- mixing ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +291,8 @@ class Mixture:
     neighbours : int
         Nearest neighbours that are looked at.
     images : callable, optional
-        In a box that is tilted: takes a distance, and gives all images that are no further from the region, as rows of
-        the grains and positions; the grains themselves are among them.
+        In a box that is tilted: takes a distance, and gives all images that are no further from the
+        region, as rows of the grains and positions; the grains themselves are among them.
     """
 
     position: NDArray

@@ -1,7 +1,8 @@
 """Periodic images of a step: the shortest one, those within a distance, wrapping; in tilted boxes, too.
 
-A lattice is all ``n_a a + n_b b + n_c c`` with whole numbers n. Where its vectors change in time, as in a box that is
-sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to its original (Lees & Edwards 1972).
+A lattice is all ``n_a a + n_b b + n_c c`` with whole numbers n. Where its vectors change in time,
+as in a box that is sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to
+its original (Lees & Edwards 1972).
 """
 
 from __future__ import annotations
@@ -29,12 +30,13 @@ class Lattice:
     Attributes
     ----------
     period : array (3,)
-        Length of the periodic axes (m), infinity along the others; infinity along all where there are `vectors`.
+        Length of the periodic axes (m), infinity along the others; infinity along all where there
+        are `vectors`.
     edges : array (3, 2) or None
         Edges of the box, without its tilt (m).
     vectors : array (k, 3) or None
-        Vectors to the next images (m), as short as they can be chosen, in boxes with other edges than x, y and z, or
-        with images that move; None in all others.
+        Vectors to the next images (m), as short as they can be chosen, in boxes with other edges
+        than x, y and z, or with images that move; None in all others.
     rates : array (k, 3) or None
         Rates at which the vectors change (m/s).
     cell : array (3, 3) or None
@@ -178,8 +180,8 @@ class Lattice:
     def within(self, vector: NDArray, reach: NDArray) -> tuple[NDArray, NDArray]:
         """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
 
-        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a period, so that no other
-        images than the next ones can be meant.
+        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a
+        period, so that no other images than the next ones can be meant.
         """
         if self.vectors is None:
             return images_within(vector, reach, self.period)
@@ -242,7 +244,8 @@ class Lattice:
         Raises
         ------
         SceneError
-            If no such box holds one image of each place, as where the vectors point in any direction.
+            If no such box holds one image of each place, as where the vectors point in any
+            direction.
         """
         position = position.copy()
         cell = (
@@ -252,7 +255,8 @@ class Lattice:
         )
         left = [k for k in range(3) if cell[k].any()]
         while left:
-            # along this axis only its own vector leads, so that wrapping along the others leaves it as it is
+            # along this axis only its own vector leads, so that wrapping along the others leaves it
+            # as it is
             free = next(
                 (
                     k
@@ -277,8 +281,8 @@ class Lattice:
         Raises
         ------
         SceneError
-            If images are shifted along the seen axes by a distance that is not a period, so that an average along
-            the others is that over infinitely many shifted boxes.
+            If images are shifted along the seen axes by a distance that is not a period, so that an
+            average along the others is that over infinitely many shifted boxes.
         """
         if self.vectors is None:
             return replace(self, period=np.where(active, self.period, np.inf))
@@ -344,7 +348,8 @@ class Lattice:
         Returns
         -------
         row : array (m,)
-            Of the position that each is an image of: first all by one translation, in their order, then by the next.
+            Of the position that each is an image of: first all by one translation, in their order,
+            then by the next.
         shift, drift : array (m, 3)
             How far away from it the image is (m), and how fast it moves relative to it (m/s).
         """
@@ -358,7 +363,8 @@ class Lattice:
         bounds = [
             extreme(axis=0, initial=0.0) for extreme in ((near - middle).min, (near - middle).max)
         ]
-        # a translation by n leads from the extent of the positions into the limits where n is within these
+        # a translation by n leads from the extent of the positions into the limits where n is
+        # within these
         spread = np.abs(dual) @ (half + np.where(limited, 0.5 * (bounds[1] - bounds[0]), 0.0))
         centre = -dual @ np.where(limited, 0.5 * (bounds[0] + bounds[1]), 0.0)
         numbers = _numbers(
@@ -376,8 +382,8 @@ class Lattice:
     def extent(self, hidden: NDArray) -> float:
         """Length, area or volume that sums over all images are divided by, to be averages along some axes (3,).
 
-        That of the vectors along these axes, and of the box along axes that are not periodic; not finite where the
-        scene does not say.
+        That of the vectors along these axes, and of the box along axes that are not periodic; not
+        finite where the scene does not say.
         """
         lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
         if self.cell is None:
@@ -433,8 +439,8 @@ def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
 def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> NDArray:
     """Whole numbers (k, k) for which the sums ``numbers @ two`` of vectors are nearest to other ones, (k, 3) each.
 
-    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes` (k,) are the axes that
-    the vectors belong to.
+    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes`
+    (k,) are the axes that the vectors belong to.
     """
     numbers = np.eye(len(axes))
     for row, other in (
@@ -449,8 +455,8 @@ def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> N
 def _reduced(vectors: NDArray, rates: NDArray) -> tuple[NDArray, NDArray]:
     """Shortest vectors (k, 3) of the same lattice, shortest first, and their rates.
 
-    Each vector is shortened by whole numbers of the others until none gets shorter (Lagrange; in three dimensions
-    Semaev 2001).
+    Each vector is shortened by whole numbers of the others until none gets shorter (Lagrange; in
+    three dimensions Semaev 2001).
     """
     vectors, rates, again = vectors.copy(), rates.copy(), len(vectors) > 1
     while again:
@@ -472,7 +478,7 @@ def _reduced(vectors: NDArray, rates: NDArray) -> tuple[NDArray, NDArray]:
     return vectors, rates
 
 
-# --- boxes with edges along the axes ---------------------------------------------------------------------
+# --- boxes with edges along the axes --------------------------------------------------------------
 
 
 def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
@@ -489,8 +495,8 @@ def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -
 def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
     """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
 
-    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
-    the next ones can be meant.
+    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no
+    other images than the next ones can be meant.
     """
     short = period - np.abs(vector) < reach[:, None]
     near = np.flatnonzero(short.any(axis=1))

@@ -42,8 +42,9 @@ _OF_A_STEP = ("size_diameter", "wrapped_axes")  # which change with the grains a
 def _create_netcdf(path: Path, first: xr.Dataset, overwrite: bool) -> None:
     """Make a file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
 
-    Steps are added to its end, and then their number is written into its header: a step that was not finished does not
-    count. An HDF5 file could not be read after a process ended that was writing to it.
+    Steps are added to its end, and then their number is written into its header: a step that was
+    not finished does not count. An HDF5 file could not be read after a process ended that was
+    writing to it.
     """
     with whole_file(path, overwrite=overwrite) as part:
         first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
@@ -66,7 +67,8 @@ def _append_netcdf(file: Any, values: dict[str, np.ndarray], at: int) -> None:
 def _create_zarr(path: Path, first: xr.Dataset, overwrite: bool) -> None:
     """Make a Zarr folder with a file a variable and step.
 
-    Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
+    Steps count from the moment at which the consolidated metadata, one file that is replaced as a
+    whole, says so.
     """
     write_file(first, path, Encoding(level=1), ZARR, overwrite=overwrite)
 
@@ -330,14 +332,16 @@ def record(
 ) -> Recorder:
     """Record the fields of one step after the other in a file, while a simulation runs.
 
-    Each step is in the file when `append` returns, and the file can be read at any moment, also after the process was
-    killed: the steps that were appended are whole. Only one step is in memory.
+    Each step is in the file when `append` returns, and the file can be read at any moment, also
+    after the process was killed: the steps that were appended are whole. Only one step is in
+    memory.
 
     Parameters
     ----------
     path : str or path
-        ``*.nc`` for NetCDF, in its classic format with 64 bits, or ``*.zarr`` for a Zarr folder, which makes a file a
-        field and step. A file that is there is continued, after a check that fields, mesh and kernel are the same.
+        ``*.nc`` for NetCDF, in its classic format with 64 bits, or ``*.zarr`` for a Zarr folder,
+        which makes a file a field and step. A file that is there is continued, after a check that
+        fields, mesh and kernel are the same.
     fields : optional
         As `xcg.coarse_grain`.
     overwrite : bool
@@ -350,15 +354,16 @@ def record(
     Returns
     -------
     Recorder
-        Its method ``append(ds)`` takes a scene, or fields; ``close()``, or the end of the ``with`` block, lets go of
-        the file.
+        Its method ``append(ds)`` takes a scene, or fields; ``close()``, or the end of the ``with``
+        block, lets go of the file.
 
     Raises
     ------
     FileExistsError
         If another process is recording to the same file.
     SceneError
-        If a file is there that holds no steps; by `append` if a step is not later than those before, or not like them.
+        If a file is there that holds no steps; by `append` if a step is not later than those
+        before, or not like them.
     TypeError, ValueError
         If an argument is unknown or wrong.
 

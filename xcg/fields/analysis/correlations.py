@@ -22,11 +22,12 @@ _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
 def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> xr.Dataset:
     """Correlate a field with itself, or with another one, at all distances between the nodes of a mesh.
 
-    ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their means over the nodes of
-    each step, and the mean over all pairs of nodes with values and over time. Components of vectors and tensors are
-    summed. Along axes where the nodes span the period (the attribute ``period`` of the coordinate), pairs reach across
-    the edges; along the others, and in a selection of such nodes, they end there. Lazy where the result is, a chunk of
-    time after the other.
+    ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their
+    means over the nodes of each step, and the mean over all pairs of nodes with values and over
+    time. Components of vectors and tensors are summed. Along axes where the nodes span the period
+    (the attribute ``period`` of the coordinate), pairs reach across the edges; along the others,
+    and in a selection of such nodes, they end there. Lazy where the result is, a chunk of time
+    after the other.
 
     Parameters
     ----------
@@ -38,25 +39,26 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     Returns
     -------
     xarray.Dataset
-        ``correlation`` (lag_x, lag_y, lag_z), those axes that are resolved, and ``pairs``, how many pairs of nodes a
-        step has at each lag; ``radial_correlation`` (r), the mean over lags of about the same length; and
-        ``correlation_length`` (m), the distance at which that first falls to 1/e, NaN where it does not. Their
-        standard errors from the scatter over time, ``<name>_error``, as in `time_average`: NaN for a single step.
+        ``correlation`` (lag_x, lag_y, lag_z), those axes that are resolved, and ``pairs``, how many
+        pairs of nodes a step has at each lag; ``radial_correlation`` (r), the mean over lags of
+        about the same length; and ``correlation_length`` (m), the distance at which that first
+        falls to 1/e, NaN where it does not. Their standard errors from the scatter over time,
+        ``<name>_error``, as in `time_average`: NaN for a single step.
 
     Raises
     ------
     SceneError
         If results of different options were joined, or the result has lost its options.
     ValueError
-        If a field is not in the result, the two have other dimensions, or no axis is resolved by two nodes or more at
-        equal distances.
+        If a field is not in the result, the two have other dimensions, or no axis is resolved by
+        two nodes or more at equal distances.
 
     Notes
     -----
-    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean that is subtracted is
-    that of the nodes, so that the sum over all pairs of a periodic mesh is zero: in a mesh of few correlation lengths
-    C is too low by about the share of the mesh that is correlated. Smearing correlates nodes over the support of the
-    kernel, whatever the grains do.
+    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean
+    that is subtracted is that of the nodes, so that the sum over all pairs of a periodic mesh is
+    zero: in a mesh of few correlation lengths C is too low by about the share of the mesh that is
+    correlated. Smearing correlates nodes over the support of the kernel, whatever the grains do.
 
     Examples
     --------
@@ -139,8 +141,9 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
 def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr.Dataset:
     """Correlate a field with itself at later times, at each node and over all nodes.
 
-    ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the node. Components of
-    vectors and tensors are summed. Lazy where the result is; all steps of some nodes are in memory at once.
+    ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the
+    node. Components of vectors and tensors are summed. Lazy where the result is; all steps of some
+    nodes are in memory at once.
 
     Parameters
     ----------
@@ -154,21 +157,23 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     Returns
     -------
     xarray.Dataset
-        ``correlation`` (lag, and the dimensions of the field but time and components), ``mean_correlation`` (lag), that
-        of sums over all nodes, and ``correlation_time`` (s), the time at which it first falls to 1/e, NaN where it does
-        not; ``mean_correlation_error`` and ``correlation_time_error`` from blocks of the times t, as in `time_average`.
+        ``correlation`` (lag, and the dimensions of the field but time and components),
+        ``mean_correlation`` (lag), that of sums over all nodes, and ``correlation_time`` (s), the
+        time at which it first falls to 1/e, NaN where it does not; ``mean_correlation_error`` and
+        ``correlation_time_error`` from blocks of the times t, as in `time_average`.
 
     Raises
     ------
     SceneError
         If the steps are not at equal distances, or results of different options were joined.
     ValueError
-        If the field is not in the result, there are fewer than three steps, or the lag is out of range.
+        If the field is not in the result, there are fewer than three steps, or the lag is out of
+        range.
 
     Notes
     -----
-    The mean that is subtracted is that of the series, so that C is too low by about twice the correlation time over the
-    length of the series.
+    The mean that is subtracted is that of the series, so that C is too low by about twice the
+    correlation time over the length of the series.
     """
     f = with_facts(with_time(f))
     a = _field_of(f, name, "time_correlation")
@@ -265,7 +270,7 @@ def _with_errors(
     return xr.Dataset(data, attrs=provenance(f, call))
 
 
-# --- in space --------------------------------------------------------------------------------------------
+# --- in space -------------------------------------------------------------------------------------
 
 
 def _lags(nodes: int, wrapped: bool) -> NDArray:
@@ -278,8 +283,8 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     Returns
     -------
     tuple of array
-        By the names in `_SUMS`: products and numbers of pairs (..., lags), then for each field the sum of its squares
-        and the number of its nodes (...).
+        By the names in `_SUMS`: products and numbers of pairs (..., lags), then for each field the
+        sum of its squares and the number of its nodes (...).
     """
     from scipy import fft
 
@@ -316,7 +321,8 @@ def _shells(
 ) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
     """Return the mean length (m) of the lags in each shell, and a function that adds up sums (..., lags) by shell.
 
-    A shell is as thick as the smallest spacing; the longest length is the longest lag along an axis.
+    A shell is as thick as the smallest spacing; the longest length is the longest lag along an
+    axis.
     """
     lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
     shell = np.rint(lengths / thickness).astype(int)
@@ -371,7 +377,7 @@ def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArr
     return np.where(falls, x0 + share * (x1 - x0), np.nan)[..., 0]
 
 
-# --- in time ---------------------------------------------------------------------------------------------
+# --- in time --------------------------------------------------------------------------------------
 
 
 def _by_lag(sums: xr.Dataset) -> xr.Dataset:

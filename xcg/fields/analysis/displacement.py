@@ -63,18 +63,21 @@ class DisplacementRequest(SharedOptions):
     Parameters
     ----------
     fields : str or list of str, optional
-        Names of fields of displacements: ``displacement``, ``displacement_gradient``, ``deformation_gradient``,
-        ``strain``, ``small_strain``, ``volumetric_strain``, ``shear_strain``, ``rotation``, ``rotation_vector``,
-        ``nonaffine_covariance``, ``d2min`` and ``self_diffusion``; all of them and ``sample_count`` by default, without
-        ``self_diffusion`` where times are not known.
+        Names of fields of displacements: ``displacement``, ``displacement_gradient``,
+        ``deformation_gradient``, ``strain``, ``small_strain``, ``volumetric_strain``,
+        ``shear_strain``, ``rotation``, ``rotation_vector``, ``nonaffine_covariance``, ``d2min`` and
+        ``self_diffusion``; all of them and ``sample_count`` by default, without ``self_diffusion``
+        where times are not known.
     lag : int
         Frames from each frame to the later one; 1 is the next.
     accumulate : bool
-        Compose the deformation gradients of consecutive steps of `lag` frames at each node, ``F = F_n ... F_2 F_1``,
-        and give the fields that follow from it, at the time of the later frame; ``interval`` is then the time since the
-        first frame, ``left`` and ``entered`` are of the last of these steps.
+        Compose the deformation gradients of consecutive steps of `lag` frames at each node,
+        ``F = F_n ... F_2 F_1``, and give the fields that follow from it, at the time of the later
+        frame; ``interval`` is then the time since the first frame, ``left`` and ``entered`` are of
+        the last of these steps.
     width : float, str or mapping, optional
-        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as in `coarse_grain`.
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as
+        in `coarse_grain`.
     at : mapping, optional
         Coordinate of fixed axes (m), or points, as in `coarse_grain`.
     for_averages : bool
@@ -98,10 +101,10 @@ class DisplacementRequest(SharedOptions):
 def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and what an affine deformation leaves over.
 
-    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges ``image`` of the scene
-    says how far; without it, it is the image that moves least relative to the box. A box that deforms carries its
-    images with it. Fields belong to frame t, at the
-    places that grains have in frame t (the reference configuration), which therefore takes no contacts.
+    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges
+    ``image`` of the scene says how far; without it, it is the image that moves least relative to
+    the box. A box that deforms carries its images with it. Fields belong to frame t, at the places
+    that grains have in frame t (the reference configuration), which therefore takes no contacts.
 
     Parameters
     ----------
@@ -112,28 +115,31 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The fields at each frame t that has a partner, with the coordinates ``interval`` (time), the time between the
-        two frames (s), and ``left`` and ``entered`` (time): how many grains are in the first of them only, and in the
-        later one only. These are in no field.
+        The fields at each frame t that has a partner, with the coordinates ``interval`` (time), the
+        time between the two frames (s), and ``left`` and ``entered`` (time): how many grains are in
+        the first of them only, and in the later one only. These are in no field.
 
     Raises
     ------
     SceneError
-        If times do not rise, two frames have no id in common, or `self_diffusion` is asked for and times are not known.
+        If times do not rise, two frames have no id in common, or `self_diffusion` is asked for and
+        times are not known.
     ValueError
-        If there are not enough frames for `lag`, a field is not one of displacements, or an argument is wrong.
+        If there are not enough frames for `lag`, a field is not one of displacements, or an
+        argument is wrong.
 
     Notes
     -----
-    ``u = sum m_i u_i Psi / rho`` and its gradient H are fitted as velocity and its gradient are; F = I + H,
-    E = (F^T F - I) / 2, and F = R U. Along an axis that is averaged, H is zero but for the change of a periodic box.
-    ``d2min`` is the mean over grains of the squared distance from the fit, all components of the scene's dimensions
-    together: the sum of Falk & Langer (1998, Phys. Rev. E 57, 7192) over the number of grains, with the kernel as
-    weight, divided by rho_T (see ``granular_temperature``).
+    ``u = sum m_i u_i Psi / rho`` and its gradient H are fitted as velocity and its gradient are; F
+    = I + H, E = (F^T F - I) / 2, and F = R U. Along an axis that is averaged, H is zero but for the
+    change of a periodic box. ``d2min`` is the mean over grains of the squared distance from the
+    fit, all components of the scene's dimensions together: the sum of Falk & Langer (1998, Phys.
+    Rev. E 57, 7192) over the number of grains, with the kernel as weight, divided by rho_T (see
+    ``granular_temperature``).
 
-    An accumulated strain is composed at fixed nodes, through which grains pass: it is that of a material point only
-    as far as the deformation differs little over the way that grains go. A node that sees no grains once is NaN from
-    then on.
+    An accumulated strain is composed at fixed nodes, through which grains pass: it is that of a
+    material point only as far as the deformation differs little over the way that grains go. A node
+    that sees no grains once is NaN from then on.
 
     Examples
     --------
@@ -236,7 +242,7 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-# --- pairs of frames -------------------------------------------------------------------------------------
+# --- pairs of frames ------------------------------------------------------------------------------
 
 
 def _between_frames(
@@ -328,7 +334,7 @@ def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) ->
     return {**compute(first | {"particle_id": ids}), **found}
 
 
-# --- from displacements relative to the box --------------------------------------------------------------
+# --- from displacements relative to the box -------------------------------------------------------
 
 
 def _with_box(f: xr.Dataset, ds: xr.Dataset, motion: xr.Dataset) -> dict[str, xr.DataArray]:

@@ -28,9 +28,9 @@ def free_surface(
 ) -> xr.Dataset:
     """Find the free surface and the base of a flow: where its fields fall through a share of their bulk value.
 
-    The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the same everywhere.
-    Between nodes phi is interpolated linearly. Holes inside do not count: the surface is the highest crossing, the base
-    the lowest.
+    The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the
+    same everywhere. Between nodes phi is interpolated linearly. Holes inside do not count: the
+    surface is the highest crossing, the base the lowest.
 
     Parameters
     ----------
@@ -46,16 +46,17 @@ def free_surface(
     Returns
     -------
     xarray.Dataset
-        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase that was selected;
-        NaN where nothing is above the threshold, or where the mesh ends before the field falls through it. Lazy where
-        the result is.
+        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase
+        that was selected; NaN where nothing is above the threshold, or where the mesh ends before
+        the field falls through it. Lazy where the result is.
 
     Raises
     ------
     SceneError
         If results of different options were joined.
     ValueError
-        If the axis is not resolved, the field is not there, or the threshold is not between 0 and 1.
+        If the axis is not resolved, the field is not there, or the threshold is not between 0 and
+        1.
 
     Examples
     --------
@@ -134,15 +135,16 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Parameters
     ----------
     surface : xarray.Dataset or DataArray
-        From `free_surface`, or its ``height``: select the part to fit first, ``surface.sel(x=slice(0.02, 0.1))``. Nodes
-        without a surface are left out.
+        From `free_surface`, or its ``height``: select the part to fit first,
+        ``surface.sel(x=slice(0.02, 0.1))``. Nodes without a surface are left out.
 
     Returns
     -------
     xarray.Dataset
-        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level (degrees); and their
-        standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
-        for each support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
+        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level
+        (degrees); and their standard errors ``slope_error`` and ``angle_error``, from the scatter
+        about the fit with one independent node for each support of the kernel (by the attribute
+        ``cutoff``). NaN for fewer nodes than the fit takes.
 
     Raises
     ------
@@ -239,9 +241,10 @@ def depth_average(
 ) -> xr.Dataset:
     """Integrate fields over the depth of a flow: what models of avalanches are made of; lazy where the scene is.
 
-    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral is a sum over nodes
-    a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity u along the axis: it gives the shape
-    factor ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
+    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral
+    is a sum over nodes a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity
+    u along the axis: it gives the shape factor
+    ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
 
     Parameters
     ----------
@@ -257,14 +260,15 @@ def depth_average(
     Returns
     -------
     xarray.Dataset
-        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the height of the grains
-        without voids; ``momentum_per_area`` (component, kg/m/s); ``depth_averaged_velocity`` (component, m/s), their
-        ratio; ``shape_factor`` (component), 1 for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with
-        contact forces also ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
-        (component), its normal stresses over that across the base, and ``basal_traction`` (component, Pa), the force of
-        walls on the grains per area of the base: contacts with walls and with frozen grains (``frozen=`` of
-        `xcg.open_scene`), so zero where a scene has neither. Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177;
-        Bouchut & Westdickenberg (2004).
+        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the
+        height of the grains without voids; ``momentum_per_area`` (component, kg/m/s);
+        ``depth_averaged_velocity`` (component, m/s), their ratio; ``shape_factor`` (component), 1
+        for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with contact forces also
+        ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
+        (component), its normal stresses over that across the base, and ``basal_traction``
+        (component, Pa), the force of walls on the grains per area of the base: contacts with walls
+        and with frozen grains (``frozen=`` of `xcg.open_scene`), so zero where a scene has neither.
+        Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177; Bouchut & Westdickenberg (2004).
 
     Raises
     ------

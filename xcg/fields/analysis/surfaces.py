@@ -51,20 +51,22 @@ def flow_rate(
 ) -> xr.Dataset:
     """Rate at which mass, number, volume, momentum or energy crosses a surface; lazy where the scene is.
 
-    ``Q = int sum_i m_i v_i Psi(r - r_i) . n dA`` over the surface, positive along its normal n; with 1, V_i, m_i v_i or
-    the energy in place of m_i. Momentum takes the contact stress along, ``int sigma^c . n dA``, and energy the work of
-    contacts, where the scene has contact forces. It is defined in each step, and its integral over time is what
-    crossed, up to what the kernel holds on both sides.
+    ``Q = int sum_i m_i v_i Psi(r - r_i) . n dA`` over the surface, positive along its normal n;
+    with 1, V_i, m_i v_i or the energy in place of m_i. Momentum takes the contact stress along,
+    ``int sigma^c . n dA``, and energy the work of contacts, where the scene has contact forces. It
+    is defined in each step, and its integral over time is what crossed, up to what the kernel holds
+    on both sides.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene.
     surface : Plane, Cylinder or Surface
-        A plane without `bounds` is taken whole, exactly: ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the
-        kernel's marginal along n, along periodic axes over one period. Planes with `bounds`, the side of a cylinder
-        between `low` and `high` and triangles are sums over points, see `spacing`. In a scene of one layer, planes and
-        cylinders across it count within its thickness.
+        A plane without `bounds` is taken whole, exactly:
+        ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the kernel's marginal along n, along
+        periodic axes over one period. Planes with `bounds`, the side of a cylinder between `low`
+        and `high` and triangles are sums over points, see `spacing`. In a scene of one layer,
+        planes and cylinders across it count within its thickness.
     of : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
@@ -72,8 +74,8 @@ def flow_rate(
     kernel : str or Kernel
         As in `coarse_grain`.
     spacing : float, optional
-        Distance of the points on a part of a plane, a cylinder or triangles (m), a quarter of the width by default: the
-        rate is then right to 1e-3 of that through the support of one grain.
+        Distance of the points on a part of a plane, a cylinder or triangles (m), a quarter of the
+        width by default: the rate is then right to 1e-3 of that through the support of one grain.
     by, groups
         As in `coarse_grain`: adds the dimension ``phase``.
     on_error : {"raise", "skip"}
@@ -82,15 +84,17 @@ def flow_rate(
     Returns
     -------
     xarray.Dataset
-        ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s), ``momentum_flow_rate``
-        (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase). Without contact forces
-        the last two are carried by the particles alone, without angular velocities energy is without rotation, and
-        their attribute ``comment`` says so.
+        ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s),
+        ``momentum_flow_rate`` (component, N) and ``energy_flow_rate`` (W), those asked for; (time)
+        or (time, phase). Without contact forces the last two are carried by the particles alone,
+        without angular velocities energy is without rotation, and their attribute ``comment`` says
+        so.
 
     Raises
     ------
     SceneError
-        If the scene lacks velocities or what is asked for, or a plane does not close in a periodic box.
+        If the scene lacks velocities or what is asked for, or a plane does not close in a periodic
+        box.
     ValueError
         If an argument is wrong.
 
@@ -274,7 +278,7 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
     return np.concatenate(centres), np.concatenate(areas)
 
 
-# --- traction on walls -----------------------------------------------------------------------------------
+# --- traction on walls ----------------------------------------------------------------------------
 
 
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
@@ -306,10 +310,10 @@ def wall_stress(
     """Traction of the grains on a wall, as a field on its surface; lazy where the scene is.
 
     The force of each contact with a wall is smeared over the cells of the surface by the kernel,
-    ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells at x_k of area A_k,
-    distances through space, in a scene of one layer within its plane. Weights of a contact add up to one, also at the
-    rim, so that the sum of traction times area is the sum of the forces. Where a cell is larger than the support, the
-    nearest one takes the whole force.
+    ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells
+    at x_k of area A_k, distances through space, in a scene of one layer within its plane. Weights
+    of a contact add up to one, also at the rim, so that the sum of traction times area is the sum
+    of the forces. Where a cell is larger than the support, the nearest one takes the whole force.
 
     Parameters
     ----------
@@ -320,32 +324,37 @@ def wall_stress(
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
     walls : str, int or list of these, optional
-        Walls whose contacts are taken, by name or number, see `select_walls`; by default all, frozen grains among them.
-        At edges, where contacts with one wall are near another, say which.
+        Walls whose contacts are taken, by name or number, see `select_walls`; by default all,
+        frozen grains among them. At edges, where contacts with one wall are near another, say
+        which.
     kernel : str or Kernel
         As in `coarse_grain`.
     spacing : float, optional
-        Size of the cells of a plane or cylinder (m), half the width by default. A `Surface` has its triangles.
+        Size of the cells of a plane or cylinder (m), half the width by default. A `Surface` has its
+        triangles.
     within : float, optional
-        Distance of contact points from the surface up to which they are taken (m), the width by default.
+        Distance of contact points from the surface up to which they are taken (m), the width by
+        default.
     on_error : {"raise", "skip"}
         As in `coarse_grain`.
 
     Returns
     -------
     xarray.Dataset
-        On the cells, (time, theta, z) of a cylinder, (time, x, y) or (time, u, v) of a plane, (time, triangle) of a
-        surface, in Pa:
+        On the cells, (time, theta, z) of a cylinder, (time, x, y) or (time, u, v) of a plane,
+        (time, triangle) of a surface, in Pa:
 
-        - ``normal_traction``, the force of the grains on the wall against its normal: positive in compression,
-        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's axes: the axes of the
-          cells, or x, y, z of a surface,
+        - ``normal_traction``, the force of the grains on the wall against its normal: positive in
+          compression,
+        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's
+          axes: the axes of the cells, or x, y, z of a surface,
         - ``traction`` (..., component), the force of the grains on the wall.
 
-        Of each step: ``wall_force`` (component), the sum of the forces that were taken (N), and ``wall_contacts``,
-        their number. ``area`` is a coordinate. Parts across and along the wall are taken where the grain touches,
-        before smearing, so each of the three adds up to its own sum of forces; on curved walls they differ from parts
-        of ``traction`` by the turn of the normal within the support, (w / R)^2.
+        Of each step: ``wall_force`` (component), the sum of the forces that were taken (N), and
+        ``wall_contacts``, their number. ``area`` is a coordinate. Parts across and along the wall
+        are taken where the grain touches, before smearing, so each of the three adds up to its own
+        sum of forces; on curved walls they differ from parts of ``traction`` by the turn of the
+        normal within the support, (w / R)^2.
 
     Raises
     ------

@@ -77,7 +77,8 @@ def check_rows(ref: StepRef, room: int | None = None) -> None:
     Parameters
     ----------
     room : int, optional
-        Bytes that the rows have, at most; by default all that can come out of the file after the header.
+        Bytes that the rows have, at most; by default all that can come out of the file after the
+        header.
 
     Raises
     ------
@@ -191,8 +192,8 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
     Raises
     ------
     SceneError
-        If it is longer than its rows can be, as where a few compressed kilobytes expand to gigabytes, or more follows
-        it than was known.
+        If it is longer than its rows can be, as where a few compressed kilobytes expand to
+        gigabytes, or more follows it than was known.
     """
     if ref.length < 0 or (
         ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK
@@ -243,14 +244,15 @@ def source_of(ref: StepRef) -> str:
     return f"{path} (step {ref.step})" if ref.step >= 0 else path
 
 
-# --- compressed files ------------------------------------------------------------------------------------
+# --- compressed files -----------------------------------------------------------------------------
 #
-# Gzip and Zstandard can be read from the front only. Reading step after step would decompress the file anew up to each
-# of them, which takes a time that grows with the square of their number; a file still open at an earlier step goes on
-# from there.
+# Gzip and Zstandard can be read from the front only. Reading step after step would decompress the
+# file anew up to each of them, which takes a time that grows with the square of their number; a
+# file still open at an earlier step goes on from there.
 
 
-# the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a block of four bytes
+# the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a
+# block of four bytes
 _KINDS = {"gzip": (b"\x1f\x8b", 1032), "zstd": (b"\x28\xb5\x2f\xfd", 1 << 15)}
 ENDINGS = (".gz", ".zst")  # of the names of compressed files
 _MOST_WAITING = 8  # open files; each thread that reads a series keeps one
@@ -330,8 +332,9 @@ def _up_to_the_cut(path: str, offset: int) -> bytes:
 def uncompressed_size(path: str) -> int:
     """Size of what `open_binary` yields; -1 where a compressed file does not state it.
 
-    The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether there are others is seen
-    where the first one ends in what is looked at, and else from how far that was compressed.
+    The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether there
+    are others is seen where the first one ends in what is looked at, and else from how far that was
+    compressed.
     """
     kind, size = compression(path), os.path.getsize(path)
     if kind != "gzip":
