@@ -369,7 +369,7 @@ TABLE = [
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/shallow.py", "/ (1 + steep**2)", "/ (1 + steep)",
+        "fields/analysis/shallow.py", "/ (1 + steepness**2)", "/ (1 + steepness)",
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
