@@ -407,9 +407,11 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
     stop = steps.whole("tf")
     stride = steps.whole("dt")
     pattern = folder / prefix
-    parent, stem = pattern.parent, pattern.name
+    parent = pattern.parent
+    stem = pattern.name
     if prefix.endswith("/"):
-        parent, stem = pattern, ""
+        parent = pattern
+        stem = ""
     by_number: dict[int, str] = {}
     # files that are not compressed come first
     for file in sorted(parent.iterdir()) if parent.is_dir() else ():

@@ -247,7 +247,8 @@ def depth_average(
     Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral
     is a sum over nodes a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity
     u along the axis: it gives the shape factor
-    ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
+    ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u. Lazy
+    where the scene is.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def flow_rate(
     with 1, V_i, m_i v_i or the energy in place of m_i. Momentum takes the contact stress along,
     ``int sigma^c . n dA``, and energy the work of contacts, where the scene has contact forces. It
     is defined in each step, and its integral over time is what crossed, up to what the kernel holds
-    on both sides.
+    on both sides. Lazy where the scene is.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _through_plane(
         extent = {a: 1.0 for a in plane if a not in at}
         flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **shared) * _depth(scene)
         return _across(flux, normal)
-    # in axes of which one is the normal, and those that are not in the scene's plane stay
+    # rotated axes: one is the normal, and the axis across a scene of one layer stays
     axes = {a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in COMPONENTS if a not in plane}
     along = plane[0] if axes else "z"
     axes[along] = normal.tolist()
