@@ -173,7 +173,7 @@ TABLE = [
         "test_bodies_across_a_sheared_edge_have_the_velocity_of_one_place",
     ),
     Mutation(
-        "scene/lattice.py", "rates[k] -= way @ rates[others]", "rates[k] += way @ rates[others]",
+        "scene/lattice.py", "rates[k] -= numbers @ rates[others]", "rates[k] += numbers @ rates[others]",
         "test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges",
     ),
     Mutation(
@@ -369,7 +369,7 @@ TABLE = [
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/shallow.py", "/ (1 + steep**2)", "/ (1 + steep)",
+        "fields/analysis/shallow.py", "/ (1 + steepness**2)", "/ (1 + steepness)",
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(

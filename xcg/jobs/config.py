@@ -1,4 +1,4 @@
-"""Files that describe a job for the command line: Pysammos's ``config.ini`` as it stands, and TOML."""
+"""Files that describe a job for the command line: TOML, and Pysammos's ``config.ini`` as it is."""
 
 from __future__ import annotations
 
@@ -67,7 +67,9 @@ class Job:
 
 
 def read_config(path: str | Path) -> Job:
-    """Read a job from ``.toml`` or from Pysammos's ``.ini``; paths in it are relative to its folder.
+    """Read a job from ``.toml`` or from Pysammos's ``.ini``.
+
+    Paths in the file are relative to its folder.
 
     Raises
     ------
@@ -90,11 +92,8 @@ def read_config(path: str | Path) -> Job:
         raise SceneError(
             f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})"
         ) from None
-    except (
-        TypeError,
-        AttributeError,
-        RecursionError,
-    ) as error:  # tables where values should be, and the like
+    # tables where values should be, and the like
+    except (TypeError, AttributeError, RecursionError) as error:
         raise SceneError(
             f"{path}: cannot be understood ({error}); see the form of jobs in the documentation"
         ) from None
@@ -105,11 +104,18 @@ def read_config(path: str | Path) -> Job:
     return job
 
 
-# --- TOML ------------------------------------------------------------------------------------------------
+# --- TOML -----------------------------------------------------------------------------------------
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
-_OUTPUT = ("folder", "name", "netcdf", "vtkhdf", "dtype", "digits", "compression")
+_OUTPUT: dict[str, tuple[type, ...]] = {
+    "folder": (str,),
+    "name": (str,),
+    "netcdf": (bool,),
+    "vtkhdf": (str, bool),
+}
+_ENCODING = ("dtype", "digits", "compression")
 PATHS = ("particles", "contacts", "walls", "restart")
+_TOO_LARGE = 1 << 31  # for the number of a phase
 
 
 def _toml(path: Path) -> Job:
@@ -122,31 +128,48 @@ def _toml(path: Path) -> Job:
     if unknown or "particles" not in data.get("scene", {}):
         tables = ", ".join(_TABLES)
         raise SceneError(
-            f"{path}: expected tables {tables} with scene.particles, and on_error; found {sorted(data)}"
+            f"{path}: expected tables {tables} with scene.particles, and on_error; "
+            f"found {sorted(data)}"
         )
     output = data.get("output", {})
-    wrong = [name for name in output if name not in _OUTPUT]
+    _check_output(path, output)
+    scene = _with_paths(path, data["scene"])
+    phases = data.get("phases")
+    if phases and "mapping" in phases:
+        phases = phases | {"mapping": _mapping(path, phases["mapping"])}
+    return Job(
+        scene=scene,
+        fields=dict(data.get("fields", {})),
+        phases=phases,
+        slices=data.get("slices"),
+        folder=path.parent / output.get("folder", "xcg-output"),
+        name=output.get("name", "fields"),
+        netcdf=bool(output.get("netcdf", True)),
+        vtkhdf=output.get("vtkhdf") or "",
+        encoding={name: output[name] for name in _ENCODING if name in output},
+        on_error=on_error,
+    )
+
+
+def _check_output(path: Path, output: dict[str, Any]) -> None:
+    """Raise SceneError for a key or value of the table ``[output]`` that is not allowed."""
+    known = (*_OUTPUT, *_ENCODING)
+    wrong = [name for name in output if name not in known]
     if wrong:
-        raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}")
-    for key, kinds in {
-        "folder": (str,),
-        "name": (str,),
-        "netcdf": (bool,),
-        "vtkhdf": (str, bool),
-    }.items():
+        raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(known)}")
+    for key, kinds in _OUTPUT.items():
         if key in output and not isinstance(output[key], kinds):
             expected = " or ".join(kind.__name__ for kind in kinds)
             raise SceneError(f"{path}: {key} = {output[key]!r} in [output]: expected {expected}")
     name = output.get("name", "fields")
-    if (
-        not name or name.startswith(".") or set(name) & set("/\\\0") or len(name) > 200
-    ):  # leads out of its folder
+    leads_elsewhere = name.startswith(".") or set(name) & set("/\\\0")
+    if not name or leads_elsewhere or len(name) > 200:
         raise SceneError(
-            f"{path}: name = {name[:60]!r} in [output]: expected the name of a file without its folder and suffix"
+            f"{path}: name = {name[:60]!r} in [output]: expected the name of a file "
+            "without its folder and suffix"
         )
-    encoding = {name: output[name] for name in ("dtype", "digits", "compression") if name in output}
     try:
-        Encoding.of(xr.Dataset(), **encoding)
+        Encoding.of(xr.Dataset(), **{key: output[key] for key in _ENCODING if key in output})
     except (TypeError, ValueError) as error:
         raise SceneError(f"{path}: [output] has {error}") from None
     vtkhdf = output.get("vtkhdf", "")
@@ -154,46 +177,41 @@ def _toml(path: Path) -> Job:
         raise SceneError(
             f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
         )
-    scene = dict(data["scene"])
+
+
+def _with_paths(path: Path, scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table ``[scene]`` with its paths relative to the folder of the file at `path`."""
+    scene = dict(scene)
     for key in set(PATHS) & set(scene):
-        if key == "walls" and isinstance(
-            scene[key], dict
-        ):  # columns of the particles, by names of walls
+        walls_are_columns = key == "walls" and isinstance(scene[key], dict)
+        if walls_are_columns:
             continue
-        several = [scene[key]] if isinstance(scene[key], str) else scene[key]
-        if not isinstance(several, list) or not all(
-            isinstance(p, str) and "\0" not in p for p in several
+        files = [scene[key]] if isinstance(scene[key], str) else scene[key]
+        if not isinstance(files, list) or not all(
+            isinstance(file, str) and "\0" not in file for file in files
         ):
             raise SceneError(
-                f"{path}: {key} = {several!r} in [scene]: expected a path, a pattern, or a list of them"
+                f"{path}: {key} = {files!r} in [scene]: expected a path, a pattern, "
+                "or a list of them"
             )
-        scene[key] = [str(path.parent / p) for p in several]
-    phases = data.get("phases")
-    if phases and "mapping" in phases:  # keys of TOML are text
-        try:
-            mapping = {int(k): v for k, v in phases["mapping"].items()}
-            if not all(type(v) is int and 0 <= v < 1 << 31 for v in mapping.values()):
-                raise ValueError
-            phases = phases | {"mapping": mapping}
-        except ValueError:
-            raise SceneError(
-                f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
-            ) from None
-    return Job(
-        scene=scene,
-        fields=dict(data.get("fields", {})),
-        phases=phases,
-        slices=data.get("slices"),
-        folder=path.parent / output.get("folder", "xcg-output"),
-        name=name,
-        netcdf=bool(output.get("netcdf", True)),
-        vtkhdf=vtkhdf or "",
-        encoding=encoding,
-        on_error=on_error,
-    )
+        scene[key] = [str(path.parent / file) for file in files]
+    return scene
 
 
-# --- config.ini of Pysammos ------------------------------------------------------------------------------
+def _mapping(path: Path, table: Mapping[str, Any]) -> dict[int, int]:
+    """Return the phase of each type, from a table of TOML, whose keys are text."""
+    try:
+        mapping = {int(kind): phase for kind, phase in table.items()}
+        if not all(type(phase) is int and 0 <= phase < _TOO_LARGE for phase in mapping.values()):
+            raise ValueError
+    except ValueError:
+        raise SceneError(
+            f"{path}: mapping = {table!r} in [phases]: expected numbers of types and of phases"
+        ) from None
+    return mapping
+
+
+# --- config.ini of Pysammos -----------------------------------------------------------------------
 
 
 # key_mapping: its keys and our variables
@@ -237,17 +255,21 @@ _OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
 
 
 class _Section:
-    """Section of the file: typed values, and the names that were read, so that the rest can be listed."""
+    """Section of the file: typed values, and the keys that were read, to list the others."""
 
     def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
-        self.source, self.values = f"{path}: [{name}]", dict(values)
+        self.source = f"{path}: [{name}]"
+        self.values = dict(values)
         self.known: set[str] = set()
 
     def get(self, key: str) -> str | None:
         self.known.add(key.lower())
         value = next((v for k, v in self.values.items() if k.lower() == key.lower()), None)
-        text = None if value is None else value.split(" #")[0].split(" ;")[0].strip().strip("'\"")
-        return None if text is None or text.lower() in ("", "none") else text
+        if value is None:
+            return None
+        without_comment = value.split(" #")[0].split(" ;")[0]
+        text = without_comment.strip().strip("'\"")
+        return None if text.lower() in ("", "none") else text
 
     def _typed(self, key: str, kind: Callable[[str], Any], expected: str) -> Any:
         text = self.get(key)
@@ -266,14 +288,26 @@ class _Section:
 
     def flag(self, key: str, default: bool = False) -> bool:
         states = configparser.ConfigParser.BOOLEAN_STATES
-        found = self._typed(key, lambda text: states[text.lower()], "True or False")
-        return default if found is None else bool(found)
+        state = self._typed(key, lambda text: states[text.lower()], "True or False")
+        return default if state is None else bool(state)
 
     def needed(self, key: str) -> str:
-        found = self.get(key)
-        if found is None:
+        text = self.get(key)
+        if text is None:
             raise SceneError(f"{self.source} lacks {key}")
-        return found
+        return text
+
+
+_SECTIONS = (
+    "paths",
+    "timesteps",
+    "smoothing_function",
+    "flags",
+    "key_mapping",
+    "grid_info",
+    "fields_to_export",
+    "output_options",
+)
 
 
 def _ini(path: Path) -> Job:
@@ -283,56 +317,27 @@ def _ini(path: Path) -> Job:
         parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except configparser.Error as error:
         raise SceneError(f"{path}: {error}") from None
-    names = (
-        "paths",
-        "timesteps",
-        "smoothing_function",
-        "flags",
-        "key_mapping",
-        "grid_info",
-        "fields_to_export",
-        "output_options",
-    )
-    unknown = [name for name in parser.sections() if name not in names]
+    unknown = [name for name in parser.sections() if name not in _SECTIONS]
     if unknown:
-        warn_user(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
+        known = ", ".join(_SECTIONS)
+        warn_user(f"{path}: unknown sections {unknown} are left out; known are {known}")
     sections = {
         name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {})
-        for name in names
+        for name in _SECTIONS
     }
-    paths, steps, flags, output = (
-        sections[n] for n in ("paths", "timesteps", "flags", "output_options")
-    )
-
-    particles = _files(path.parent, paths.needed("particles_path"), steps, required=True)
-    contacts_path = paths.get("contacts_path")
-    contacts = (
-        [] if contacts_path is None else _files(path.parent, contacts_path, steps, required=False)
-    )
-    scene: dict[str, Any] = {
-        "particles": particles,
-        "names": _names(sections["key_mapping"], particles[0], contacts),
-        "engine": "mfix",
-        "periodic": "".join(
-            a for a in COMPONENTS if sections["grid_info"].flag(f"{a}_axis_periodic")
-        ),
-    }
-    if contacts:
-        scene |= {"contacts": contacts, "missing": "empty"}
-    elif contacts_path is not None:
-        warn_user(
-            f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out"
-        )
+    paths = sections["paths"]
+    scene = _scene(path, sections)
     export = sections["fields_to_export"]
     fields = [name for name in FAMILIES if export.flag(name)]
     slices = {"axis": "y"} if export.flag(SLICES) else None
     if not fields and slices is None:
-        raise SceneError(
-            f"{export.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
-        )
-    if not contacts:
-        counted = "coordination_number" in scene["names"].values()
-        fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
+        choices = ", ".join((*FAMILIES, SLICES))
+        raise SceneError(f"{export.source}: nothing is True; switch on any of {choices}")
+    if "contacts" not in scene:
+        impossible = set(OF_CONTACTS)
+        if "coordination_number" in scene["names"].values():
+            impossible -= {"coordination_number"}
+        fields = [name for name in fields if name not in impossible]
 
     smoothing = sections["smoothing_function"]
     spelling = smoothing.get("type") or "Lucy"
@@ -342,98 +347,129 @@ def _ini(path: Path) -> Job:
         )
     kernel, label = KERNELS[spelling.lower()]
     mesh = _mesh(sections["grid_info"])
-    phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
-    folder = path.parent / (paths.get("output_path") or "PysammosCG")
+    flags = sections["flags"]
+    one_phase = flags.flag("partialignore", default=True)
+    output = sections["output_options"]
     spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
     output.known |= {"vkthdf_output", "vtkhdf_output"}
     job = Job(
         scene=scene,
         fields={"fields": fields, "preset": "pysammos"},
-        phases=phases,
+        phases=None if one_phase else {"max_phases": 8},
         mesh={"kernel": kernel, **mesh},
         slices=slices,
-        folder=folder,
-        name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
+        folder=path.parent / (paths.get("output_path") or "PysammosCG"),
+        name=f"CG_{label}_{'Monodisperse' if one_phase else 'Polydisperse'}",
         netcdf=output.flag("h5_output"),
         vtkhdf="steps" if output.flag(spelled) else "",
         suffix=".h5",
         on_error=flags.get("on_error") or "raise",  # type: ignore[arg-type]
     )
     for section in sections.values():
-        if rest := [key for key in section.values if key.lower() not in section.known]:
+        unread = [key for key in section.values if key.lower() not in section.known]
+        if unread:
             known = ", ".join(sorted(section.known))
             warn_user(
-                f"{section.source}: unknown and left out: {', '.join(rest)}; known are {known}"
+                f"{section.source}: unknown and left out: {', '.join(unread)}; known are {known}"
             )
     return job
 
 
+def _scene(path: Path, sections: Mapping[str, _Section]) -> dict[str, Any]:
+    """Return the arguments of `xcg.open_scene`; warn if the files of contacts do not exist."""
+    paths = sections["paths"]
+    steps = sections["timesteps"]
+    particles = _files(path.parent, paths.needed("particles_path"), steps, required=True)
+    contacts: list[str] = []
+    contacts_path = paths.get("contacts_path")
+    if contacts_path is not None:
+        contacts = _files(path.parent, contacts_path, steps, required=False)
+    box = sections["grid_info"]
+    scene: dict[str, Any] = {
+        "particles": particles,
+        "names": _names(sections["key_mapping"], particles[0], contacts),
+        "engine": "mfix",
+        "periodic": "".join(a for a in COMPONENTS if box.flag(f"{a}_axis_periodic")),
+    }
+    if contacts:
+        scene |= {"contacts": contacts, "missing": "empty"}
+    elif contacts_path is not None:
+        warn_user(
+            f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): "
+            "fields of contacts are left out"
+        )
+    return scene
+
+
 def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> list[str]:
     """Files ``<prefix><number>.vtp``, compressed or not, whose numbers are t0, t0 + dt, ... tf."""
-    start, stop, stride = (steps.whole(key) for key in ("t0", "tf", "dt"))
-    at = folder / prefix
-    parent, stem = (at, "") if prefix.endswith("/") else (at.parent, at.name)
-    found: dict[int, str] = {}
-    for file in (
-        sorted(parent.iterdir()) if parent.is_dir() else ()
-    ):  # those that are not compressed come first
+    start = steps.whole("t0")
+    stop = steps.whole("tf")
+    stride = steps.whole("dt")
+    pattern = folder / prefix
+    parent = pattern.parent
+    stem = pattern.name
+    if prefix.endswith("/"):
+        parent = pattern
+        stem = ""
+    by_number: dict[int, str] = {}
+    # files that are not compressed come first
+    for file in sorted(parent.iterdir()) if parent.is_dir() else ():
         match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", plain_name(file.name))
         if match:
-            found.setdefault(int(match[1]), str(file))
+            by_number.setdefault(int(match[1]), str(file))
+    numbers = sorted(by_number)
     chosen = [
         number
-        for number in sorted(found)
+        for number in numbers
         if (start is None or number >= start)
         and (stop is None or number <= stop)
         and (not stride or (number - (start or 0)) % stride == 0)
     ]
     if required and not chosen:
-        there = (
-            f"numbers there: {', '.join(map(str, sorted(found)))}"
-            if found
-            else "there are none of that name"
-        )
+        existing = "there are none of that name"
+        if numbers:
+            existing = f"numbers there: {', '.join(map(str, numbers))}"
         raise FileNotFoundError(
-            f"{steps.source}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
+            f"{steps.source}: no file {pattern}<number>.vtp with t0={start}, tf={stop}, "
+            f"dt={stride}; {existing}"
         )
-    return [found[number] for number in chosen]
+    return [by_number[number] for number in chosen]
 
 
 def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, str | None]:
     """Arrays that the files hold for our variables."""
     from xcg.readers.files.vtp import read_header
 
-    there = {
-        True: read_header(particles).names,
-        False: read_header(contacts[0]).names if contacts else (),
-    }
+    of_particles = read_header(particles).names
+    of_contacts = read_header(contacts[0]).names if contacts else ()
     names: dict[str, str | None] = {}
     for key, ours in KEYS.items():
         array = section.get(key)
         if array is None:
             continue
-        of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
+        is_contact = ours.startswith("contact")
         if array == _OFF_BY_AN_OVERLAP:
             warn_user(
-                f"{section.source}: {array} is off by one overlap between spheres in MFiX; their contact points follow "
-                "from centres and radii"
+                f"{section.source}: {array} is off by one overlap between spheres in MFiX; "
+                "their contact points follow from centres and radii"
             )
-        elif array in there[of_particles]:
+        elif array in (of_contacts if is_contact else of_particles):
             names[array] = ours
-        elif of_particles or contacts:
-            warn_user(
-                f"{section.source} {key} = {array}: no such array in {particles if of_particles else contacts[0]}"
-            )
+        elif contacts or not is_contact:
+            file = contacts[0] if is_contact else particles
+            warn_user(f"{section.source} {key} = {array}: no such array in {file}")
     return names
 
 
 def _mesh(section: _Section) -> dict[str, Any]:
-    """Find the resolved axes, the ends of their nodes unless these are automatic, and where other axes are cut."""
+    """Return the resolved axes, their bounds unless automatic, and where other axes are cut."""
     dimension = section.whole("grid_dimension")
     axes = section.get("grid_axes") or "xyz"
     if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
         raise SceneError(
-            f"{section.source} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
+            f"{section.source} grid_dimension = {dimension}, grid_axes = {axes}: "
+            "expected as many axes of x, y, z"
         )
     ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
     cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
@@ -444,7 +480,8 @@ def _mesh(section: _Section) -> dict[str, Any]:
         low, high = ends[a]
         if low is None or high is None:
             raise SceneError(
-                f"{section.source}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
+                f"{section.source}: {a}_min and {a}_max are needed with grid_axes = {axes} "
+                "and automatic_grid = False"
             )
         bounds[a] = (low, high)
     at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}

@@ -41,7 +41,14 @@ _JOB = "job"  # attribute of the output: which job made it
 
 
 def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
-    """Open the scene of a job and set up its fields, lazily: scene, fields, and sliced temperatures if asked for.
+    """Open the scene of a job and set up its fields, lazily.
+
+    Returns
+    -------
+    ds, fields : xarray.Dataset
+        The scene, and its fields: none unless the job asks for fields and a file for them.
+    slices : xarray.Dataset or None
+        Sliced temperatures, if they are asked for.
 
     Raises
     ------
@@ -53,14 +60,14 @@ def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     except (TypeError, KeyError, AttributeError, IndexError, OverflowError) as error:
         # arguments come from a file, where any type can stand for any other
         raise SceneError(
-            f"the job cannot be set up ({type(error).__name__}: {error}); check the types of what its file says"
+            f"the job cannot be set up ({type(error).__name__}: {error}); "
+            "check the types of what its file says"
         ) from error
 
 
 def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
-    ds = conform(
-        open_scene(**{**job.scene, "on_error": job.on_error})
-    )  # a step that was saved alone gets its time
+    ds = open_scene(**{**job.scene, "on_error": job.on_error})
+    ds = conform(ds)  # a step that was saved alone gets its time
     if not ds.sizes["time"]:
         raise SceneError("nothing to do: the scene has no steps")
     options = {**job.fields, "on_error": job.on_error}
@@ -69,14 +76,12 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
         function = assign_phases if assigned else find_phases
         _check_arguments(function, job.phases, "phases")
         if job.on_error == "skip":
-            with (
-                collecting(),
-                dask.config.set(scheduler="synchronous"),
-            ):  # in this thread, which tolerates faults
+            # in this thread, which tolerates faults
+            with collecting(), dask.config.set(scheduler="synchronous"):
                 ds = function(ds, **job.phases)
         else:
             ds = function(ds, **job.phases)
-        if len(np.atleast_1d(ds.attrs["phase_values"])) > 1 or assigned:
+        if assigned or np.size(ds.attrs["phase_values"]) > 1:
             options["by"] = "phase"
         else:
             options.pop("by", None)
@@ -88,14 +93,16 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
         fields = xr.Dataset()
     if job.slices is None and not fields.data_vars:
         raise SceneError(
-            "nothing to do: no slice is asked for, and no field, or no file for fields (netcdf or vtkhdf of the output)"
+            "nothing to do: no slice is asked for, and no field, or no file for fields "
+            "(netcdf or vtkhdf of the output)"
         )
-    return ds, fields, None if job.slices is None else _slices(ds, job)
+    slices = None if job.slices is None else _slices(ds, job)
+    return ds, fields, slices
 
 
-def _check_arguments(function: Callable[..., Any], given: Mapping[str, Any], table: str) -> None:
+def _check_arguments(function: Callable[..., Any], options: Mapping[str, Any], table: str) -> None:
     known = [name for name in inspect.signature(function).parameters if name != "ds"]
-    wrong = sorted(set(given) - set(known))
+    wrong = sorted(set(options) - set(known))
     if wrong:
         raise SceneError(f"[{table}]: {unknown('option', wrong[0], known)}")
 
@@ -105,25 +112,24 @@ def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
     _check_arguments(slice_temperature, options, "slices")
     options.pop("method", None)
     label: dict[SliceMethod, str] = {"planes": "Kamrin", "bins": "LAMMPS"}
-    both: list[xr.Dataset] = []
+    results: list[xr.Dataset] = []
     axis = options.get("axis", "z")
     for method, name in label.items():
-        found = slice_temperature(ds, method=method, **options)
-        if both:  # both read the same files
-            found = found.drop_vars(SKIPPED, errors="ignore")
-        both.append(
-            found.rename({n: f"{n}_{name}" for n in found.data_vars} | {axis: f"{axis}_{name}"})
-        )
-    return xr.merge(both, combine_attrs="drop_conflicts", join="outer", compat="no_conflicts")
+        temperatures = slice_temperature(ds, method=method, **options)
+        if results:  # both methods read the same files, and skip the same steps
+            temperatures = temperatures.drop_vars(SKIPPED, errors="ignore")
+        renamed = [axis, *temperatures.data_vars]
+        results.append(temperatures.rename({old: f"{old}_{name}" for old in renamed}))
+    return xr.merge(results, combine_attrs="drop_conflicts", join="outer", compat="no_conflicts")
 
 
 def run_job(
     job: Job, *, overwrite: bool = False, resume: bool = False, jobs: int | None = None
 ) -> Iterator[tuple[int, int]]:
-    """Run a job, yielding (steps done, steps in total) after each batch; files are complete at the end.
+    """Run a job, yielding (steps done, steps in total) after each batch.
 
-    Files are written step by step in a hidden folder until all steps are there. A run that was interrupted goes on
-    where it was, unless the job or its input changed.
+    Files are written step by step in a hidden folder until all steps are there. A run that was
+    interrupted goes on where it was, unless the job or its input changed.
 
     Parameters
     ----------
@@ -132,8 +138,8 @@ def run_job(
     overwrite : bool
         Replace output that is there.
     resume : bool
-        Refuse to start anew where an interrupted run was of another job or other input, and be content where this
-        job has ended already.
+        Refuse to start anew where an interrupted run was of another job or other input, and be
+        content where this job has ended already.
     jobs : int, optional
         Chunks of time at the same time; as many as there are processors by default.
 
@@ -154,39 +160,44 @@ def run_job(
     count = outputs[0].ds.sizes["time"]
     targets = [path for output in outputs for path in output.paths()]
     begun = any((output.work / "state.json").exists() for output in outputs)
-    there = [path for path in targets if path.exists()]
+    existing = [path for path in targets if path.exists()]
     if (
         resume
         and not (begun or overwrite)
-        and there == targets
+        and existing == targets
         and all(_made_by(path) == mark for path in targets)
     ):
         for output in outputs:
-            with work_folder(
-                output.work, output.work
-            ):  # which a run that was killed at its very end may have left
+            # removes what a run that was killed at its very end may have left
+            with work_folder(output.work, output.work):
                 pass
         yield count, count
         return
-    if there and not (overwrite or begun):
-        raise _exists(there[0], ", of another job or other input" * resume)
+    if existing and not (overwrite or begun):
+        raise _exists(existing[0], ", of another job or other input" if resume else "")
     try:
         yield from _run(outputs, count, jobs, about)
     except Mismatch as error:
         if resume and not overwrite:
+            changed = [change for change in error.changed if change.startswith("[")]
             raise SceneError(
-                f"{error.folder} is of a run of another job or other input "
-                f"({'; '.join(change for change in error.changed if change.startswith('['))}); start over without "
-                "--resume, or with --overwrite"
+                f"{error.folder} is of a run of another job or other input ({'; '.join(changed)}); "
+                "start over without --resume, or with --overwrite"
             ) from error
-        if there and not overwrite:
-            raise _exists(there[0]) from None
+        if existing and not overwrite:
+            raise _exists(existing[0]) from None
         for output in outputs:
             shutil.rmtree(output.work, ignore_errors=True)
         yield from _run(outputs, count, jobs, about)
-    for path in job.folder.glob(f"{glob.escape(job.name)}*.vtkhdf") if overwrite else ():
-        image = re.fullmatch(rf"{re.escape(job.name)}(_\d+)?", path.stem)
-        if image and path not in targets and _made_by(path):  # of the run that this one replaces
+    if overwrite:
+        _remove_images(job, targets)
+
+
+def _remove_images(job: Job, kept: list[Path]) -> None:
+    """Remove the VTKHDF files of a run that this one replaces, but those that it wrote anew."""
+    for path in job.folder.glob(f"{glob.escape(job.name)}*.vtkhdf"):
+        is_image = re.fullmatch(rf"{re.escape(job.name)}(_\d+)?", path.stem)
+        if is_image and path not in kept and _made_by(path):
             path.unlink()
 
 
@@ -211,16 +222,16 @@ def _run(
     outputs: list[_Output], count: int, jobs: int | None, about: Mapping[str, str]
 ) -> Iterator[tuple[int, int]]:
     """Write all outputs side by side, a batch of chunks each in turn."""
-    with ExitStack() as held:
-        runs = [
-            held.enter_context(closing(output.write(about, jobs or os.cpu_count() or 1)))
-            for output in outputs
-        ]
-        done = dict(enumerate(map(next, runs)))
-        yield min(done.values()), count
-        for numbers in zip_longest(*runs):
-            done |= {k: number for k, number in enumerate(numbers) if number is not None}
-            yield min(done.values()), count
+    batch = jobs or os.cpu_count() or 1
+    with ExitStack() as stack:
+        runs = [stack.enter_context(closing(output.write(about, batch))) for output in outputs]
+        done = [next(run) for run in runs]
+        yield min(done), count
+        for numbers in zip_longest(*runs):  # None of outputs that are complete
+            for k, number in enumerate(numbers):
+                if number is not None:
+                    done[k] = number
+            yield min(done), count
 
 
 @dataclass(frozen=True)
@@ -236,15 +247,15 @@ class _Output:
         return self.job.folder / f".{self.stem}.begun"
 
     def _files(self) -> dict[Path, Format]:
-        netcdf = {self.job.folder / f"{self.stem}{self.job.suffix}": NETCDF}
+        netcdf = self.job.folder / f"{self.stem}{self.job.suffix}"
         if self.stem != self.job.name:  # slices are no image
-            return netcdf
-        vtkhdf = (
-            {self.job.folder / f"{self.stem}.vtkhdf": VTKHDF}
-            if self.job.vtkhdf == "temporal"
-            else {}
-        )
-        return (netcdf if self.job.netcdf else {}) | vtkhdf
+            return {netcdf: NETCDF}
+        files: dict[Path, Format] = {}
+        if self.job.netcdf:
+            files[netcdf] = NETCDF
+        if self.job.vtkhdf == "temporal":
+            files[self.job.folder / f"{self.stem}.vtkhdf"] = VTKHDF
+        return files
 
     def _images(self) -> list[Path]:
         """Files of one step each."""
@@ -259,19 +270,14 @@ class _Output:
         return [*self._files(), *self._images()]
 
     def write(self, about: Mapping[str, str], batch: int) -> Generator[int, None, None]:
-        encoding, files, images = (
-            Encoding.of(self.ds, **self.job.encoding),
-            self._files(),
-            self._images(),
-        )
+        encoding = Encoding.of(self.ds, **self.job.encoding)
+        files = self._files()
+        images = self._images()
         if images:
-            begin, whole = (
-                partial(_Images, [path.name for path in images]),
-                partial(_whole_images, images),
-            )
-            files[self.job.folder / f"{self.stem}.images"] = Format(
-                "VTKHDF by steps", begin, whole=whole
-            )
+            begin = partial(_Images, [path.name for path in images])
+            whole = partial(_whole_images, images)
+            by_steps = Format("VTKHDF by steps", begin, whole=whole)
+            files[self.job.folder / f"{self.stem}.images"] = by_steps
         return write_files(
             self.ds, files, encoding, overwrite=True, work=self.work, about=about, batch=batch
         )
@@ -285,16 +291,17 @@ class _Images:
         names = [name for name in layout.over if name in layout.ds.data_vars]
         self._ds = layout.ds.drop_vars(layout.over)
         self._about = {name: (layout.ds[name].dims, layout.ds[name].attrs) for name in names}
-        self._encoding, self._paths = layout.encoding, [folder / file for file in files]
+        self._encoding = layout.encoding
+        self._paths = [folder / file for file in files]
 
     def __call__(self, parts: Parts, steps: slice) -> None:
         """Write the files of these steps."""
         values = {
             name: (dims, joined(parts[name]), attrs) for name, (dims, attrs) in self._about.items()
         }
-        some = self._ds.isel(time=steps).assign(values)
+        fields = self._ds.isel(time=steps).assign(values)
         for t, path in enumerate(self._paths[steps]):
-            write_vtkhdf(some.isel(time=[t]), path, self._encoding, overwrite=True)
+            write_vtkhdf(fields.isel(time=[t]), path, self._encoding, overwrite=True)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add nothing: images say nothing of other steps."""
@@ -315,36 +322,31 @@ def _made_by(path: Path) -> str | None:
 
     try:
         with h5py.File(path) as file:
-            found = file.get("xcg", file).attrs.get(_JOB)
+            mark = file.get("xcg", file).attrs.get(_JOB)
     except OSError:
         return None
-    return found.decode() if isinstance(found, bytes) else found
+    return mark.decode() if isinstance(mark, bytes) else mark
 
 
 def _description(job: Job) -> dict[str, str]:
-    """Describe a job by its options and the state of its input, each by a name that a message can use."""
+    """Describe a job by its options and the state of its input, under names for messages."""
     paths: list[str] = []
     for key in PATHS:
-        given = job.scene.get(key, [])
-        if isinstance(given, dict):  # walls that are columns of the particles
+        value = job.scene.get(key, [])
+        if isinstance(value, dict):  # walls that are columns of the particles
             continue
-        for path in [given] if isinstance(given, str) else given:
-            paths += (
-                expand_paths([path], key)
-                if glob.has_magic(path) and not Path(path).exists()
-                else [path]
-            )
-    # a folder of Zarr keeps its own time when one of its files changes
-    files = [
-        file
-        for path in map(Path, paths)
-        for file in (path, *sorted(path.rglob("*")))
-        if file.exists()
-    ]
+        for path in [value] if isinstance(value, str) else value:
+            is_pattern = glob.has_magic(path) and not Path(path).exists()
+            paths += expand_paths([path], key) if is_pattern else [path]
+    files: list[Path] = []
+    for path in map(Path, paths):
+        # a folder of Zarr keeps its own time when one of its files changes
+        files += [file for file in (path, *sorted(path.rglob("*"))) if file.exists()]
     states = repr([(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in files])
     digest = hashlib.sha256(states.encode()).hexdigest()
     about = {"[scene] sizes and times of files": f"{len(files)}, {digest[:8]}"}
-    for option, given in vars(job).items():
-        table = given if isinstance(given, dict) else {"": given}
-        about |= {f"[{option}] {key}".rstrip(): repr(value) for key, value in table.items()}
+    for option, value in vars(job).items():
+        table = value if isinstance(value, dict) else {"": value}
+        for key, entry in table.items():
+            about[f"[{option}] {key}".rstrip()] = repr(entry)
     return about

@@ -1,20 +1,22 @@
-"""Microstructure of one step: samples of the particles and contacts of each region and group, and their mixing.
+"""Microstructure of one step: particles and contacts of each region and group, and their mixing.
 
-Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and entropies.
-All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the share of phase a in cell k,
-p_a that in the region, W_k = sum w_i over the grains of the cell (w_i = 1, or the volume), W that over the region:
+Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and
+entropies. All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the
+share of phase a in cell k, p_a that in the region, W_k = sum w_i over the grains of the cell (w_i =
+1, or the volume), W that over the region:
 
 - variance ``S^2 = sum_k W_k / W (c_ka - p_a)^2``;
 - segregated: ``S_0^2 = p_a (1 - p_a)``, every cell of one phase;
-- random: ``S_r^2 = (K - 1) / (N - 1) * N sum_i w_i^2 (a_i - p_a)^2 / W^2``, the mean of S^2 over all ways to give the
-  N grains in the K cells that are not empty their phases (a_i = 1 in phase a, else 0): exact by number, of first order
-  in the number of grains of a cell by volume. With K cells of n grains it is Lacey's p (1 - p) / n for large N.
+- random: ``S_r^2 = (K - 1) / (N - 1) * N sum_i w_i^2 (a_i - p_a)^2 / W^2``, the mean of S^2 over
+  all ways to give the N grains in the K cells that are not empty their phases (a_i = 1 in phase a,
+  else 0): exact by number, of first order in the number of grains of a cell by volume. With K cells
+  of n grains it is Lacey's p (1 - p) / n for large N.
 
-Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average where they are at
-random. For the bulk, variances are summed over the phases.
+Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average
+where they are at random. For the bulk, variances are summed over the phases.
 
-Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int. Conf. on Multiphase
-Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
+Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int.
+Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
 """
 
 from __future__ import annotations
@@ -83,17 +85,13 @@ class Measure:
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of one step of a quantity: region, phase, its own dimensions."""
         lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
-        return (
-            len(self.regions),
-            self.phases,
-            *(lengths.get(dim, 3) for dim in QUANTITIES[name].dims),
-        )
+        own_shape = (lengths.get(dim, 3) for dim in QUANTITIES[name].dims)
+        return (len(self.regions), self.phases, *own_shape)
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Quantities of one chunk of time."""
-        out = {
-            name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names
-        }
+        steps = len(arrays["particle_id"])
+        out = {name: np.empty((steps, *self.shape(name))) for name in self.names}
         for t, step in enumerate(steps_in(arrays, self.setup.periodic)):
             self.measure(*step, {name: a[t] for name, a in out.items()})
         return out
@@ -108,16 +106,17 @@ class Measure:
         phase = phase_of(frame, self.by, self.groups, source)
         for r, bounds in enumerate(self.regions):
             position, inside = _images_in(bounds, frame["position"], lattice, source)
-            volume, here = self._volume(bounds, lattice.edges), frame
+            volume = self._volume(bounds, lattice.edges)
+            images = frame | {"position": position}
             if "velocity" in frame:
-                here = frame | {
-                    "velocity": frame["velocity"] + lattice.drift(position - frame["position"])
-                }
-            mixture = self._mixture(bounds, lattice, frame, position, inside, phase, source)
+                drift = lattice.drift(position - frame["position"])
+                images["velocity"] = frame["velocity"] + drift
+            mixture = self._mixture(bounds, lattice, images, inside, phase, source)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
-                sample = _sample(self, here, position, contacts, shared, member, volume)
-                sample.mixture, sample.which = mixture, p
+                sample = _sample(self, images, contacts, shared, member, volume)
+                sample.mixture = mixture
+                sample.which = p
                 for name in self.names:
                     out[name][r, p] = QUANTITIES[name].compute(sample)
 
@@ -126,16 +125,20 @@ class Measure:
         bounds: Bounds,
         lattice: Lattice,
         frame: Frame,
-        position: NDArray,
         inside: NDArray,
         phase: NDArray,
         source: str,
     ) -> Mixture | None:
-        """Grains of a region by phase, where quantities need them; without bounds or box it is as large as they are."""
+        """Grains of a region by phase, if a quantity needs them.
+
+        Without bounds or box, the region is as large as the extent of their centres.
+        """
         if not any(QUANTITIES[name].of_phases for name in self.names):
             return None
+        position = frame["position"][inside]
+        size = frame["diameter"][inside]
         axes = [COMPONENTS.index(a) for a in self.setup.plane]
-        x, size = position[inside][:, axes], frame["diameter"][inside]
+        x = position[:, axes]
         edges = np.full((3, 2), np.nan) if lattice.edges is None else lattice.edges
         lower, upper = np.array([bounds.get(COMPONENTS[k], edges[k]) for k in axes], float).T
         if len(x):
@@ -145,52 +148,63 @@ class Measure:
         whole = np.isclose(lengths, lattice.lengths[axes], rtol=1e-9)
 
         def images(reach: float) -> tuple[NDArray, NDArray]:
-            low, high = position[inside].min(axis=0), position[inside].max(axis=0)
+            low, high = position.min(axis=0), position.max(axis=0)
             low[axes] = np.minimum(low[axes], lower) - np.where(whole, reach, 0.0)
             high[axes] = np.maximum(high[axes], upper) + np.where(whole, reach, 0.0)
-            row, shift, _ = lattice.images(position[inside], low, high, source)
-            return row, (position[inside][row] + shift)[:, axes] - lower
+            row, shift, _ = lattice.images(position, low, high, source)
+            return row, (position[row] + shift)[:, axes] - lower
 
         d43 = float(ratio((size**4).sum(), (size**3).sum()))
         return Mixture(
-            x - lower,
-            phase[inside],
-            frame["volume"][inside] if self.by_volume else np.ones(len(x)),
-            lengths,
-            whole,
-            self.cell or CELL * d43,
-            self.neighbours,
-            None if lattice.vectors is None else images,
+            position=x - lower,
+            phase=phase[inside],
+            weight=frame["volume"][inside] if self.by_volume else np.ones(len(x)),
+            lengths=lengths,
+            wraps=whole,
+            cell=self.cell or CELL * d43,
+            neighbours=self.neighbours,
+            images=None if lattice.vectors is None else images,
         )
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
         """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
         edges = np.full((3, 2), np.nan) if box is None else box
+        axes = self.setup.plane
+        thickness = 1.0
+        if isinstance(self.depth, str):
+            axes += self.depth
+        elif self.depth is not None:
+            thickness = self.depth
         lengths = []
-        for axis in self.setup.plane + (self.depth if isinstance(self.depth, str) else ""):
+        for axis in axes:
             low, high = bounds.get(axis, edges[COMPONENTS.index(axis)])
             lengths.append(high - low if np.isfinite(high - low) else np.nan)
-        return float(np.prod(lengths)) * (self.depth if isinstance(self.depth, float) else 1.0)
+        return float(np.prod(lengths)) * thickness
 
 
 def _images_in(
     bounds: Bounds, position: NDArray, lattice: Lattice, source: str
 ) -> tuple[NDArray, NDArray]:
-    """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
+    """Return positions (n, 3) as images in a region, and which of them are inside (n,).
+
+    Along periodic axes, images begin at the bounds, or else at the box.
+    """
     corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
-    first, inside = corner.copy(), np.ones(len(position), bool)
+    first = corner.copy()
     for k, axis in enumerate(COMPONENTS):
         if axis in bounds:
             first[k], high = bounds[axis]
             period = lattice.lengths[k]
             if high - first[k] > period * (1 + 1e-9):
                 raise SceneError(
-                    f"{source}: the region reaches from {first[k]:g} to {high:g} along {axis!r}, further than the "
-                    f"period {period:g}, and would hold grains twice; take narrower bounds, or none along "
-                    f"{axis!r} for the whole period"
+                    f"{source}: the region reaches from {first[k]:g} to {high:g} along {axis!r}, "
+                    f"further than the period {period:g}, and would hold grains twice; take "
+                    f"narrower bounds, or none along {axis!r} for the whole period"
                 )
-    for start in (corner, first):  # grains of the box stay as they are where bounds are in it, too
-        position = lattice.wrapped(position, start, source)
+    # into the box first: grains there keep their rounding if the bounds are in the box, too
+    position = lattice.wrapped(position, corner, source)
+    position = lattice.wrapped(position, first, source)
+    inside = np.ones(len(position), bool)
     for k, axis in enumerate(COMPONENTS):
         if axis in bounds:
             inside &= (bounds[axis][0] <= position[:, k]) & (position[:, k] < bounds[axis][1])
@@ -198,20 +212,20 @@ def _images_in(
 
 
 def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> SimpleNamespace:
-    """Compute what all groups of a frame share: partners, rattlers, normal forces, the virial of each particle."""
+    """Return partners, rattlers, forces and virials of a frame, which all its groups share."""
     if contacts is None:
         return SimpleNamespace()
     least = NOT_A_RATTLER[measure.setup.dimension]
+    total = np.linalg.norm(contacts.force, axis=1)
     tangential = np.linalg.norm(contacts.tangential_force, axis=1)
+    tangential[~(tangential > _ROUNDING * total)] = 0.0
     virial_i = contacts.force[:, :, None] * contacts.branch_i[:, None, :]
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
     return SimpleNamespace(
         partners=contacts.partners,
         held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=contacts.normal_force,
-        tangential_force=np.where(
-            tangential > _ROUNDING * np.linalg.norm(contacts.force, axis=1), tangential, 0.0
-        ),
+        tangential_force=tangential,
         virial=contacts.sum_over_particles(virial_i, virial_j),
     )
 
@@ -219,7 +233,6 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
 def _sample(
     measure: Measure,
     frame: Frame,
-    position: NDArray,
     contacts: Contacts | None,
     shared: SimpleNamespace,
     member: NDArray,
@@ -227,44 +240,41 @@ def _sample(
 ) -> SimpleNamespace:
     """Particles and contacts of one group, as the functions of the quantities take them.
 
-    A contact counts half for each of its particles in the group, and whole for a particle at a wall.
+    A contact counts half for each of its particles in the group, and whole for a particle at a
+    wall.
     """
-    s = SimpleNamespace(
+    sample = SimpleNamespace(
         count=int(member.sum()),
         region_volume=volume,
-        position=position[member],
         plane=[COMPONENTS.index(a) for a in measure.setup.plane],
         min_contacts=measure.min_contacts,
         max_connectivity=measure.max_connectivity,
         force_bins=measure.force_bins,
-        **{
-            name: frame[name][member]
-            for name in ("diameter", "volume", "mass", "velocity")
-            if name in frame
-        },
     )
-    if contacts is not None:
-        known = np.append(member, False)  # row -1 is that of a partner that is not there
-        side_i, side_j = known[contacts.i], known[contacts.j]
-        sides = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
-        weight = np.divide(
-            side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0
-        )
-        here = weight > 0
-        s.weight, s.normal = weight[here], contacts.normal[here]
-        push = shared.normal_force[here] > 0
-        s.pushing = s.weight[push]
-        s.normal_force, s.tangential_force = (
-            shared.normal_force[here][push],
-            shared.tangential_force[here][push],
-        )
-        s.clusters = Clusters(contacts, member)
-        s.partners, s.held = shared.partners[member], shared.held[member]
-        s.virial = shared.virial[member].sum(axis=0)
-    return s
+    for name in ("position", "diameter", "volume", "mass", "velocity"):
+        if name in frame:
+            setattr(sample, name, frame[name][member])
+    if contacts is None:
+        return sample
+    is_member = np.append(member, False)  # row -1 is a missing partner
+    members = is_member[contacts.i].astype(float) + is_member[contacts.j]
+    particles = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
+    weight = np.divide(members, particles, out=np.zeros(len(particles)), where=particles > 0)
+    counted = weight > 0
+    sample.weight = weight[counted]
+    sample.normal = contacts.normal[counted]
+    pushing = counted & (shared.normal_force > 0)
+    sample.pushing = weight[pushing]
+    sample.normal_force = shared.normal_force[pushing]
+    sample.tangential_force = shared.tangential_force[pushing]
+    sample.clusters = Clusters(contacts, member)
+    sample.partners = shared.partners[member]
+    sample.held = shared.held[member]
+    sample.virial = shared.virial[member].sum(axis=0)
+    return sample
 
 
-# --- mixing ----------------------------------------------------------------------------------------------
+# --- mixing ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +298,8 @@ class Mixture:
     neighbours : int
         Nearest neighbours that are looked at.
     images : callable, optional
-        In a box that is tilted: takes a distance, and gives all images that are no further from the region, as rows of
-        the grains and positions; the grains themselves are among them.
+        In a box that is tilted: takes a distance, and gives all images that are no further from the
+        region, as rows of the grains and positions; the grains themselves are among them.
     """
 
     position: NDArray
@@ -303,7 +313,7 @@ class Mixture:
 
     @cached_property
     def cells(self) -> NDArray:
-        """Number of the cell that each grain is in, counted over the cells that are not empty; (n,)."""
+        """Number of each grain's cell, counted over the cells that are not empty; (n,)."""
         counts = [max(1, round(length / self.cell)) for length in self.lengths.tolist()]
         place = np.zeros(len(self.position), "int64")
         for x, length, count in zip(self.position.T, self.lengths, counts, strict=True):
@@ -311,18 +321,20 @@ class Mixture:
         return np.unique(place, return_inverse=True)[1]
 
     def members(self, which: int, *, rest: bool = False) -> NDArray:
-        """Return masks of grains in phase `which` - 1, and in the `rest`; for 0, in each phase; (parts, n)."""
+        """Return masks (parts, n) of grains in phase `which` - 1, and in the `rest`.
+
+        For 0, they are in each of the phases.
+        """
         if which == 0:
             return self.phase == np.unique(self.phase)[:, None]
-        one = (self.phase == which - 1)[None]
-        return np.concatenate([one, ~one]) if rest else one
+        in_phase = (self.phase == which - 1)[None]
+        return np.concatenate([in_phase, ~in_phase]) if rest else in_phase
 
     def shares(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return W_k / W (k,), c_ka (parts, k) and p_a (parts,)."""
         total = np.bincount(self.cells, self.weight)
-        parts = np.array([np.bincount(self.cells, self.weight * a) for a in members]).reshape(
-            len(members), -1
-        )
+        parts = np.array([np.bincount(self.cells, self.weight * mask) for mask in members])
+        parts = parts.reshape(len(members), -1)
         return total / total.sum(), parts / total, parts.sum(axis=1) / total.sum()
 
     def variance(self, which: int) -> float:
@@ -337,15 +349,18 @@ class Mixture:
 
     def random_variance(self, which: int) -> float:
         """S_r^2."""
-        members, count = self.members(which), len(self.phase)
+        members = self.members(which)
         weight, _, share = self.shares(members)
         spread = (self.weight * (members - share[:, None])) ** 2
-        return float(
-            ratio(len(weight) - 1, count - 1) * count * spread.sum() / self.weight.sum() ** 2
-        )
+        count = len(self.phase)
+        factor = ratio(len(weight) - 1, count - 1) * count
+        return float(factor * spread.sum() / self.weight.sum() ** 2)
 
     def lacey(self, which: int) -> float:
-        """Return Lacey's index; NaN, with a warning, where no cell holds two grains and all arrangements are alike."""
+        """Return Lacey's index.
+
+        NaN, with a warning, if no cell holds two grains, so that all arrangements are alike.
+        """
         apart = self.segregated_variance(which)
         if apart > 0 and self.cells.max() + 1 == len(self.phase):
             warn_once("cells below a grain", self._too_small())
@@ -353,19 +368,24 @@ class Mixture:
         return float(ratio(apart - self.variance(which), apart - self.random_variance(which)))
 
     def _too_small(self) -> str:
-        """Return a warning that recommends the smallest cell that holds `ENOUGH` grains on average."""
-        count, edge = len(self.phase), self.cell
-        message = f"lacey_index is NaN: no cell of edge {self.cell:g} holds more than one of the {count} grains; "
+        """Return a warning that names a cell which holds `ENOUGH` grains on average."""
+        count = len(self.phase)
+        problem = (
+            f"lacey_index is NaN: no cell of edge {self.cell:g} holds more than one of the "
+            f"{count} grains"
+        )
         if count < ENOUGH:
-            return message + "the region holds too few grains for an index of mixing"
+            return f"{problem}; the region holds too few grains for an index of mixing"
+        edge = self.cell
         while (replace(self, cell=edge).cells.max() + 1) * ENOUGH > count:
             edge = float(f"{1.3 * edge:.2g}")
         return (
-            message + f"take cell={edge:g} or more, which holds at least {ENOUGH} grains on average"
+            f"{problem}; take cell={edge:g} or more, which holds at least {ENOUGH} grains "
+            "on average"
         )
 
     def entropy(self, which: int) -> float:
-        """Return the mean entropy of the cells over that of the region: 0 apart, 1 the same in all cells."""
+        """Return the mean entropy of the cells over the region's: 0 apart, 1 alike in all cells."""
         weight, inside, share = self.shares(self.members(which, rest=True))
         return float(ratio((weight * _entropy(inside)).sum(), float(_entropy(share))))
 
@@ -376,20 +396,18 @@ class Mixture:
 
         count = min(self.neighbours, len(self.phase) - 1)
         if self.images is not None:
-            return self._unlike_of(_nearest(self.position, self.lengths, count, self.images))
-        tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
-        near = np.asarray(tree.query(self.position, count + 1)[1])
-        own = near == np.arange(len(near))[:, None]
-        own[~own.any(axis=1), -1] = (
-            True  # coincident grains may push the grain itself out of the list
-        )
-        return self._unlike_of(near[~own].reshape(len(near), count))
-
-    def _unlike_of(self, others: NDArray) -> NDArray:
+            others = _nearest(self.position, self.lengths, count, self.images)
+        else:
+            tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
+            near = np.asarray(tree.query(self.position, count + 1)[1])
+            is_itself = near == np.arange(len(near))[:, None]
+            # coincident grains may push the grain itself out of the list
+            is_itself[~is_itself.any(axis=1), -1] = True
+            others = near[~is_itself].reshape(len(near), count)
         return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
 
     def neighbour_index(self, which: int) -> float:
-        """Return the unlike neighbours over their number among randomly placed grains: 0 apart, 1 at random."""
+        """Return the number of unlike neighbours over its mean at random: 0 apart, 1 at random."""
         count = len(self.phase)
         if count < 2:
             return np.nan
@@ -405,29 +423,27 @@ def _nearest(
     count: int,
     images: Callable[[float], tuple[NDArray, NDArray]],
 ) -> NDArray:
-    """Rows of the nearest others of each grain (n, count), each of them once, whichever image is the nearest."""
+    """Rows (n, count) of the nearest other grains of each grain, by the nearest of their images."""
     from scipy.spatial import cKDTree
 
-    own = np.arange(len(position))[:, None]
-    reach, looked_at = (
-        float((lengths.prod() * count / len(position)) ** (1 / len(lengths))),
-        2 * count + 2,
-    )
+    itself = np.arange(len(position))[:, None]
+    reach = float((lengths.prod() * count / len(position)) ** (1 / len(lengths)))
+    queried = 2 * count + 2
     while True:
         rows, places = images(reach)
-        looked_at = min(looked_at, len(rows))
-        distance, near = cKDTree(places).query(position, range(1, looked_at + 1))
-        distance, found = np.asarray(distance), rows[near]
-        fresh = found != own
-        for k in range(looked_at):
-            fresh[:, k] &= (found[:, :k] != found[:, k, None]).all(axis=1)
-        first = np.argsort(~fresh, axis=1, kind="stable")[:, :count]
-        # images further away than these are not among those that were looked at
-        if (
-            np.take_along_axis(fresh, first, 1) & (np.take_along_axis(distance, first, 1) <= reach)
-        ).all():
-            return np.take_along_axis(found, first, 1)
-        reach, looked_at = 2 * reach, 2 * looked_at
+        queried = min(queried, len(rows))
+        distance, near = cKDTree(places).query(position, range(1, queried + 1))
+        grains = rows[near]
+        is_new = grains != itself
+        for k in range(queried):
+            is_new[:, k] &= (grains[:, :k] != grains[:, k, None]).all(axis=1)
+        first = np.argsort(~is_new, axis=1, kind="stable")[:, :count]
+        # images further away than the reach are not in the tree
+        within_reach = np.take_along_axis(np.asarray(distance), first, 1) <= reach
+        if (np.take_along_axis(is_new, first, 1) & within_reach).all():
+            return np.take_along_axis(grains, first, 1)
+        reach *= 2
+        queried *= 2
 
 
 def _entropy(share: NDArray) -> NDArray:

@@ -1,7 +1,8 @@
-"""Periodic images of a step: the shortest one, those within a distance, wrapping; in tilted boxes, too.
+"""Periodic images of a step, in tilted boxes, too: the shortest, within a distance, wrapping.
 
-A lattice is all ``n_a a + n_b b + n_c c`` with whole numbers n. Where its vectors change in time, as in a box that is
-sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to its original (Lees & Edwards 1972).
+A lattice is all ``n_a a + n_b b + n_c c`` with whole numbers n. Where its vectors change in time,
+as in a box that is sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to
+its original (Lees & Edwards 1972).
 """
 
 from __future__ import annotations
@@ -29,12 +30,13 @@ class Lattice:
     Attributes
     ----------
     period : array (3,)
-        Length of the periodic axes (m), infinity along the others; infinity along all where there are `vectors`.
+        Length of the periodic axes (m), infinity along the others; infinity along all where there
+        are `vectors`.
     edges : array (3, 2) or None
         Edges of the box, without its tilt (m).
     vectors : array (k, 3) or None
-        Vectors to the next images (m), as short as they can be chosen, in boxes with other edges than x, y and z, or
-        with images that move; None in all others.
+        Vectors to the next images (m), as short as they can be chosen, in boxes with other edges
+        than x, y and z, or with images that move; None in all others.
     rates : array (k, 3) or None
         Rates at which the vectors change (m/s).
     cell : array (3, 3) or None
@@ -49,28 +51,26 @@ class Lattice:
 
     @classmethod
     def of(cls, box: Mapping[str, NDArray], periodic: str, source: str = "scene") -> Lattice:
-        """Read the box of a step: its variables ``box``, ``lattice`` and ``lattice_velocity``, as far as given.
+        """Read the box of a step from its ``box``, ``lattice`` and ``lattice_velocity``, if any.
 
         Raises
         ------
         SceneError
             If the box has no finite extent along a periodic axis, or its vectors span no volume.
         """
-        edges, given = box.get("box"), box.get("lattice")
+        edges = box.get("box")
         axes = [COMPONENTS.index(axis) for axis in periodic]
-        if given is None:
+        if box.get("lattice") is None:
             return cls(_periods(edges, axes, source), edges)
         rates = np.asarray(box.get("lattice_velocity", np.zeros((3, 3))), float)[axes]
-        vectors = np.asarray(given, float)[axes]
+        vectors = np.asarray(box["lattice"], float)[axes]
         lengths = np.linalg.norm(vectors, axis=1)
-        if not (
-            np.isfinite(vectors).all()
-            and np.isfinite(rates).all()
-            and _volume(vectors) > 1e-12 * lengths.prod()
-        ):
+        finite = np.isfinite(vectors).all() and np.isfinite(rates).all()
+        if not (finite and _volume(vectors) > 1e-12 * lengths.prod()):
             raise SceneError(
-                f"{source}: the lattice vectors of the periodic axes {periodic!r} are {vectors.tolist()} (m), moving "
-                f"with {rates.tolist()} (m/s); expected finite vectors that span a volume"
+                f"{source}: the lattice vectors of the periodic axes {periodic!r} are "
+                f"{vectors.tolist()} (m), moving with {rates.tolist()} (m/s); expected finite "
+                "vectors that span a volume"
             )
         straight = np.zeros((len(axes), 3))
         straight[range(len(axes)), axes] = lengths
@@ -82,18 +82,17 @@ class Lattice:
 
     @property
     def lengths(self) -> NDArray:
-        """Length (3,) of the periodic axes in the box without its tilt (m), infinity along the others."""
-        return (
-            self.period
-            if self.cell is None
-            else np.where(self.cell.any(axis=1), np.diagonal(self.cell), np.inf)
-        )
+        """Length (3,) of the periodic axes in the box without tilt (m), else infinity."""
+        if self.cell is None:
+            return self.period
+        return np.where(self.cell.any(axis=1), np.diagonal(self.cell), np.inf)
 
     def length(self, axis: str) -> float:
         """Extent of the box along an axis (m); NaN where it has none."""
-        return (
-            np.nan if self.edges is None else float(np.diff(self.edges[COMPONENTS.index(axis)])[0])
-        )
+        if self.edges is None:
+            return np.nan
+        low, high = self.edges[COMPONENTS.index(axis)]
+        return float(high - low)
 
     @property
     def given(self) -> NDArray:
@@ -106,7 +105,7 @@ class Lattice:
         return np.flatnonzero(np.isfinite(self.lengths))
 
     def scaled(self, unit: float) -> Lattice:
-        """Return the same images with lengths over `unit` (m), without edges and cell; rates stay in m/s."""
+        """Return the lattice with lengths over `unit` (m) and the same rates, no edges or cell."""
         vectors = None if self.vectors is None else self.vectors / unit
         return Lattice(self.period / unit, vectors=vectors, rates=self.rates)
 
@@ -115,22 +114,19 @@ class Lattice:
     @cached_property
     def basis(self) -> NDArray:
         """Vectors to the next images (k, 3), in any box."""
+        if self.vectors is not None:
+            return self.vectors
         periodic = np.isfinite(self.period)
-        return (
-            np.diag(np.where(periodic, self.period, 0.0))[periodic]
-            if self.vectors is None
-            else self.vectors
-        )
+        return np.diag(np.where(periodic, self.period, 0.0))[periodic]
 
     @cached_property
     def reduced(self) -> Reduced | None:
         """The lattice as compiled loops take it; None where periods along the axes are enough."""
         if self.vectors is None:
             return None
-        around = np.array(
-            [n for n in product((-1.0, 0.0, 1.0), repeat=len(self.vectors)) if any(n)]
-        )
-        around = around.reshape(3 ** len(self.vectors) - 1, len(self.vectors)) @ self.vectors
+        count = len(self.vectors)
+        numbers = np.array([n for n in product((-1.0, 0.0, 1.0), repeat=count) if any(n)])
+        around = numbers.reshape(3**count - 1, count) @ self.vectors
         return Reduced(np.ascontiguousarray(self.vectors), self._dual, around)
 
     @property
@@ -150,10 +146,9 @@ class Lattice:
         """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors."""
         if self.reduced is None:
             return minimum_image(vector, self.period, to)
+        away = vector if to is None else vector - to
         out = np.empty((len(vector), 3))
-        nearest_images(
-            np.ascontiguousarray(vector if to is None else vector - to, float), self.reduced, out
-        )
+        nearest_images(np.ascontiguousarray(away, float), self.reduced, out)
         return out if to is None else out + to
 
     def numbers(self, vector: NDArray) -> NDArray:
@@ -161,10 +156,10 @@ class Lattice:
         return np.rint(vector @ self._dual.T)
 
     def drift(self, shift: NDArray) -> NDArray | float:
-        """Return the velocities (n, 3) of images shifted by lattice vectors (n, 3), or 0 where none moves (m/s)."""
-        return (
-            0.0 if self.rates is None or not self.rates.any() else self.numbers(shift) @ self.rates
-        )
+        """Return velocities (n, 3) of images shifted by lattice vectors (n, 3), 0 if none moves."""
+        if self.rates is None or not self.rates.any():
+            return 0.0
+        return self.numbers(shift) @ self.rates
 
     def translations(self, length: float, source: str = "scene") -> NDArray:
         """Return all lattice vectors (m, 3) shorter than a length, but zero."""
@@ -172,14 +167,14 @@ class Lattice:
             return np.zeros((0, 3))
         most = np.ceil(length * np.linalg.norm(self._dual, axis=1))
         numbers = _numbers(-most, most, source)
-        found = numbers[numbers.any(axis=1)] @ self.basis
-        return found[(found**2).sum(axis=1) < length**2]
+        vectors = numbers[numbers.any(axis=1)] @ self.basis
+        return vectors[(vectors**2).sum(axis=1) < length**2]
 
     def within(self, vector: NDArray, reach: NDArray) -> tuple[NDArray, NDArray]:
-        """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+        """Return rows and vectors of the images of shortest vectors (n, 3) within their reach (n,).
 
-        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a period, so that no other
-        images than the next ones can be meant.
+        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a
+        period, so that no other images than the next ones can be meant.
         """
         if self.vectors is None:
             return images_within(vector, reach, self.period)
@@ -190,7 +185,7 @@ class Lattice:
         return np.nonzero(inside)[0], images[inside]
 
     def is_halfway(self, vector: NDArray, hair: float) -> NDArray:
-        """Return whether shortest vectors (n, 3) are as long as another image, up to a share of the period; (n,)."""
+        """Return whether other images of vectors (n, 3) are as short, up to a share of a period."""
         if self.reduced is None:
             return (np.abs(vector) >= 0.5 * (1 - hair) * self.period).any(axis=1)
         around = self.reduced.around
@@ -204,11 +199,10 @@ class Lattice:
         if not len(lengths):
             return np.inf, ""
         k = int(np.argmin(lengths))
-        if self.vectors is None:
-            return float(
-                lengths[k]
-            ), f"along '{COMPONENTS[np.flatnonzero(np.isfinite(self.period))[k]]}'"
-        return float(lengths[k]), f"along {self.vectors[k].tolist()}"
+        if self.vectors is not None:
+            return float(lengths[k]), f"along {self.vectors[k].tolist()}"
+        axis = COMPONENTS[self.axes[k]]
+        return float(lengths[k]), f"along '{axis}'"
 
     # --- places ---
 
@@ -221,88 +215,84 @@ class Lattice:
 
     @cached_property
     def axis_periods(self) -> NDArray:
-        """Period (3,) along each axis alone, after which all is the same, velocities too; infinite without one."""
+        """Period (3,) along each axis alone, also of the velocities; infinite without one."""
         if self.vectors is None or self.edges is None or self.rates is None:
             return self.period
         lengths = self.edges[:, 1] - self.edges[:, 0]
-        found = np.full(3, np.inf)
+        periods = np.full(3, np.inf)
         for k in np.flatnonzero(np.isfinite(lengths)):
             step = lengths[k] * np.eye(3)[k]
             number = self.numbers(step)
-            if (
-                np.abs(number @ self.vectors - step).max() <= _SAME * lengths[k]
-                and not (number @ self.rates).any()
-            ):
-                found[k] = lengths[k]
-        return found
+            is_image = np.abs(number @ self.vectors - step).max() <= _SAME * lengths[k]
+            moves = (number @ self.rates).any()
+            if is_image and not moves:
+                periods[k] = lengths[k]
+        return periods
 
     def wrapped(self, position: NDArray, first: NDArray, source: str = "scene") -> NDArray:
-        """Images of positions (n, 3) in the box without tilt that begins at `first` (3,); no more than one for each.
+        """Return images of positions (n, 3) in the box without tilt that begins at `first` (3,).
 
         Raises
         ------
         SceneError
-            If no such box holds one image of each place, as where the vectors point in any direction.
+            If no such box holds one image of each place, as where the vectors point in any
+            direction.
         """
         position = position.copy()
-        cell = (
-            self.cell
-            if self.cell is not None
-            else np.diag(np.where(np.isfinite(self.period), self.period, 0.0))
-        )
+        cell = self.cell
+        if cell is None:
+            cell = np.diag(np.where(np.isfinite(self.period), self.period, 0.0))
         left = [k for k in range(3) if cell[k].any()]
         while left:
-            # along this axis only its own vector leads, so that wrapping along the others leaves it as it is
-            free = next(
-                (
-                    k
-                    for k in reversed(left)
-                    if cell[k, k] and not any(cell[j, k] for j in left if j != k)
-                ),
-                None,
-            )
-            if free is None:
+            # the other vectors have no part along this axis, so that wrapping along them later
+            # leaves it as it is
+            alone = [k for k in left if cell[k, k] and not any(cell[j, k] for j in left if j != k)]
+            if not alone:
                 raise SceneError(
-                    f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors leads along alone"
+                    f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors "
+                    "leads along alone"
                 )
-            left.remove(free)
-            x = position[:, free]
-            position -= np.floor((x - first[free]) / cell[free, free])[:, None] * cell[free]
-            x[x >= first[free] + cell[free, free]] = first[free]
+            k = alone[-1]
+            left.remove(k)
+            x = position[:, k]
+            position -= np.floor((x - first[k]) / cell[k, k])[:, None] * cell[k]
+            x[x >= first[k] + cell[k, k]] = first[k]
         return position
 
     def seen(self, active: NDArray, source: str = "scene") -> Lattice:
-        """Return the lattice as seen along some axes (3,): averages along the others do not distinguish its images.
+        """Return the lattice as seen along some axes (3,).
+
+        Averages along the other axes do not distinguish images that are shifted along these.
 
         Raises
         ------
         SceneError
-            If images are shifted along the seen axes by a distance that is not a period, so that an average along
-            the others is that over infinitely many shifted boxes.
+            If images are shifted along the seen axes by a distance that is not a period, so that an
+            average along the others is that over infinitely many shifted boxes.
         """
         if self.vectors is None:
             return replace(self, period=np.where(active, self.period, np.inf))
         vectors, rates, apart = self._along(active)
-        flat, rates = (vectors * active)[apart], rates[apart]
-        if not _independent(flat):
-            tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(
-                axis=0
-            )
-            shown = [a for a, leads in zip(COMPONENTS, tilted & active, strict=True) if leads]
-            hidden = [a for a, leads in zip(COMPONENTS, tilted & ~active, strict=True) if leads]
-            across, along = " and ".join(hidden), " and ".join(shown)
+        shadows = (vectors * active)[apart]
+        if not _independent(shadows):
+            is_tilted = (vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)
+            tilted = vectors[is_tilted].any(axis=0)
+            across = " and ".join(_names_of(tilted & ~active))
+            along = " and ".join(_names_of(tilted & active))
             raise SceneError(
-                f"{source}: the box is tilted, or turned against the axes of the nodes, so that its images along "
-                f"{across} are shifted along {along}, and an average along {across} alone does not exist; resolve more "
-                f"axes (axes={self._resolvable(active)!r}) and average the result"
+                f"{source}: the box is tilted, or turned against the axes of the nodes, so that "
+                f"its images along {across} are shifted along {along}, and an average along "
+                f"{across} alone does not exist; resolve more axes "
+                f"(axes={self._resolvable(active)!r}) and average the result"
             )
-        return Lattice(self.period, self.edges, *_reduced(flat, rates))
+        return Lattice(self.period, self.edges, *_reduced(shadows, rates[apart]))
 
     def gradient_along(self, axes: NDArray) -> NDArray | None:
-        """Velocity gradient (3, 3) of moving images, its columns of some axes (3,); None where it is zero (s-1)."""
+        """Velocity gradient (3, 3) of moving images (1/s), in columns of `axes`; None if zero."""
         if self.vectors is None or self.rates is None or not self.rates.any():
             return None
-        gradient = (np.linalg.pinv(self.given) @ (self.numbers(self.given) @ self.rates)).T * axes
+        rates = self.numbers(self.given) @ self.rates
+        gradient = (np.linalg.pinv(self.given) @ rates).T * axes
         return gradient if gradient.any() else None
 
     @property
@@ -313,82 +303,98 @@ class Lattice:
         return np.where(np.isfinite(self.edges).all(axis=1), self.edges.mean(axis=1), 0.0)
 
     def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """Vectors that some axes (3,) distinguish, their rates, and which of them lead along these axes."""
+        """Return the vectors, their rates, and which of them some axes (3,) distinguish.
+
+        The vectors are those that were given, or else the reduced ones, if only their shadows on
+        these axes are independent.
+        """
         assert self.vectors is not None
         assert self.rates is not None
         longest = np.linalg.norm(self.vectors, axis=1).max(initial=0.0)
         for vectors in (self.given, self.vectors):
-            flat = vectors * active
-            apart = np.linalg.norm(flat, axis=1) > _SAME * longest
-            if _independent(flat[apart]):
+            shadows = vectors * active
+            apart = np.linalg.norm(shadows, axis=1) > _SAME * longest
+            if _independent(shadows[apart]):
                 break
         return vectors, self.numbers(vectors) @ self.rates, apart
 
     def _resolvable(self, active: NDArray) -> str:
         """Fewest further axes that make `seen` possible, with the seen axes."""
         for more in np.flatnonzero(~active):
-            some = active.copy()
-            some[more] = True
+            resolved = active.copy()
+            resolved[more] = True
             try:
-                self.seen(some)
+                self.seen(resolved)
             except SceneError:
                 continue
-            return "".join(a for a, is_seen in zip(COMPONENTS, some, strict=True) if is_seen)
+            return "".join(_names_of(resolved))
         return "".join(COMPONENTS)
 
     def images(
         self, position: NDArray, low: NDArray, high: NDArray, source: str = "scene"
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """Return all images of positions (n, 3) within [low, high], (3,) each, infinite along unlimited axes.
+        """Return all images of positions (n, 3) within [low, high], (3,) each.
+
+        Both are infinite along axes without limits.
 
         Returns
         -------
         row : array (m,)
-            Of the position that each is an image of: first all by one translation, in their order, then by the next.
+            Of the position that each is an image of: first all by one translation, in their order,
+            then by the next.
         shift, drift : array (m, 3)
             How far away from it the image is (m), and how fast it moves relative to it (m/s).
         """
-        vectors, dual, limited = self.basis, self._dual, np.isfinite(low) & np.isfinite(high)
+        vectors = self.basis
+        limited = np.isfinite(low) & np.isfinite(high)
         assert limited[np.abs(vectors).any(axis=0)].all()
         rates = np.zeros_like(vectors) if self.rates is None else self.rates
-        first, last = np.where(limited, low, 0.0), np.where(limited, high, 0.0)
-        middle, half = 0.5 * (first + last), 0.5 * (last - first)
+        first = np.where(limited, low, 0.0)
+        last = np.where(limited, high, 0.0)
+        middle = 0.5 * (first + last)
         home = self.numbers(position - middle)
         near = position - home @ vectors
-        bounds = [
-            extreme(axis=0, initial=0.0) for extreme in ((near - middle).min, (near - middle).max)
-        ]
-        # a translation by n leads from the extent of the positions into the limits where n is within these
-        spread = np.abs(dual) @ (half + np.where(limited, 0.5 * (bounds[1] - bounds[0]), 0.0))
-        centre = -dual @ np.where(limited, 0.5 * (bounds[0] + bounds[1]), 0.0)
+        # a translation by n leads from the extent of the positions into the limits where n is
+        # between centre - spread and centre + spread
+        lowest = (near - middle).min(axis=0, initial=0.0)
+        highest = (near - middle).max(axis=0, initial=0.0)
+        half_extent = np.where(limited, 0.5 * (highest - lowest), 0.0)
+        spread = np.abs(self._dual) @ (0.5 * (last - first) + half_extent)
+        centre = -self._dual @ np.where(limited, 0.5 * (lowest + highest), 0.0)
         numbers = _numbers(
             np.ceil(centre - spread - _SAME), np.floor(centre + spread + _SAME), source
         )
-        rows, found = [], []
+        rows_of_numbers = []
+        translations = []
         for number in numbers:
-            shifted = near + number @ vectors
-            inside = np.flatnonzero(((low <= shifted) & (shifted <= high)).all(axis=1))
-            rows.append(inside)
-            found.append(number - home[inside])
-        row, whole = np.concatenate(rows), np.concatenate(found)
-        return row, whole @ vectors, whole @ rates
+            images = near + number @ vectors
+            inside = np.flatnonzero(((low <= images) & (images <= high)).all(axis=1))
+            rows_of_numbers.append(inside)
+            translations.append(number - home[inside])
+        translation = np.concatenate(translations)
+        return np.concatenate(rows_of_numbers), translation @ vectors, translation @ rates
 
     def extent(self, hidden: NDArray) -> float:
-        """Length, area or volume that sums over all images are divided by, to be averages along some axes (3,).
+        """Length, area or volume by which sums over all images become averages along axes (3,).
 
-        That of the vectors along these axes, and of the box along axes that are not periodic; not finite where the
-        scene does not say.
+        That of the vectors along these axes, and of the box along axes that are not periodic; not
+        finite where the scene does not say.
         """
         lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
         if self.cell is None:
             return float(lengths[hidden].prod())
         vectors, _, apart = self._along(~hidden)
-        along, open_axes = vectors[~apart], hidden & ~self.cell.any(axis=1)
+        along = vectors[~apart]
+        open_axes = hidden & ~self.cell.any(axis=1)
         if len(along) + open_axes.sum() < hidden.sum() or not np.isfinite(lengths[open_axes]).all():
             return np.nan
-        return _volume(
-            np.concatenate([along, np.diag(np.where(open_axes, lengths, 0.0))[open_axes]])
-        )
+        box = np.diag(np.where(open_axes, lengths, 0.0))[open_axes]
+        return _volume(np.concatenate([along, box]))
+
+
+def _names_of(axes: NDArray) -> list[str]:
+    """Names of the axes that a mask (3,) selects."""
+    return [a for a, selected in zip(COMPONENTS, axes, strict=True) if selected]
 
 
 def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
@@ -399,8 +405,8 @@ def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
         if not (np.isfinite(lengths[k]) and lengths[k] > 0):
             axis = COMPONENTS[k]
             raise SceneError(
-                f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
-                f"for example box={{'{axis}': (0.0, 0.1)}}"
+                f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; "
+                f"give its edges, for example box={{'{axis}': (0.0, 0.1)}}"
             )
     return lengths
 
@@ -419,60 +425,62 @@ def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
     """Return all rows of whole numbers (m, k) from `low` to `high` (k,)."""
     if not np.prod(high - low + 1) <= _MOST_IMAGES:
         raise SceneError(
-            f"{source}: the box is so small that {np.prod(high - low + 1):.3g} periodic images are within reach; it is "
-            "damaged, or the kernel is too wide"
+            f"{source}: the box is so small that {np.prod(high - low + 1):.3g} periodic images "
+            "are within reach; it is damaged, or the kernel is too wide"
         )
+    if not len(low):
+        return np.zeros((1, 0))
     axes = [np.arange(first, last + 1) for first, last in zip(low, high, strict=True)]
-    return (
-        np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
-        if axes
-        else np.zeros((1, 0))
-    )
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
 
 
 def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> NDArray:
-    """Whole numbers (k, k) for which the sums ``numbers @ two`` of vectors are nearest to other ones, (k, 3) each.
+    """Return whole numbers (k, k) for which ``numbers @ two`` is nearest to `one`, (k, 3) each.
 
-    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes` (k,) are the axes that
-    the vectors belong to.
+    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes`
+    (k,) are the axes that the vectors belong to.
     """
     numbers = np.eye(len(axes))
-    for row, other in (
-        (r, o) for r in range(len(axes)) for o in reversed(range(len(axes))) if r != o
-    ):
-        if two[other, axes[row]] == 0:  # it leaves the length along the vector's own axis as it is
-            away = numbers[row] @ two - one[row]
-            numbers[row, other] -= np.rint(away[axes[other]] / two[other, axes[other]])
+    for row in range(len(axes)):
+        for other in reversed(range(len(axes))):
+            changes_length = two[other, axes[row]] != 0  # along the axis of the vector
+            if row != other and not changes_length:
+                away = numbers[row] @ two - one[row]
+                numbers[row, other] -= np.rint(away[axes[other]] / two[other, axes[other]])
     return numbers
 
 
 def _reduced(vectors: NDArray, rates: NDArray) -> tuple[NDArray, NDArray]:
     """Shortest vectors (k, 3) of the same lattice, shortest first, and their rates.
 
-    Each vector is shortened by whole numbers of the others until none gets shorter (Lagrange; in three dimensions
-    Semaev 2001).
+    Each vector is shortened by whole numbers of the others until none gets shorter (Lagrange; in
+    three dimensions Semaev 2001).
     """
-    vectors, rates, again = vectors.copy(), rates.copy(), len(vectors) > 1
-    while again:
-        again = False
+    vectors = vectors.copy()
+    rates = rates.copy()
+    shortened = len(vectors) > 1
+    while shortened:
+        shortened = False
         order = np.argsort((vectors**2).sum(axis=1), kind="stable")
-        vectors, rates = vectors[order], rates[order]
+        vectors = vectors[order]
+        rates = rates[order]
         for k in reversed(range(len(vectors))):
             others = [j for j in range(len(vectors)) if j != k]
-            ways = [np.array(n) for n in product((-1.0, 0.0, 1.0), repeat=len(others))]
-            for j, way in zip(others, np.eye(len(others)), strict=True):
-                ways.append(way * np.rint(vectors[k] @ vectors[j] / (vectors[j] @ vectors[j])))
-            sizes = [((vectors[k] - way @ vectors[others]) ** 2).sum() for way in ways]
-            if min(sizes) < (vectors[k] @ vectors[k]) * (1 - _SAME):
-                way = ways[int(np.argmin(sizes))]
-                vectors[k] -= way @ vectors[others]
-                rates[k] -= way @ rates[others]
-                again = True
+            combinations = [np.array(n) for n in product((-1.0, 0.0, 1.0), repeat=len(others))]
+            for j, unit in zip(others, np.eye(len(others)), strict=True):
+                nearest = np.rint(vectors[k] @ vectors[j] / (vectors[j] @ vectors[j]))
+                combinations.append(unit * nearest)
+            squares = [((vectors[k] - n @ vectors[others]) ** 2).sum() for n in combinations]
+            if min(squares) < (vectors[k] @ vectors[k]) * (1 - _SAME):
+                numbers = combinations[int(np.argmin(squares))]
+                vectors[k] -= numbers @ vectors[others]
+                rates[k] -= numbers @ rates[others]
+                shortened = True
                 break
     return vectors, rates
 
 
-# --- boxes with edges along the axes ---------------------------------------------------------------------
+# --- boxes with edges along the axes --------------------------------------------------------------
 
 
 def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
@@ -480,28 +488,30 @@ def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -
 
     `period` (3,) holds infinity along axes that are not periodic.
     """
-    image, away = vector.copy(), vector if to is None else vector - to
+    image = vector.copy()
+    away = vector if to is None else vector - to
     for k in np.flatnonzero(np.isfinite(period)):
         image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
     return image
 
 
 def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
-    """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+    """Return rows and vectors of the images of shortest vectors (n, 3) within their reach (n,).
 
-    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
-    the next ones can be meant.
+    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no
+    other images than the next ones can be meant.
     """
     short = period - np.abs(vector) < reach[:, None]
-    near = np.flatnonzero(short.any(axis=1))
+    has_images = short.any(axis=1)
+    near = np.flatnonzero(has_images)
     if not near.size:
         return np.arange(len(vector)), vector
-    shifts = np.array(
-        list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0))))
-    )
+    numbers = [(0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)]
+    shifts = np.array(list(product(*numbers)))
     images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
     inside = np.linalg.norm(images, axis=2) < reach[near, None]
     inside[:, 0] = True
-    rows = np.concatenate([np.flatnonzero(~short.any(axis=1)), near[np.nonzero(inside)[0]]])
+    rows = np.concatenate([np.flatnonzero(~has_images), near[np.nonzero(inside)[0]]])
+    vectors = np.concatenate([vector[~has_images], images[inside]])
     order = np.argsort(rows, kind="stable")
-    return rows[order], np.concatenate([vector[~short.any(axis=1)], images[inside]])[order]
+    return rows[order], vectors[order]

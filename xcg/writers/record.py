@@ -31,19 +31,20 @@ from xcg.writers.formats import ZARR
 from xcg.writers.store import write_file
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
-# attributes that tell fields of one kind from those of another
-_SAME = (*OF_SCENES, *OF_RESULTS, "rtol")
 _OF_A_STEP = ("size_diameter", "wrapped_axes")  # which change with the grains and the box
+# attributes that all steps have in common
+_SAME = tuple(name for name in (*OF_SCENES, *OF_RESULTS, "rtol") if name not in _OF_A_STEP)
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
 
 
 def _create_netcdf(path: Path, first: xr.Dataset, overwrite: bool) -> None:
-    """Make a file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
+    """Make a file in NetCDF's classic 64-bit format (CDF-5), with time as its record dimension.
 
-    Steps are added to its end, and then their number is written into its header: a step that was not finished does not
-    count. An HDF5 file could not be read after a process ended that was writing to it.
+    Steps are added to its end, and then their number is written into its header: a step that was
+    not finished does not count. An HDF5 file could not be read after a process ended that was
+    writing to it.
     """
     with whole_file(path, overwrite=overwrite) as part:
         first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
@@ -66,7 +67,8 @@ def _append_netcdf(file: Any, values: dict[str, np.ndarray], at: int) -> None:
 def _create_zarr(path: Path, first: xr.Dataset, overwrite: bool) -> None:
     """Make a Zarr folder with a file a variable and step.
 
-    Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
+    Steps count from the moment at which the consolidated metadata, one file that is replaced as a
+    whole, says so.
     """
     write_file(first, path, Encoding(level=1), ZARR, overwrite=overwrite)
 
@@ -80,11 +82,11 @@ def _append_zarr(path: Path, values: dict[str, np.ndarray], at: int) -> None:
         array.resize((at + 1, *array.shape[1:]))
         array[at : at + 1] = value
     root = path / "zarr.json"
-    said = json.loads(root.read_text())
+    metadata = json.loads(root.read_text())
     for name in values:
-        said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
+        metadata["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
     part = root.with_suffix(".part")
-    part.write_text(json.dumps(said))
+    part.write_text(json.dumps(metadata))
     os.replace(part, root)
 
 
@@ -110,20 +112,21 @@ class Recorder:
         self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool
     ) -> None:
         if path.suffix not in _FORMATS:
-            why = "; no HDF5 file, which is damaged where a process ends that writes to it" * (
-                path.suffix == ".h5"
-            )
-            raise ValueError(
-                f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr){why}"
-            )
+            message = f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)"
+            if path.suffix == ".h5":
+                message += "; no HDF5 file, which is damaged where a process ends that writes to it"
+            raise ValueError(message)
         check_target(path, overwrite=True)
-        self.path, self.steps = path, 0
-        self._request, self._encoding, self._overwrite = request, encoding, overwrite
+        self.path = path
+        self.steps = 0
+        self._request = request
+        self._encoding = encoding
+        self._overwrite = overwrite
         self._create, self._open, self._append_values = _FORMATS[path.suffix]
         self._file: Any = None
         self._pattern: xr.Dataset | None = None
-        self._held = ExitStack()
-        self._held.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))
+        self._stack = ExitStack()
+        self._stack.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))
         try:
             if path.exists() and not overwrite:
                 self._continue()
@@ -132,19 +135,20 @@ class Recorder:
             raise
 
     def _continue(self) -> None:
-        with xr.open_dataset(
-            self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None
-        ) as there:
-            if "time" not in there.dims:
+        engine = "zarr" if self.path.suffix == ".zarr" else None
+        with xr.open_dataset(self.path, chunks=None, engine=engine) as recorded:
+            if "time" not in recorded.dims:
                 raise SceneError(
-                    f"{self.path}: this is no record of fields over time; overwrite=True replaces it"
+                    f"{self.path}: this is no record of fields over time; "
+                    "overwrite=True replaces it"
                 )
-            _check_asked(self._request, there)
-            self._remember(there)
+            _check_request(self._request, recorded)
+            self._remember(recorded)
 
     def _remember(self, fields: xr.Dataset) -> None:
         """Keep what all steps have in common, and the last time."""
-        self._pattern, self.steps = fields.isel(time=slice(-1, None)).load(), fields.sizes["time"]
+        self._pattern = fields.isel(time=slice(-1, None)).load()
+        self.steps = fields.sizes["time"]
         self._request = _with_mesh_of(self._request, fields)
 
     def append(self, ds: xr.Dataset) -> None:
@@ -162,38 +166,44 @@ class Recorder:
         SceneError
             If it is not later than the last step, or its fields have other names, nodes or kernels.
         """
-        for part in (
-            [ds.isel(time=steps) for steps in chunks_of_time(ds)] if "time" in ds.dims else [ds]
-        ):
+        chunks = [ds]
+        if "time" in ds.dims:
+            chunks = [ds.isel(time=steps) for steps in chunks_of_time(ds)]
+        for chunk in chunks:
             # fields first: of a lazy scene they need only some variables
-            for one in each_step(_fields(part, self._request) if "position" in ds else part):
-                self._add(one)
+            fields = _fields(chunk, self._request) if "position" in ds else chunk
+            for step in each_step(fields):
+                self._add(_with_time(step))
 
     def _add(self, fields: xr.Dataset) -> None:
-        fields = _one_step(fields)
+        """Write the fields of one step, and create the file if it is the first."""
         before = self._pattern
         if before is not None:
             _check(before, fields, self.path)
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
-        over_time = {str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}
-        values = {
-            n: x if n in fields.coords else self._encoding.reduced(x, n)
-            for n, x in over_time.items()
-        }
+        values: dict[str, np.ndarray] = {}
+        for key, variable in fields.variables.items():
+            name = str(key)
+            if "time" not in variable.dims:
+                continue
+            values[name] = variable.data
+            if name not in fields.coords:
+                values[name] = self._encoding.reduced(variable.data, name)
         if before is None:
             stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})
             self._create(self.path, storable(stored.drop_encoding()), self._overwrite)
             self._remember(fields)
             return
-        self._file = self._file or self._held.enter_context(self._open(self.path))
+        self._file = self._file or self._stack.enter_context(self._open(self.path))
         self._append_values(self._file, values, self.steps)
-        self._pattern, self.steps = before.assign_coords(time=fields["time"]), self.steps + 1
+        self._pattern = before.assign_coords(time=fields["time"])
+        self.steps += 1
 
     def close(self) -> None:
-        """Let go of the file; `xcg.record` on its name goes on with it."""
-        self._held.close()
+        """Close the file; `xcg.record` on its name continues it."""
+        self._stack.close()
 
     def __enter__(self) -> Recorder:
         return self
@@ -212,59 +222,54 @@ def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
     return answer(ds, request)
 
 
-def _one_step(fields: xr.Dataset) -> xr.Dataset:
+def _with_time(fields: xr.Dataset) -> xr.Dataset:
+    """Return the fields of a step with the dimension time, which comes first."""
     if "time" in fields.dims:
         return fields.transpose("time", ...)
     if "time" not in fields.coords:
         raise SceneError("the fields lack the coordinate 'time'; add it by assign_coords(time=...)")
-    step = (
-        {"step": ("time", [fields["step"].item()], fields["step"].attrs)}
-        if "step" in fields.coords
-        else {}
-    )
-    return fields.expand_dims("time").assign_coords(step)
+    with_time = fields.expand_dims("time")
+    if "step" in fields.coords:
+        step = fields["step"]
+        with_time = with_time.assign_coords(step=("time", [step.item()], step.attrs))
+    return with_time
 
 
-def _check_asked(request: Request, there: xr.Dataset) -> None:
-    """Raise SceneError for width, mesh, extent or phases that are not those of the steps that are there."""
-    asked: dict[str, tuple[Any, Any]] = {}
-    bounds, extent = request.bounds or {}, json.loads(there.attrs.get("extent", "{}"))
+def _check_request(request: Request, recorded: xr.Dataset) -> None:
+    """Raise SceneError if width, mesh, extent or phases are not those of the recorded steps."""
+    pairs: dict[str, tuple[Any, Any]] = {}  # values of the request, and of the file
+    extent = json.loads(recorded.attrs.get("extent", "{}"))
     for a, length in (request.extent or {}).items():
-        asked[f"extent along {a}"] = length, extent.get(a, np.nan)
-    spacing = (
-        request.spacing
-        if isinstance(request.spacing, Mapping)
-        else dict.fromkeys("xyz", request.spacing)
-    )
+        pairs[f"extent along {a}"] = (length, extent.get(a, np.nan))
+    bounds = request.bounds or {}
+    spacing: Any = request.spacing
+    if not isinstance(spacing, Mapping):
+        spacing = dict.fromkeys("xyz", spacing)
     for a, step in spacing.items():
-        if step is not None and there.sizes.get(a, 0) > 1:
-            found = float(there[a][1] - there[a][0])
-            length = there.sizes[a] * found
-            around = (
-                a in there.attrs.get("periodic", "") and a not in bounds
-            )  # the nearest that divides the period
-            asked[f"spacing along {a}"] = (
-                length / max(1, np.floor(length / step + 0.5)) if around else step,
-                found,
-            )
+        if step is None or recorded.sizes.get(a, 0) < 2:
+            continue
+        recorded_step = float(recorded[a][1] - recorded[a][0])
+        if a in recorded.attrs.get("periodic", "") and a not in bounds:
+            # the nearest that divides the period
+            period = recorded.sizes[a] * recorded_step
+            step = period / max(1, np.floor(period / step + 0.5))
+        pairs[f"spacing along {a}"] = (step, recorded_step)
     if not isinstance(request.width, str | Mapping | None):
-        asked["width"] = request.width, there.attrs["width"]
+        pairs["width"] = (request.width, recorded.attrs["width"])
     for a, (low, high) in bounds.items():
-        if (
-            a in there.dims
-        ):  # the last node lies before its bound where the spacing does not divide the range
-            x = there[a].to_numpy()
-            step = x[1] - x[0] if len(x) > 1 else np.inf
-            asked[a] = (
-                (low, high),
-                (x[0], high if 0 <= high - x[-1] < step * (1 - 1e-6) else x[-1]),
-            )
-    for name, (wanted, found) in asked.items():
-        if not np.allclose(wanted, found, rtol=1e-6, atol=0):
+        if a not in recorded.dims:
+            continue
+        x = recorded[a].to_numpy()
+        step = x[1] - x[0] if len(x) > 1 else np.inf
+        # the last node lies before its bound where the spacing does not divide the range
+        reaches_bound = 0 <= high - x[-1] < step * (1 - 1e-6)
+        pairs[a] = ((low, high), (x[0], high if reaches_bound else x[-1]))
+    for name, (requested, of_file) in pairs.items():
+        if not np.allclose(requested, of_file, rtol=1e-6, atol=0):
             raise SceneError(
-                f"{name} {wanted} is not {found}, as of the steps that are there; leave it out"
+                f"{name} {requested} is not {of_file}, as of the steps that are there; leave it out"
             )
-    if request.by is not None and "phase" not in there.dims:
+    if request.by is not None and "phase" not in recorded.dims:
         raise SceneError(
             f"by={request.by!r}: the steps that are there have no phases; record to another file"
         )
@@ -291,7 +296,7 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
 
 def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
     """Raise SceneError for a step with other fields, nodes or kernels than those before it."""
-    problems = []
+    problems: list[str] = []
     changed = sorted(set(map(str, before.data_vars)) ^ set(map(str, fields.data_vars)))
     if changed:
         problems.append(f"the fields {changed} are not in both")
@@ -299,23 +304,23 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
         if fields.sizes.get(name) != size:
             problems.append(f"{name!r} has the length {fields.sizes.get(name)} instead of {size}")
         elif name != "time" and name in before.coords:
-            there, new = before[name].to_numpy(), fields[name].to_numpy()
-            if there.dtype.kind == "f":
-                alike = np.allclose(there, new, rtol=1e-9, atol=0)
+            recorded = before[name].to_numpy()
+            values = fields[name].to_numpy()
+            if recorded.dtype.kind == "f":
+                alike = np.allclose(recorded, values, rtol=1e-9, atol=0)
             else:
-                alike = there.tolist() == new.tolist()  # text has several types
+                alike = recorded.tolist() == values.tolist()  # text has several types
             if not alike:
                 problems.append(f"{name!r} has other values")
     for name in _SAME:
-        if name not in _OF_A_STEP and not np.array_equal(
-            before.attrs.get(name, ""), fields.attrs.get(name, "")
-        ):
+        if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
             problems.append(
                 f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}"
             )
     if problems:
         raise SceneError(
-            f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
+            f"{path}: this step is not like those that are there: {'; '.join(problems)}; "
+            "record it in another file"
         )
 
 
@@ -330,14 +335,16 @@ def record(
 ) -> Recorder:
     """Record the fields of one step after the other in a file, while a simulation runs.
 
-    Each step is in the file when `append` returns, and the file can be read at any moment, also after the process was
-    killed: the steps that were appended are whole. Only one step is in memory.
+    Each step is in the file when `append` returns, and the file can be read at any moment, also
+    after the process was killed: the steps that were appended are whole. Only one step is in
+    memory.
 
     Parameters
     ----------
     path : str or path
-        ``*.nc`` for NetCDF, in its classic format with 64 bits, or ``*.zarr`` for a Zarr folder, which makes a file a
-        field and step. A file that is there is continued, after a check that fields, mesh and kernel are the same.
+        ``*.nc`` for NetCDF, in its classic format with 64 bits, or ``*.zarr`` for a Zarr folder,
+        which makes a file a field and step. A file that is there is continued, after a check that
+        fields, mesh and kernel are the same.
     fields : optional
         As `xcg.coarse_grain`.
     overwrite : bool
@@ -350,15 +357,16 @@ def record(
     Returns
     -------
     Recorder
-        Its method ``append(ds)`` takes a scene, or fields; ``close()``, or the end of the ``with`` block, lets go of
-        the file.
+        Its method ``append(ds)`` takes a scene, or fields; ``close()``, or the end of the ``with``
+        block, lets go of the file.
 
     Raises
     ------
     FileExistsError
         If another process is recording to the same file.
     SceneError
-        If a file is there that holds no steps; by `append` if a step is not later than those before, or not like them.
+        If a file is there that holds no steps; by `append` if a step is not later than those
+        before, or not like them.
     TypeError, ValueError
         If an argument is unknown or wrong.
 
@@ -371,12 +379,13 @@ def record(
     ...         live.steps
     1
     """
+    known = inspect.signature(coarse_grain).parameters
     for word in options:
-        if word not in (known := inspect.signature(coarse_grain).parameters):
+        if word not in known:
             raise TypeError(
                 f"record() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}"
             )
-    request = Request(fields, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
-    return Recorder(
-        Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite
-    )
+    of_preset = OF_PRESETS.get(str(options.get("preset")), {})
+    request = Request(fields, **(of_preset | options))
+    encoding = Encoding.of(xr.Dataset(), dtype, digits, 0)
+    return Recorder(Path(path), request, encoding, overwrite=overwrite)

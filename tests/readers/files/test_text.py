@@ -220,7 +220,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
         texts.append(dump_text(lines, ATOMS, step=10 * t))
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
-    assert (path.stat().st_size > 3 * text._LOOKED_AT) == (count > 3)
+    assert (path.stat().st_size > 3 * text._SAMPLE) == (count > 3)
     scene = open_scene(path)
     assert scene.step.values.tolist() == [0, 10, 20]
     np.testing.assert_array_equal(scene.position, positions)

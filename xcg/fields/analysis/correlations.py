@@ -1,4 +1,4 @@
-"""Correlations of a field in space and in time with errors, and the length and the time over which they last."""
+"""Correlations of a field in space and time, with errors, and their length and time."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
 
 
 def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> xr.Dataset:
-    """Correlate a field with itself, or with another one, at all distances between the nodes of a mesh.
+    """Correlate a field with itself, or with another one, at all distances between nodes.
 
-    ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their means over the nodes of
-    each step, and the mean over all pairs of nodes with values and over time. Components of vectors and tensors are
-    summed. Along axes where the nodes span the period (the attribute ``period`` of the coordinate), pairs reach across
-    the edges; along the others, and in a selection of such nodes, they end there. Lazy where the result is, a chunk of
-    time after the other.
+    ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their
+    means over the nodes of each step, and the mean over all pairs of nodes with values and over
+    time. Components of vectors and tensors are summed. Along axes where the nodes span the period
+    (the attribute ``period`` of the coordinate), pairs reach across the edges; along the others,
+    and in a selection of such nodes, they end there. Lazy where the result is, a chunk of time
+    after the other.
 
     Parameters
     ----------
@@ -38,25 +39,26 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     Returns
     -------
     xarray.Dataset
-        ``correlation`` (lag_x, lag_y, lag_z), those axes that are resolved, and ``pairs``, how many pairs of nodes a
-        step has at each lag; ``radial_correlation`` (r), the mean over lags of about the same length; and
-        ``correlation_length`` (m), the distance at which that first falls to 1/e, NaN where it does not. Their
-        standard errors from the scatter over time, ``<name>_error``, as in `time_average`: NaN for a single step.
+        ``correlation`` (lag_x, lag_y, lag_z), those axes that are resolved, and ``pairs``, how many
+        pairs of nodes a step has at each lag; ``radial_correlation`` (r), the mean over lags of
+        about the same length; and ``correlation_length`` (m), the distance at which that first
+        falls to 1/e, NaN where it does not. Their standard errors from the scatter over time,
+        ``<name>_error``, as in `time_average`: NaN for a single step.
 
     Raises
     ------
     SceneError
         If results of different options were joined, or the result has lost its options.
     ValueError
-        If a field is not in the result, the two have other dimensions, or no axis is resolved by two nodes or more at
-        equal distances.
+        If a field is not in the result, the two have other dimensions, or no axis is resolved by
+        two nodes or more at equal distances.
 
     Notes
     -----
-    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean that is subtracted is
-    that of the nodes, so that the sum over all pairs of a periodic mesh is zero: in a mesh of few correlation lengths
-    C is too low by about the share of the mesh that is correlated. Smearing correlates nodes over the support of the
-    kernel, whatever the grains do.
+    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean
+    that is subtracted is that of the nodes, so that the sum over all pairs of a periodic mesh is
+    zero: in a mesh of few correlation lengths C is too low by about the share of the mesh that is
+    correlated. Smearing correlates nodes over the support of the kernel, whatever the grains do.
 
     Examples
     --------
@@ -66,42 +68,43 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    f, other = with_facts(with_time(f)), name if other is None else other
+    other = name if other is None else other
+    f = with_facts(with_time(f))
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
     require_facts(f, ("wrapped_axes",), "this result", way_out)
-    a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
+    a = _field_of(f, name, "spatial_correlation")
+    b = _field_of(f, other, "spatial_correlation")
     if set(a.dims) != set(b.dims):
         raise ValueError(
-            f"{name!r} has the dimensions {a.dims} and {other!r} {b.dims}: correlate components, a vector with a vector"
+            f"{name!r} has the dimensions {a.dims} and {other!r} {b.dims}: "
+            "correlate components, a vector with a vector"
         )
     axes = [axis for axis in COMPONENTS if a.sizes.get(axis, 0) > 1]
     if not axes:
         raise ValueError(
-            f"spatial_correlation needs resolved axes of two nodes or more, and {name!r} has the dimensions {a.dims}"
+            "spatial_correlation needs resolved axes of two nodes or more, and "
+            f"{name!r} has the dimensions {a.dims}"
         )
-    spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
-    wraps = [
-        axis in str(f.attrs["wrapped_axes"])
-        and np.isclose(f[axis].attrs.get("period", size), size, atol=0.0)
-        for axis, size in (
-            (axis, step * f.sizes[axis]) for axis, step in zip(axes, spacing, strict=True)
-        )
-    ]
-    lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]
     length = f[axes[0]].attrs.get("units", "m")
-    coords = {
-        f"lag_{axis}": (
-            f"lag_{axis}",
-            step * lag,
-            {"units": length, "long_name": f"distance along {axis}"},
-        )
-        for axis, step, lag in zip(axes, spacing, lags, strict=True)
-    }
+    spacing: list[float] = []
+    wraps: list[bool] = []
+    coords = {}
+    for axis in axes:
+        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
+        extent = step * f.sizes[axis]
+        whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
+        wrapped = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
+        lag = step * _lags(a.sizes[axis], wrapped)
+        attrs = {"units": length, "long_name": f"distance along {axis}"}
+        spacing.append(step)
+        wraps.append(wrapped)
+        coords[f"lag_{axis}"] = (f"lag_{axis}", lag, attrs)
+    lags = [lag for _, lag, _ in coords.values()]
     tail = [dim for dim in _TAIL if dim in a.dims]
     core = [*axes, *tail]
     sizes = {dim: len(lag) for dim, lag in zip(coords, lags, strict=True)}
-    found = xr.apply_ufunc(
+    arrays = xr.apply_ufunc(
         _products,
         a.drop_vars(axes),
         b.drop_vars(axes),
@@ -112,12 +115,12 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         output_dtypes=[float] * 6,
         dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
     )
-    sums = xr.Dataset(dict(zip(_SUMS, found, strict=True))).assign_coords(coords)
-    r, by_shell = _shells([values for _, values, _ in coords.values()], min(spacing))
-    for sum_ in ("products", "pairs"):
-        sums[f"radial_{sum_}"] = xr.apply_ufunc(
-            by_shell,
-            sums[sum_],
+    sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(coords)
+    r, add_by_shell = _shells(lags, min(spacing))
+    for kind in ("products", "pairs"):
+        sums[f"radial_{kind}"] = xr.apply_ufunc(
+            add_by_shell,
+            sums[kind],
             input_core_dims=[list(coords)],
             output_core_dims=[["r"]],
             dask="parallelized",
@@ -139,8 +142,9 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
 def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr.Dataset:
     """Correlate a field with itself at later times, at each node and over all nodes.
 
-    ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the node. Components of
-    vectors and tensors are summed. Lazy where the result is; all steps of some nodes are in memory at once.
+    ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the
+    node. Components of vectors and tensors are summed. Lazy where the result is; all steps of some
+    nodes are in memory at once.
 
     Parameters
     ----------
@@ -154,21 +158,23 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     Returns
     -------
     xarray.Dataset
-        ``correlation`` (lag, and the dimensions of the field but time and components), ``mean_correlation`` (lag), that
-        of sums over all nodes, and ``correlation_time`` (s), the time at which it first falls to 1/e, NaN where it does
-        not; ``mean_correlation_error`` and ``correlation_time_error`` from blocks of the times t, as in `time_average`.
+        ``correlation`` (lag, and the dimensions of the field but time and components),
+        ``mean_correlation`` (lag), that of sums over all nodes, and ``correlation_time`` (s), the
+        time at which it first falls to 1/e, NaN where it does not; ``mean_correlation_error`` and
+        ``correlation_time_error`` from blocks of the times t, as in `time_average`.
 
     Raises
     ------
     SceneError
         If the steps are not at equal distances, or results of different options were joined.
     ValueError
-        If the field is not in the result, there are fewer than three steps, or the lag is out of range.
+        If the field is not in the result, there are fewer than three steps, or the lag is out of
+        range.
 
     Notes
     -----
-    The mean that is subtracted is that of the series, so that C is too low by about twice the correlation time over the
-    length of the series.
+    The mean that is subtracted is that of the series, so that C is too low by about twice the
+    correlation time over the length of the series.
     """
     f = with_facts(with_time(f))
     a = _field_of(f, name, "time_correlation")
@@ -185,36 +191,34 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     whole = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
     if whole.chunks is not None:
         whole = whole.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
-    away = whole - whole.mean("time")
-    known = away.notnull().all(tail)
-    away = away.where(known, 0.0)
-    at_nodes, series = [], []
+    deviation = whole - whole.mean("time")
+    known = deviation.notnull().all(tail)
+    deviation = deviation.where(known, 0.0)
+    at_nodes = []
+    by_time = []
     for lag in range(last + 1):
-        now, then = slice(0, steps - lag), slice(lag, None)
-        sums = xr.Dataset(
-            {
-                "products": (away.isel(time=now) * away.isel(time=then)).sum(tail),
-                "pairs": (known.isel(time=now) & known.isel(time=then)).astype(float),
-            }
-        )
+        now = {"time": slice(0, steps - lag)}
+        then = {"time": slice(lag, None)}
+        products = (deviation.isel(now) * deviation.isel(then)).sum(tail)
+        pairs = (known.isel(now) & known.isel(then)).astype(float)
+        sums = xr.Dataset({"products": products, "pairs": pairs})
         at_nodes.append(sums.sum("time"))
-        series.append(sums.sum(nodes))
+        # the last steps have no partner
+        by_time.append(sums.sum(nodes).pad(time=(0, lag), constant_values=0.0))
     second = f["time"].attrs.get("units", "s")
     lags = interval * np.arange(last + 1)
     coords = {
         "lag": ("lag", lags, {"units": second, "long_name": "time between the steps"}),
         "steps": ("lag", np.arange(last + 1), {"units": "1", "long_name": "steps between"}),
     }
-    sums = xr.concat(at_nodes, "lag")
-    # the last steps have no partner
-    by_time = xr.concat(
-        [one.pad(time=(0, lag), constant_values=0.0) for lag, one in enumerate(series)], "lag"
-    )
-    by_time = by_time.chunk(time=-1, lag=-1) if by_time.chunks else by_time
-    mean, error, forgets, forgets_error = xr.apply_ufunc(
+    correlation = _by_lag(xr.concat(at_nodes, "lag"))["correlation"]
+    series = xr.concat(by_time, "lag")
+    if series.chunks:
+        series = series.chunk(time=-1, lag=-1)
+    mean, error, duration, duration_error = xr.apply_ufunc(
         _correlation_in_time,
-        by_time["products"],
-        by_time["pairs"],
+        series["products"],
+        series["pairs"],
         kwargs={"lags": lags},
         input_core_dims=[["lag", "time"]] * 2,
         output_core_dims=[["lag"], ["lag"], [], []],
@@ -224,11 +228,11 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     )
     what = f"correlation of {name} with itself"
     about = {
-        "correlation": (_by_lag(sums)["correlation"], "1", f"{what} at later times"),
+        "correlation": (correlation, "1", f"{what} at later times"),
         "mean_correlation": (mean, "1", f"{what} at later times, over all nodes"),
         "mean_correlation_error": (error, "1", "standard error of mean_correlation"),
-        "correlation_time": (forgets, second, "time at which the mean correlation falls to 1/e"),
-        "correlation_time_error": (forgets_error, second, "standard error of correlation_time"),
+        "correlation_time": (duration, second, "time at which the mean correlation falls to 1/e"),
+        "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
     data = {key: _labelled(*entry) for key, entry in about.items()}
     call = format_call("time_correlation", {"name": name, "max_lag": int(last)})
@@ -237,16 +241,15 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
 
 def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
     if name not in f.data_vars:
-        raise ValueError(
-            f"{purpose}({name!r}): no such field; the result has {', '.join(map(str, f.data_vars))}"
-        )
+        fields = ", ".join(map(str, f.data_vars))
+        raise ValueError(f"{purpose}({name!r}): no such field; the result has {fields}")
     return f[name].astype(float)
 
 
 def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
-    found = values.copy(deep=False)
-    found.attrs = {"units": units, "long_name": long_name}
-    return found
+    labelled = values.copy(deep=False)
+    labelled.attrs = {"units": units, "long_name": long_name}
+    return labelled
 
 
 def _with_errors(
@@ -254,10 +257,10 @@ def _with_errors(
 ) -> xr.Dataset:
     """Return a function of the time mean of some sums, and its standard errors."""
     series = sums if "time" in sums.dims else sums.expand_dims("time")
-    series = series.drop_vars(
-        [name for name in series.coords if name not in series.dims or name == "time"]
-    )
-    mean, errors = function(series.mean("time")), block_errors(series, "time", function)
+    of_steps = [name for name in series.coords if name not in series.dims or name == "time"]
+    series = series.drop_vars(of_steps)
+    mean = function(series.mean("time"))
+    errors = block_errors(series, "time", function)
     data = {}
     for name, (units, long_name) in about.items():
         data[name] = _labelled(mean[name], units, long_name)
@@ -265,62 +268,74 @@ def _with_errors(
     return xr.Dataset(data, attrs=provenance(f, call))
 
 
-# --- in space --------------------------------------------------------------------------------------------
+# --- in space -------------------------------------------------------------------------------------
 
 
 def _lags(nodes: int, wrapped: bool) -> NDArray:
-    return np.arange(-(nodes // 2), nodes - nodes // 2) if wrapped else np.arange(1 - nodes, nodes)
+    """Return the lags between nodes along an axis, in nodes: each once if it wraps around."""
+    if wrapped:
+        return np.arange(-(nodes // 2), nodes - nodes // 2)
+    return np.arange(1 - nodes, nodes)
 
 
 def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple[NDArray, ...]:
-    """Sum over pairs of nodes the products of what two fields (..., nodes, components) have beside means.
+    """Sum products of the deviations of two fields (..., nodes, components) over pairs of nodes.
 
     Returns
     -------
     tuple of array
-        By the names in `_SUMS`: products and numbers of pairs (..., lags), then for each field the sum of its squares
-        and the number of its nodes (...).
+        By the names in `_SUMS`: products and numbers of pairs (..., lags), then for each field the
+        sum of its squares and the number of its nodes (...).
     """
     from scipy import fft
 
     axes = tuple(range(-len(wraps), 0))
-    sizes = np.array(a.shape[: a.ndim - rank][-len(wraps) :])
-    padded = [
-        int(n) if wrapped else fft.next_fast_len(2 * int(n) - 1)
-        for n, wrapped in zip(sizes, wraps, strict=True)
-    ]
-    fields, known, norms = [], [], []
-    for values in (a, b):
-        flat = np.moveaxis(values.reshape(*values.shape[: values.ndim - rank], -1), -1, 0)
-        here = np.isfinite(flat).all(axis=0)
-        count = here.sum(axis=axes, keepdims=True)
-        mean = np.where(here, flat, 0.0).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
-        away = np.where(here, flat - mean, 0.0)
-        fields.append(fft.rfftn(away, padded, axes))
-        known.append(fft.rfftn(here.astype(float), padded, axes))
-        norms += [
-            (away**2).sum(axis=(0, *axes)),
+    nodes = a.shape[: a.ndim - rank][-len(wraps) :]
+    padded: list[int] = []
+    places: list[NDArray] = []  # of the lags in an inverse transform
+    for count, wrapped in zip(nodes, wraps, strict=True):
+        size = count if wrapped else fft.next_fast_len(2 * count - 1)
+        padded.append(size)
+        places.append(_lags(count, wrapped) % size)
+
+    def transforms(field: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Return transforms of deviation and known nodes, the sum of squares, the node count."""
+        flat = np.moveaxis(field.reshape(*field.shape[: field.ndim - rank], -1), -1, 0)
+        known = np.isfinite(flat).all(axis=0)
+        count = known.sum(axis=axes, keepdims=True)
+        mean = np.where(known, flat, 0.0).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
+        deviation = np.where(known, flat - mean, 0.0)
+        return (
+            fft.rfftn(deviation, padded, axes),
+            fft.rfftn(known.astype(float), padded, axes),
+            (deviation**2).sum(axis=(0, *axes)),
             count.reshape(count.shape[: -len(wraps)]).astype(float),
-        ]
-    lags = [_lags(int(n), wrapped) for n, wrapped in zip(sizes, wraps, strict=True)]
-    place: Any = np.ix_(*(lag % size for lag, size in zip(lags, padded, strict=True)))
-    products, pairs = (
-        fft.irfftn(one.conj() * other, padded, axes)[(..., *place)]
-        for one, other in (fields, known)
-    )
-    return products.sum(axis=0), np.rint(pairs), *norms
+        )
+
+    def at_lags(one: NDArray, other: NDArray) -> NDArray:
+        """Return the correlation of two transformed arrays."""
+        index: Any = np.ix_(*places)
+        return fft.irfftn(one.conj() * other, padded, axes)[(..., *index)]
+
+    deviation_a, known_a, square_a, count_a = transforms(a)
+    deviation_b, known_b, square_b, count_b = transforms(b)
+    products = at_lags(deviation_a, deviation_b).sum(axis=0)
+    pairs = np.rint(at_lags(known_a, known_b))
+    return products, pairs, square_a, count_a, square_b, count_b
 
 
 def _shells(
     lags: Sequence[NDArray], thickness: float
 ) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
-    """Return the mean length (m) of the lags in each shell, and a function that adds up sums (..., lags) by shell.
+    """Return the mean length (m) of the lags in each shell, and a function to add up by shell.
 
-    A shell is as thick as the smallest spacing; the longest length is the longest lag along an axis.
+    The function takes sums (..., lags). A shell is as thick as the smallest spacing; the longest
+    length is the longest lag along an axis.
     """
     lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
     shell = np.rint(lengths / thickness).astype(int)
-    used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
+    longest = max(np.abs(x).max() for x in lags)
+    used = np.flatnonzero(lengths <= longest * (1 + 1e-12))
     used = used[np.argsort(shell[used], kind="stable")]
     _, first, count = np.unique(shell[used], return_index=True, return_counts=True)
 
@@ -332,56 +347,60 @@ def _shells(
 
 
 def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
-    one, two = (
-        sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0)
-        for whose in ("", "other_")
-    )
-    scale = np.sqrt((one * two).where(one * two > 0))
-    found = {
-        f"{way}correlation": sums[f"{way}products"]
-        / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0)
-        / scale
-        for way in ("", "radial_")
-    }
-    found["correlation_length"] = xr.apply_ufunc(
+    """Return correlations and their length, from sums over pairs of nodes."""
+
+    def mean(total: str, number: str) -> xr.DataArray:
+        return sums[total] / sums[number].where(sums[number] > 0)
+
+    product = mean("square", "count") * mean("other_square", "other_count")
+    scale = np.sqrt(product.where(product > 0))
+    by_distance = mean("radial_products", "radial_pairs") / scale
+    length = xr.apply_ufunc(
         falls_to,
-        found["radial_correlation"],
+        by_distance,
         sums["r"],
         input_core_dims=[["r"]] * 2,
         dask="parallelized",
         output_dtypes=[float],
     )
-    return xr.Dataset(found)
+    return xr.Dataset(
+        {
+            "correlation": mean("products", "pairs") / scale,
+            "radial_correlation": by_distance,
+            "correlation_length": length,
+        }
+    )
 
 
 def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArray:
-    """Return where values (..., n) at rising places (n,) first fall to a level, interpolated linearly.
+    """Return where values (..., n) at rising places (n,) first fall to a level, by interpolation.
 
     NaN where they do not, are not above it at first, or are not known before.
     """
     below = ~(values > level)
     k = below.argmax(axis=-1)[..., None]
     before = np.maximum(k - 1, 0)
-    (x0, x1), (y0, y1) = (
-        (at[before], at[k]),
-        (np.take_along_axis(values, n, axis=-1) for n in (before, k)),
-    )
+    x0 = at[before]
+    x1 = at[k]
+    y0 = np.take_along_axis(values, before, axis=-1)
+    y1 = np.take_along_axis(values, k, axis=-1)
     falls = below.any(axis=-1, keepdims=True) & (k > 0) & np.isfinite(y1)
     share = (y0 - level) / np.where(falls, y0 - y1, 1.0)
     return np.where(falls, x0 + share * (x1 - x0), np.nan)[..., 0]
 
 
-# --- in time ---------------------------------------------------------------------------------------------
+# --- in time --------------------------------------------------------------------------------------
 
 
 def _by_lag(sums: xr.Dataset) -> xr.Dataset:
+    """Return the correlation by lag, from sums over pairs of steps."""
     mean = sums["products"] / sums["pairs"].where(sums["pairs"] > 0)
     square = mean.isel(lag=0)
     return xr.Dataset({"correlation": mean / square.where(square > 0)})
 
 
 def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tuple[NDArray, ...]:
-    """Return correlation (lag,) with its error, and the time to 1/e with its error, from sums (lag, time)."""
+    """Return correlation (lag,), its error, the time to 1/e and its error; sums are (lag, time)."""
     steps = products.shape[1]
     whole = xr.Dataset({"products": (("lag", "time"), products), "pairs": (("lag", "time"), pairs)})
     mean = _by_lag(whole.sum("time"))["correlation"].to_numpy()
@@ -391,9 +410,10 @@ def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tu
         errors.append(float(block_errors(part, "time", _by_lag)["correlation"][1]))
     common = whole.isel(time=slice(0, steps - len(lags) + 1))
 
-    def time_of(sums: xr.Dataset) -> xr.Dataset:
-        found = _by_lag(sums)["correlation"].transpose(..., "lag")
-        return xr.Dataset({"forgets": (found.dims[:-1], falls_to(found.to_numpy(), lags))})
+    def duration(sums: xr.Dataset) -> xr.Dataset:
+        correlation = _by_lag(sums)["correlation"].transpose(..., "lag")
+        times = falls_to(correlation.to_numpy(), lags)
+        return xr.Dataset({"duration": (correlation.dims[:-1], times)})
 
-    forgets_error = block_errors(common, "time", time_of)["forgets"].to_numpy()
-    return mean, np.array(errors), falls_to(mean, lags), forgets_error
+    duration_error = block_errors(common, "time", duration)["duration"].to_numpy()
+    return mean, np.array(errors), falls_to(mean, lags), duration_error

@@ -1,4 +1,4 @@
-"""Fields of the displacement between frames: a scene in which grains have displacements in the place of velocities."""
+"""Fields of the displacement between frames, which are computed as fields of velocities are."""
 
 from __future__ import annotations
 
@@ -63,18 +63,21 @@ class DisplacementRequest(SharedOptions):
     Parameters
     ----------
     fields : str or list of str, optional
-        Names of fields of displacements: ``displacement``, ``displacement_gradient``, ``deformation_gradient``,
-        ``strain``, ``small_strain``, ``volumetric_strain``, ``shear_strain``, ``rotation``, ``rotation_vector``,
-        ``nonaffine_covariance``, ``d2min`` and ``self_diffusion``; all of them and ``sample_count`` by default, without
-        ``self_diffusion`` where times are not known.
+        Names of fields of displacements: ``displacement``, ``displacement_gradient``,
+        ``deformation_gradient``, ``strain``, ``small_strain``, ``volumetric_strain``,
+        ``shear_strain``, ``rotation``, ``rotation_vector``, ``nonaffine_covariance``, ``d2min`` and
+        ``self_diffusion``; all of them and ``sample_count`` by default, without ``self_diffusion``
+        where times are not known.
     lag : int
         Frames from each frame to the later one; 1 is the next.
     accumulate : bool
-        Compose the deformation gradients of consecutive steps of `lag` frames at each node, ``F = F_n ... F_2 F_1``,
-        and give the fields that follow from it, at the time of the later frame; ``interval`` is then the time since the
-        first frame, ``left`` and ``entered`` are of the last of these steps.
+        Compose the deformation gradients of consecutive steps of `lag` frames at each node,
+        ``F = F_n ... F_2 F_1``, and give the fields that follow from it, at the time of the later
+        frame; ``interval`` is then the time since the first frame, ``left`` and ``entered`` are of
+        the last of these steps.
     width : float, str or mapping, optional
-        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as in `coarse_grain`.
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as
+        in `coarse_grain`.
     at : mapping, optional
         Coordinate of fixed axes (m), or points, as in `coarse_grain`.
     for_averages : bool
@@ -96,12 +99,12 @@ class DisplacementRequest(SharedOptions):
 
 @takes(DisplacementRequest)
 def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
-    """Coarse-grain the displacement between frames: strain, rotation, and what an affine deformation leaves over.
+    """Coarse-grain the displacement between frames: strain, rotation, and non-affine motion.
 
-    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges ``image`` of the scene
-    says how far; without it, it is the image that moves least relative to the box. A box that deforms carries its
-    images with it. Fields belong to frame t, at the
-    places that grains have in frame t (the reference configuration), which therefore takes no contacts.
+    Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges
+    ``image`` of the scene says how far; without it, it is the image that moves least relative to
+    the box. A box that deforms carries its images with it. Fields belong to frame t, at the places
+    that grains have in frame t (the reference configuration), which therefore takes no contacts.
 
     Parameters
     ----------
@@ -112,35 +115,40 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The fields at each frame t that has a partner, with the coordinates ``interval`` (time), the time between the
-        two frames (s), and ``left`` and ``entered`` (time): how many grains are in the first of them only, and in the
-        later one only. These are in no field.
+        The fields at each frame t that has a partner, with the coordinates ``interval`` (time), the
+        time between the two frames (s), and ``left`` and ``entered`` (time): how many grains are in
+        the first of them only, and in the later one only. These are in no field.
 
     Raises
     ------
     SceneError
-        If times do not rise, two frames have no id in common, or `self_diffusion` is asked for and times are not known.
+        If times do not rise, two frames have no id in common, or `self_diffusion` is asked for and
+        times are not known.
     ValueError
-        If there are not enough frames for `lag`, a field is not one of displacements, or an argument is wrong.
+        If there are not enough frames for `lag`, a field is not one of displacements, or an
+        argument is wrong.
 
     Notes
     -----
-    ``u = sum m_i u_i Psi / rho`` and its gradient H are fitted as velocity and its gradient are; F = I + H,
-    E = (F^T F - I) / 2, and F = R U. Along an axis that is averaged, H is zero but for the change of a periodic box.
-    ``d2min`` is the mean over grains of the squared distance from the fit, all components of the scene's dimensions
-    together: the sum of Falk & Langer (1998, Phys. Rev. E 57, 7192) over the number of grains, with the kernel as
-    weight, divided by rho_T (see ``granular_temperature``).
+    ``u = sum m_i u_i Psi / rho`` and its gradient H are fitted as velocity and its gradient are; F
+    = I + H, E = (F^T F - I) / 2, and F = R U. Along an axis that is averaged, H is zero but for the
+    change of a periodic box. ``d2min`` is the mean over grains of the squared distance from the
+    fit, all components of the scene's dimensions together: the sum of Falk & Langer (1998, Phys.
+    Rev. E 57, 7192) over the number of grains, with the kernel as weight, divided by rho_T (see
+    ``granular_temperature``).
 
-    An accumulated strain is composed at fixed nodes, through which grains pass: it is that of a material point only
-    as far as the deformation differs little over the way that grains go. A node that sees no grains once is NaN from
-    then on.
+    An accumulated strain is composed at fixed nodes, through which grains pass: it is that of a
+    material point only as far as the deformation differs little over the way that grains go. A node
+    that sees no grains once is NaN from then on.
 
     Examples
     --------
     >>> import numpy as np
     >>> import xcg
     >>> r = np.random.default_rng(1).uniform(0, 4, (400, 3))
-    >>> ds = xcg.scene_from_arrays([r, r * [1.01, 1, 1]], diameter=np.ones((2, 400)), density=1.0, time=[0.0, 1.0])
+    >>> ds = xcg.scene_from_arrays(
+    ...     [r, r * [1.01, 1, 1]], diameter=np.ones((2, 400)), density=1.0, time=[0.0, 1.0]
+    ... )
     >>> f = ds.cg.displacement(["strain", "d2min"], axes="", at=dict(x=2, y=2, z=2))
     >>> round(float(f.strain.sel(component="x", direction="x").item()), 6)
     0.01005
@@ -152,11 +160,13 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:
         refuse_cylindrical(ds, "displacement(accumulate=True)")
-        ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
-    moves = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
-    if moves and "frame" in ds.attrs:
+        ds = ds.isel(time=slice(None, None, asked.lag))
+        asked = replace(asked, lag=1)
+    box_changes = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
+    if box_changes and "frame" in ds.attrs:
         raise ValueError(
-            "displacements in a box that changes are found in the scene's own axes: leave frame= out"
+            "displacements in a box that changes are found in the scene's own axes: "
+            "leave frame= out"
         )
     options = registry.options_of(
         {**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature}
@@ -164,58 +174,71 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     options = replace(options, lag=asked.lag)
     if asked.for_averages:
         names = (*names, *needed_for_averages(names, options))
+    # fields that follow from the gradient relative to the box, once the box is added to it
     derived = [
         name
         for name in names
         if name != _GRADIENT and _GRADIENT in registry.order_of((name,), options)
     ]
-    summed = [name for name in names if name not in derived] + [_GRADIENT] * bool(derived)
-    summed += ["centre_offset"] * (moves and "displacement" in names)
+    summed = [name for name in names if name not in derived]
+    if derived:
+        summed.append(_GRADIENT)
+    if box_changes and "displacement" in names:
+        summed.append("centre_offset")
     f, motion = _between_frames(ds, asked, list(dict.fromkeys(summed)), call)
-    found = {name: f[name] for name in summed}
-    if moves:
-        found |= _with_box(f, ds, motion)
+    fields = {name: f[name] for name in summed}
+    if box_changes:
+        fields |= _with_box(f, ds, motion)
     if asked.accumulate:
-        found[_TOTAL] = _composed(derive(_TOTAL, dict(found), options))
-        labels = [name for name in ("time", "step") if name in ds.coords]
-        f = f.assign_coords(
-            {name: ("time", ds[name].to_numpy()[1:], ds[name].attrs) for name in labels}
-        )
-        since = f["interval"].attrs["long_name"].replace("to the later", "since the first")
-        since = {"units": f["interval"].attrs["units"], "long_name": since}
-        f = f.assign_coords(
-            interval=("time", ds["time"].to_numpy()[1:] - ds["time"].to_numpy()[0], since)
-        )
+        fields[_TOTAL] = _composed(derive(_TOTAL, dict(fields), options))
+        f = f.assign_coords(_coords_of_later_frames(ds, f["interval"].attrs))
     system = f.attrs.get("unit_system", "SI")
     data = {}
     for name in names:
-        values = derive(name, found, options)
+        values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
     return xr.Dataset(data, f.coords, f.attrs).unify_chunks()
 
 
+def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> dict[str, Any]:
+    """Return time and step of all frames but the first, and the time since that."""
+    coords: dict[str, Any] = {}
+    for name in ("time", "step"):
+        if name in ds.coords:
+            coords[name] = ("time", ds[name].to_numpy()[1:], ds[name].attrs)
+    times = ds["time"].to_numpy()
+    long_name = of_interval["long_name"].replace("to the later", "since the first")
+    attrs = {"units": of_interval["units"], "long_name": long_name}
+    coords["interval"] = ("time", times[1:] - times[0], attrs)
+    return coords
+
+
 def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
-    """Check what is asked for, and give the names of the fields."""
-    frames, lag = ds.sizes.get("time", 1), asked.lag
+    """Check the request, and return the names of its fields."""
+    frames = ds.sizes.get("time", 1)
+    lag = asked.lag
     if not isinstance(lag, (int, np.integer)) or isinstance(lag, bool) or lag < 1:
         raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
         raise ValueError(
-            f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them"
+            f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 "
+            "or more of them"
         )
-    for name, no in (("preset", None), ("by_pair", False)):
-        if getattr(asked, name) != no:
-            raise ValueError(
-                f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out"
-            )
+    for name, default in (("preset", None), ("by_pair", False)):
+        value = getattr(asked, name)
+        if value != default:
+            raise ValueError(f"{name}={value!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     timed = [name for name in known if "interval" in registry.FIELDS[name].moments]
-    ours = [name for name in known if registry.FIELDS[name].default]
-    if not times_are_known(ds):
-        ours = [name for name in ours if name not in timed]
-    given = ["sample_count", *ours] if asked.fields is None else asked.fields
-    names = [str(name) for name in ([given] if isinstance(given, str) else given)]
+    if asked.fields is None:
+        names = ["sample_count", *(name for name in known if registry.FIELDS[name].default)]
+        if not times_are_known(ds):
+            names = [name for name in names if name not in timed]
+    elif isinstance(asked.fields, str):
+        names = [asked.fields]
+    else:
+        names = [str(name) for name in asked.fields]
     if not names:
         raise ValueError(
             f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements"
@@ -229,127 +252,122 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
         if asked.fields is None:
             names = total
-        if wrong := [name for name in names if name not in total]:
+        wrong = [name for name in names if name not in total]
+        if wrong:
             raise ValueError(
-                f"accumulate=True composes deformation gradients: {wrong} do not follow from one; take {total}"
+                f"accumulate=True composes deformation gradients: {wrong} do not follow from one; "
+                f"take {total}"
             )
     return tuple(dict.fromkeys(names))
 
 
-# --- pairs of frames -------------------------------------------------------------------------------------
+# --- pairs of frames ------------------------------------------------------------------------------
 
 
 def _between_frames(
     ds: xr.Dataset, asked: DisplacementRequest, names: Sequence[str], call: str
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Fields of displacements relative to the box, and ``box_gradient`` and ``box_shift`` (time)."""
-    count, lag = ds.sizes["time"] - asked.lag, asked.lag
+    """Return fields of displacements relative to the box, and the motion of the box (time)."""
+    lag = asked.lag
+    count = ds.sizes["time"] - lag
+    # contacts belong to one frame; displacements relative to the box are the same in all images
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
-    # displacements relative to the box are the same in all images
-    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore").isel(
-        time=slice(0, count)
-    )
-    # a plan looks at names only: what stands for displacements and intervals comes with the frames
+    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore")
+    first = first.isel(time=slice(0, count))
+    # a plan looks at names only: displacements and intervals are computed with the frames
     moved = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
     scene = describe(moved, asked.by)
     plan = make_plan(scene, asked.ask(fields=names, width=asked.width, at=asked.at))
-    both = [
-        "particle_id",
-        "position",
-        "time",
-        *(name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"),
-    ]
+
+    of_frames = [name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"]
+    of_both = ["particle_id", "position", "time", *of_frames]
     later = {
         f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable()
-        for name in both
+        for name in of_both
     }
-    read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
+    of_first = [name for name in plan.variables if name not in _MADE]
+    read = list(dict.fromkeys([*of_first, *of_both, *later]))
     pairs = first.assign(later)
-    threads = threads_a_chunk(pairs, [*read, *later], THREADS)
+    threads = threads_a_chunk(pairs, read, THREADS)
     compute = partial(_of_pairs, plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
-    arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
+    arrays = map_over_time(pairs, read, compute, results, "displacement", asked.on_error)
+
     f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
-    times = ds["time"].to_numpy()
     what = "time" if times_are_known(ds) else "steps of the simulation"
-    coords = {
-        "interval": (
-            times[lag:] - times[:count],
-            {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"},
-        ),
-        "left": (
-            arrays["left"],
-            {"units": "1", "long_name": "number of grains in the first frame only"},
-        ),
-        "entered": (
-            arrays["entered"],
-            {"units": "1", "long_name": "number of grains in the later frame only"},
-        ),
-    }
-    axes = {dim: list(COMPONENTS) for dim in ("component", "direction")}
-    tensors = {"box_gradient": ("component", "direction"), "box_shift": ("component",)}
+    times = ds["time"].to_numpy()
+    interval = xr.Variable("time", times[lag:] - times[:count])
+    interval.attrs = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
+    left = xr.Variable("time", arrays["left"])
+    left.attrs = {"units": "1", "long_name": "number of grains in the first frame only"}
+    entered = xr.Variable("time", arrays["entered"])
+    entered.attrs = {"units": "1", "long_name": "number of grains in the later frame only"}
     motion = xr.Dataset(
-        {name: (("time", *dims), arrays[name]) for name, dims in tensors.items()}, axes
+        {
+            "box_gradient": (("time", "component", "direction"), arrays["box_gradient"]),
+            "box_shift": (("time", "component"), arrays["box_shift"]),
+        },
+        {"component": list(COMPONENTS), "direction": list(COMPONENTS)},
     )
-    return f.assign_coords({name: ("time", *values) for name, values in coords.items()}), motion
+    return f.assign_coords(interval=interval, left=left, entered=entered), motion
 
 
 def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Compute fields of a chunk of frames, with displacements to their later frames in the place of velocities."""
+    """Compute fields of a chunk of frames, with displacements in the place of velocities."""
     first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
     later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
     steps, grains = first["particle_id"].shape
-    found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
-    first["interval"] = np.broadcast_to(
-        (later.pop("time") - first.pop("time"))[:, None], (steps, grains)
-    )
+    out = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
+    interval = later.pop("time") - first.pop("time")
+    first["interval"] = np.broadcast_to(interval[:, None], (steps, grains))
     first["velocity"] = np.full((steps, grains, 3), np.nan)
     ids = np.full((steps, grains), PADDING)
-    frames = {name: first[name] for name in later}
-    for t, (one, other) in enumerate(
-        zip(steps_in(frames, periodic), steps_in(later, periodic), strict=True)
-    ):
-        sources = one[2], other[2]
-        rows = partners(one[0], other[0], sources)
-        stay = rows >= 0
-        motion = BoxMotion.between(one[1], other[1])
+    frames = steps_in({name: first[name] for name in later}, periodic)
+    later_frames = steps_in(later, periodic)
+    for t, (step, later_step) in enumerate(zip(frames, later_frames, strict=True)):
+        frame, lattice, source = step
+        later_frame, later_lattice, later_source = later_step
+        rows = partners(frame, later_frame, (source, later_source))
+        stays = rows >= 0
+        motion = BoxMotion.between(lattice, later_lattice)
         # grains without a partner become padding, and all rows stay where they are
-        given = first["particle_id"][t]
-        place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
-        ids[t, place] = given[place]
+        ids_of_rows = first["particle_id"][t]
+        place = np.argsort(ids_of_rows, kind="stable")[grains - len(rows) :][stays]
+        ids[t, place] = ids_of_rows[place]
         first["velocity"][t, place] = motion.relative(
-            one[0], other[0], np.flatnonzero(stay), rows[stay]
+            frame, later_frame, np.flatnonzero(stays), rows[stays]
         )
-        found["left"][t], found["entered"][t] = (
-            (~stay).sum(),
-            len(other[0]["position"]) - stay.sum(),
-        )
-        found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
-    return {**compute(first | {"particle_id": ids}), **found}
+        out["left"][t] = (~stays).sum()
+        out["entered"][t] = len(later_frame["position"]) - stays.sum()
+        out["box_gradient"][t] = motion.gradient
+        out["box_shift"][t] = motion.shift
+    return {**compute(first | {"particle_id": ids}), **out}
 
 
-# --- from displacements relative to the box --------------------------------------------------------------
+# --- from displacements relative to the box -------------------------------------------------------
 
 
 def _with_box(f: xr.Dataset, ds: xr.Dataset, motion: xr.Dataset) -> dict[str, xr.DataArray]:
-    """Add the displacement that the box imposes where the grains at each node are, and its gradient."""
-    found, gradient = {}, motion["box_gradient"]
+    """Return displacement and gradient with those that the box imposes on the grains of a node."""
+    fields = {}
+    gradient = motion["box_gradient"]
     if _GRADIENT in f:
-        found[_GRADIENT] = f[_GRADIENT] + gradient
+        fields[_GRADIENT] = f[_GRADIENT] + gradient
     if "displacement" in f:
         middle = ds["box"].isel(time=slice(0, f.sizes["time"])).mean("bound").drop_vars("time")
         imposed = motion["box_shift"]
         for a in ds.attrs["periodic"]:
-            along = {"component": a, "drop": True}
-            # along an averaged axis, the middle of the box stands for all that is there
-            place = f[a] + f["centre_offset"].sel(**along) if a in f.coords else middle.sel(**along)
+            if a in f.coords:
+                place = f[a] + f["centre_offset"].sel(component=a, drop=True)
+            else:  # the middle of the box stands for all grains along an averaged axis
+                place = middle.sel(component=a, drop=True)
             imposed = imposed + gradient.sel(direction=a, drop=True) * place
-        found["displacement"] = (f["displacement"] + imposed).transpose(*f["displacement"].dims)
-    return found
+        fields["displacement"] = (f["displacement"] + imposed).transpose(*f["displacement"].dims)
+    return fields
 
 
 def _composed(steps: xr.DataArray) -> xr.DataArray:
-    """Products F_n ... F_2 F_1 of tensors along time, one chunk of time after the other."""
+    """Return the products F_n ... F_2 F_1 of tensors along time, chunk after chunk."""
     steps = steps.transpose("time", ..., "component", "direction")
     if steps.chunks is None:
         return steps.copy(data=_products(steps.data, axis=0))
@@ -360,6 +378,7 @@ def _composed(steps: xr.DataArray) -> xr.DataArray:
 
 
 def _products(tensors: NDArray, axis: int = 0, **_: Any) -> NDArray:
+    """Return the products of tensors (time, ..., 3, 3) from the first to each; called by dask."""
     out = tensors.copy()
     for t in range(1, len(out)):
         out[t] = out[t] @ out[t - 1]

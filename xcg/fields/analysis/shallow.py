@@ -26,11 +26,11 @@ from xcg.steps.labels import format_call, provenance
 def free_surface(
     f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: str = "volume_fraction"
 ) -> xr.Dataset:
-    """Find the free surface and the base of a flow: where its fields fall through a share of their bulk value.
+    """Find the free surface and the base of a flow, where a field falls to a share of its bulk.
 
-    The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the same everywhere.
-    Between nodes phi is interpolated linearly. Holes inside do not count: the surface is the highest crossing, the base
-    the lowest.
+    The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the
+    same everywhere. Between nodes phi is interpolated linearly. Holes inside do not count: the
+    surface is the highest crossing, the base the lowest.
 
     Parameters
     ----------
@@ -46,16 +46,17 @@ def free_surface(
     Returns
     -------
     xarray.Dataset
-        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase that was selected;
-        NaN where nothing is above the threshold, or where the mesh ends before the field falls through it. Lazy where
-        the result is.
+        ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase
+        that was selected; NaN where nothing is above the threshold, or where the mesh ends before
+        the field falls through it. Lazy where the result is.
 
     Raises
     ------
     SceneError
         If results of different options were joined.
     ValueError
-        If the axis is not resolved, the field is not there, or the threshold is not between 0 and 1.
+        If the axis is not resolved, the field is not there, or the threshold is not between 0 and
+        1.
 
     Examples
     --------
@@ -66,23 +67,22 @@ def free_surface(
     """
     f = with_facts(f)
     if of not in f:
-        raise ValueError(
-            f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}"
-        )
+        fields = ", ".join(map(str, f.data_vars))
+        raise ValueError(f"of={of!r}: expected a field of this result, which holds {fields}")
     if axis not in f[of].dims:
-        raise ValueError(
-            f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}"
-        )
+        axes = [a for a in COMPONENTS if a in f.dims]
+        raise ValueError(f"free_surface({axis!r}): the result has the axes {axes}")
     if not (is_finite(threshold) and 0 < threshold < 1):
         raise ValueError(
-            f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5"
+            f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, "
+            "such as 0.5"
         )
     values = f[of].sortby(axis)
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
-    found = xr.apply_ufunc(
+    crossings = xr.apply_ufunc(
         partial(_crossings, z=values[axis].to_numpy()),
         values.chunk({axis: -1}) if values.chunks else values,
         threshold * bulk,
@@ -92,40 +92,39 @@ def free_surface(
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"end": 2}},
     )
-    about = {"units": f[axis].attrs.get("units", "m")} | (
-        {"cutoff": f.attrs["cutoff"]} if "cutoff" in f.attrs else {}
-    )
-    data, share = {}, f"where {of} is {threshold:g} of its bulk value"
-    for end, name, what in ((1, "height", "free surface"), (0, "base", "base")):
-        data[name] = found.isel(end=end).drop_attrs(deep=False)
-        data[name].attrs = about | {"long_name": f"{what} along {axis}, {share}"}
+    attrs = {"units": f[axis].attrs.get("units", "m")}
+    if "cutoff" in f.attrs:
+        attrs["cutoff"] = f.attrs["cutoff"]
+    where = f"along {axis}, where {of} is {threshold:g} of its bulk value"
+    height = crossings.isel(end=1).drop_attrs(deep=False)
+    height.attrs = attrs | {"long_name": f"free surface {where}"}
+    base = crossings.isel(end=0).drop_attrs(deep=False)
+    base.attrs = attrs | {"long_name": f"base {where}"}
     call = format_call("free_surface", {"axis": axis, "threshold": threshold, "of": of})
-    return xr.Dataset(data, attrs=f.attrs | provenance(f, call) | {"surface_axis": axis})
+    of_result = f.attrs | provenance(f, call) | {"surface_axis": axis}
+    return xr.Dataset({"height": height, "base": base}, attrs=of_result)
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
-    """Lowest and highest crossing (..., 2) of values (..., n) through what is `least` (...)."""
+    """Return the lowest and the highest crossing (..., 2) of values (..., n) through `least`."""
+    lowest = _first_crossing(values, least, z)
+    highest = _first_crossing(values[..., ::-1], least, z[::-1])
+    return np.stack([lowest, highest], axis=-1)
+
+
+def _first_crossing(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
+    """Return the first place (...) where values (..., n) at z (n,) rise to `least` (...)."""
     above = values >= least[..., None]
-    out = np.full((*above.shape[:-1], 2), np.nan)
-    for end, (inside, beyond) in enumerate(
-        ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))
-    ):
-        crosses = above[..., inside] & ~above[..., beyond]
-        k = (
-            crosses.argmax(-1)
-            if end == 0
-            else crosses.shape[-1] - 1 - crosses[..., ::-1].argmax(-1)
-        )
-        here, there = (
-            np.take_along_axis(values[..., part], k[..., None], -1)[..., 0]
-            for part in (inside, beyond)
-        )
-        with np.errstate(invalid="ignore", divide="ignore"):
-            share = (here - least) / (here - np.where(np.isnan(there), 0.0, there))
-        place = z[inside][k] + share * (z[beyond][k] - z[inside][k])
-        whole = ~above[..., 0] if end == 0 else ~above[..., -1]  # else the mesh ends inside
-        out[..., end] = np.where(crosses.any(-1) & whole, place, np.nan)
-    return out
+    crosses = above[..., 1:] & ~above[..., :-1]
+    k = crosses.argmax(-1)
+    value_below = np.take_along_axis(values[..., :-1], k[..., None], -1)[..., 0]
+    value_above = np.take_along_axis(values[..., 1:], k[..., None], -1)[..., 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        drop = value_above - np.where(np.isnan(value_below), 0.0, value_below)
+        share = (value_above - least) / drop
+    place = z[1:][k] + share * (z[:-1][k] - z[1:][k])
+    starts_below = ~above[..., 0]  # else the mesh ends inside the flow
+    return np.where(crosses.any(-1) & starts_below, place, np.nan)
 
 
 def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
@@ -134,15 +133,16 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Parameters
     ----------
     surface : xarray.Dataset or DataArray
-        From `free_surface`, or its ``height``: select the part to fit first, ``surface.sel(x=slice(0.02, 0.1))``. Nodes
-        without a surface are left out.
+        From `free_surface`, or its ``height``: select the part to fit first,
+        ``surface.sel(x=slice(0.02, 0.1))``. Nodes without a surface are left out.
 
     Returns
     -------
     xarray.Dataset
-        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level (degrees); and their
-        standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
-        for each support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
+        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level
+        (degrees); and their standard errors ``slope_error`` and ``angle_error``, from the scatter
+        about the fit with one independent node for each support of the kernel (by the attribute
+        ``cutoff``). NaN for fewer nodes than the fit takes.
 
     Raises
     ------
@@ -164,25 +164,24 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     axes = [a for a in COMPONENTS if a in height.dims]
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
-    places = np.stack(
-        [c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1
-    )
+    grids = np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")
+    places = np.stack([grid.ravel() for grid in grids], axis=1)
     support = 2 * float(np.max(height.attrs.get("cutoff", surface.attrs.get("cutoff", 0.0))))
-    steps = [
-        float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes
-    ]
-    shared = float(np.prod([max(1.0, support / step) for step in steps]))
-    dims = dict.fromkeys(axes, -1)
-    found = xr.apply_ufunc(
-        partial(_fitted, places=places, shared=shared),
-        height.chunk(dims) if height.chunks else height,
+    nodes_a_support = 1.0
+    for a in axes:
+        if height.sizes[a] > 1:
+            spacing = float(abs(height[a][1] - height[a][0]))
+            nodes_a_support *= max(1.0, support / spacing)
+    count = len(axes)
+    fit = xr.apply_ufunc(
+        partial(_fitted, places=places, shared=nodes_a_support),
+        height.chunk(dict.fromkeys(axes, -1)) if height.chunks else height,
         input_core_dims=[axes],
         output_core_dims=[["number"]],
         dask="parallelized",
         output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"number": 2 * len(axes) + 2}},
+        dask_gufunc_kwargs={"output_sizes": {"number": 2 * count + 2}},
     )
-    count = len(axes)
     parts: dict[str, tuple[int | slice, str, str]] = {
         "slope": (slice(count), "1", "slope of the surface"),
         "slope_error": (slice(count, 2 * count), "1", "standard error of the slope"),
@@ -190,37 +189,43 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         "angle_error": (-1, "degree", "standard error of the angle"),
     }
     data = {
-        name: found.isel(number=k).assign_attrs(units=u, long_name=text)
-        for name, (k, u, text) in parts.items()
+        name: fit.isel(number=numbers).assign_attrs(units=units, long_name=text)
+        for name, (numbers, units, text) in parts.items()
     }
     return xr.Dataset(data).rename(number="component").assign_coords(component=axes)
 
 
 def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
-    """Slopes, their errors, the angle and its error (..., 2 k + 2) of heights (..., nodes along k axes)."""
+    """Fit planes to heights (..., nodes along k axes) at places (nodes, k).
+
+    Returns
+    -------
+    array (..., 2 k + 2)
+        Slopes, their errors, the angle and its error (degrees). Errors are those of independent
+        nodes, with `shared` nodes for one of them.
+    """
     count = places.shape[1]
-    values = height.reshape(*height.shape[: height.ndim - count], -1)
-    out = np.full((*values.shape[:-1], 2 * count + 2), np.nan)
-    for at in np.ndindex(values.shape[:-1]):
-        known = np.isfinite(values[at])
-        matrix = np.column_stack([np.ones(known.sum()), places[known] - places[known].mean(axis=0)])
+    heights = height.reshape(*height.shape[: height.ndim - count], -1)
+    out = np.full((*heights.shape[:-1], 2 * count + 2), np.nan)
+    for at in np.ndindex(heights.shape[:-1]):
+        known = np.isfinite(heights[at])
+        x = places[known]
+        z = heights[at][known]
+        matrix = np.column_stack([np.ones(known.sum()), x - x.mean(axis=0)])
         if len(matrix) < count + 1 or np.linalg.matrix_rank(matrix) < count + 1:
             continue
-        slope, left = (
-            np.linalg.lstsq(matrix, values[at][known], rcond=None)[0],
-            len(matrix) - count - 1,
-        )
-        rest = values[at][known] - matrix @ slope
-        variance = shared * (rest @ rest) / left if left else np.nan
+        coefficients = np.linalg.lstsq(matrix, z, rcond=None)[0]
+        residual = z - matrix @ coefficients
+        freedom = len(matrix) - count - 1
+        variance = shared * (residual @ residual) / freedom if freedom else np.nan
         covariance = variance * np.linalg.inv(matrix.T @ matrix)[1:, 1:]
-        steep = np.linalg.norm(slope[1:])
-        along = slope[1:] / steep if steep else np.zeros(count)
-        angle_error = np.sqrt(along @ covariance @ along) / (1 + steep**2)
-        out[at] = (
-            *slope[1:],
-            *np.sqrt(np.diag(covariance)),
-            *np.degrees([np.arctan(steep), angle_error]),
-        )
+        slope = coefficients[1:]
+        steepness = np.linalg.norm(slope)
+        along = slope / steepness if steepness else np.zeros(count)
+        angle_error = np.sqrt(along @ covariance @ along) / (1 + steepness**2)
+        slope_error = np.sqrt(np.diag(covariance))
+        angle = np.degrees([np.arctan(steepness), angle_error])
+        out[at] = np.concatenate([slope, slope_error, angle])
     return out
 
 
@@ -237,11 +242,13 @@ def depth_average(
     extent: Mapping[str, float] | None = None,
     on_error: OnError = "raise",
 ) -> xr.Dataset:
-    """Integrate fields over the depth of a flow: what models of avalanches are made of; lazy where the scene is.
+    """Integrate fields over the depth of a flow, as depth-averaged models of avalanches need them.
 
-    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral is a sum over nodes
-    a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity u along the axis: it gives the shape
-    factor ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u.
+    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). One integral
+    is a sum over nodes a quarter of the width apart, ``int rho u u dz`` with the smoothed velocity
+    u along the axis: it gives the shape factor
+    ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, and refers the stress to u. Lazy
+    where the scene is.
 
     Parameters
     ----------
@@ -257,14 +264,15 @@ def depth_average(
     Returns
     -------
     xarray.Dataset
-        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the height of the grains
-        without voids; ``momentum_per_area`` (component, kg/m/s); ``depth_averaged_velocity`` (component, m/s), their
-        ratio; ``shape_factor`` (component), 1 for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with
-        contact forces also ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
-        (component), its normal stresses over that across the base, and ``basal_traction`` (component, Pa), the force of
-        walls on the grains per area of the base: contacts with walls and with frozen grains (``frozen=`` of
-        `xcg.open_scene`), so zero where a scene has neither. Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177;
-        Bouchut & Westdickenberg (2004).
+        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the
+        height of the grains without voids; ``momentum_per_area`` (component, kg/m/s);
+        ``depth_averaged_velocity`` (component, m/s), their ratio; ``shape_factor`` (component), 1
+        for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with contact forces also
+        ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
+        (component), its normal stresses over that across the base, and ``basal_traction``
+        (component, Pa), the force of walls on the grains per area of the base: contacts with walls
+        and with frozen grains (``frozen=`` of `xcg.open_scene`), so zero where a scene has neither.
+        Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177; Bouchut & Westdickenberg (2004).
 
     Raises
     ------
@@ -287,71 +295,74 @@ def depth_average(
         raise ValueError(f"axis={axis!r}: expected one of the scene's axes {plane!r}")
     if axis in scene.setup.periodic:
         raise SceneError(
-            f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth along it"
+            f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth "
+            "along it"
         )
-    axes = "".join(a for a in plane if a != axis) if axes is None else axes
+    if axes is None:
+        axes = "".join(a for a in plane if a != axis)
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
-    given = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
-    further = {"spacing": spacing, "bounds": bounds, "extent": extent}
-    call = format_call(
-        "depth_average",
-        given | {name: value for name, value in further.items() if value is not None},
-    )
+    arguments: dict[str, Any] = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
+    optional = {"spacing": spacing, "bounds": bounds, "extent": extent}
+    arguments |= {name: value for name, value in optional.items() if value is not None}
+    call = format_call("depth_average", arguments)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if spacing is not None and not is_positive(spacing):
         raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
-    apart = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))
-    shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
-    names = ["density", "momentum_density", "volume_fraction"]
-    forces = "contact_force" in scene.columns
-    names += ["stress", "wall_traction"] if forces else []
+    steps = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))
     lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
+    shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
+
+    # integrals of sums, by the kernel's marginal
+    has_forces = "contact_force" in scene.columns
+    names = ["density", "momentum_density", "volume_fraction"]
+    if has_forces:
+        names += ["stress", "wall_traction"]
     sums = coarse_grain(
-        ds, names, axes=axes, spacing=apart or None, extent=lengths | {axis: 1.0}, **shared
+        ds, names, axes=axes, spacing=steps or None, extent=lengths | {axis: 1.0}, **shared
     )
-    order = "".join(a for a in plane if a in axes + axis)
-    along = {**apart, axis: 0.25 * smooth.width}
-    u = coarse_grain(ds, names[:2], axes=order, spacing=along, extent=lengths or None, **shared)
-    transport = _transport(u).integrate(axis)
-    mass, momentum = sums["density"], sums["momentum_density"]
+
+    # the integral of rho u u, over nodes along the axis
+    profile = coarse_grain(
+        ds,
+        ["density", "momentum_density"],
+        axes="".join(a for a in plane if a in axes + axis),
+        spacing=steps | {axis: 0.25 * smooth.width},
+        extent=lengths or None,
+        **shared,
+    )
+    transport = _transport(profile).integrate(axis)
+
+    mass = sums["density"]
+    momentum = sums["momentum_density"]
+    velocity = momentum / mass.where(mass > 0)
     shape = _diagonal(transport) * mass / (momentum**2).where(momentum != 0)
-    found = {
+    rows = {
         "mass_per_area": (mass, "kg m^-2", "mass per area"),
         "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
         "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
-        "depth_averaged_velocity": (
-            momentum / mass.where(mass > 0),
-            "m s^-1",
-            "depth-averaged velocity",
-        ),
+        "depth_averaged_velocity": (velocity, "m s^-1", "depth-averaged velocity"),
         "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
-    if forces:
+    if has_forces:
         # the kinetic stress of the column is about its mean velocity, that of the flow about u
         stress = sums["stress"] + _transport(sums) - transport
         normal = _diagonal(stress)
         across = normal.sel(component=axis, drop=True)
         pressure = normal / across.where(across != 0)
-        found |= {
+        traction = sums["wall_traction"]
+        rows |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
             "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
-            "basal_traction": (
-                sums["wall_traction"],
-                "Pa",
-                "force of walls on the grains per area",
-            ),
+            "basal_traction": (traction, "Pa", "force of walls on the grains per area"),
         }
-    system = scene.setup.unit_system
-    data = {
-        name: values.drop_attrs(deep=False).assign_attrs(
-            units=units_in(units, system), long_name=text
-        )
-        for name, (values, units, text) in found.items()
-    }
-    return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(
-        provenance(ds, call), depth_axis=axis
-    )
+    data = {}
+    for name, (values, units, text) in rows.items():
+        data[name] = values.drop_attrs(deep=False)
+        data[name].attrs["units"] = units_in(units, scene.setup.unit_system)
+        data[name].attrs["long_name"] = text
+    result = with_time(xr.Dataset(data, attrs=sums.attrs))
+    return result.assign_attrs(provenance(ds, call), depth_axis=axis)
 
 
 def _transport(f: xr.Dataset) -> xr.DataArray:

@@ -1,4 +1,4 @@
-"""Fields at surfaces: the flow through planes, cylinders and triangles, and the traction of grains on walls."""
+"""Fields at surfaces: flow through planes, cylinders and triangles, traction of grains on walls."""
 
 from __future__ import annotations
 
@@ -49,22 +49,24 @@ def flow_rate(
     groups: Sequence[int] | None = None,
     on_error: OnError = "raise",
 ) -> xr.Dataset:
-    """Rate at which mass, number, volume, momentum or energy crosses a surface; lazy where the scene is.
+    """Compute the rate at which mass, number, volume, momentum or energy crosses a surface.
 
-    ``Q = int sum_i m_i v_i Psi(r - r_i) . n dA`` over the surface, positive along its normal n; with 1, V_i, m_i v_i or
-    the energy in place of m_i. Momentum takes the contact stress along, ``int sigma^c . n dA``, and energy the work of
-    contacts, where the scene has contact forces. It is defined in each step, and its integral over time is what
-    crossed, up to what the kernel holds on both sides.
+    ``Q = int sum_i m_i v_i Psi(r - r_i) . n dA`` over the surface, positive along its normal n;
+    with 1, V_i, m_i v_i or the energy in place of m_i. Momentum takes the contact stress along,
+    ``int sigma^c . n dA``, and energy the work of contacts, where the scene has contact forces. It
+    is defined in each step, and its integral over time is what crossed, up to what the kernel holds
+    on both sides. Lazy where the scene is.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene.
     surface : Plane, Cylinder or Surface
-        A plane without `bounds` is taken whole, exactly: ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the
-        kernel's marginal along n, along periodic axes over one period. Planes with `bounds`, the side of a cylinder
-        between `low` and `high` and triangles are sums over points, see `spacing`. In a scene of one layer, planes and
-        cylinders across it count within its thickness.
+        A plane without `bounds` is taken whole, exactly:
+        ``sum_i m_i (v_i . n) psi_1((r_i - r_0) . n)``, psi_1 the kernel's marginal along n, along
+        periodic axes over one period. Planes with `bounds`, the side of a cylinder between `low`
+        and `high` and triangles are sums over points, see `spacing`. In a scene of one layer,
+        planes and cylinders across it count within its thickness.
     of : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
@@ -72,8 +74,8 @@ def flow_rate(
     kernel : str or Kernel
         As in `coarse_grain`.
     spacing : float, optional
-        Distance of the points on a part of a plane, a cylinder or triangles (m), a quarter of the width by default: the
-        rate is then right to 1e-3 of that through the support of one grain.
+        Distance of the points on a part of a plane, a cylinder or triangles (m), a quarter of the
+        width by default: the rate is then right to 1e-3 of that through the support of one grain.
     by, groups
         As in `coarse_grain`: adds the dimension ``phase``.
     on_error : {"raise", "skip"}
@@ -82,15 +84,17 @@ def flow_rate(
     Returns
     -------
     xarray.Dataset
-        ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s), ``momentum_flow_rate``
-        (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase). Without contact forces
-        the last two are carried by the particles alone, without angular velocities energy is without rotation, and
-        their attribute ``comment`` says so.
+        ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s),
+        ``momentum_flow_rate`` (component, N) and ``energy_flow_rate`` (W), those asked for; (time)
+        or (time, phase). Without contact forces the last two are carried by the particles alone,
+        without angular velocities energy is without rotation, and their attribute ``comment`` says
+        so.
 
     Raises
     ------
     SceneError
-        If the scene lacks velocities or what is asked for, or a plane does not close in a periodic box.
+        If the scene lacks velocities or what is asked for, or a plane does not close in a periodic
+        box.
     ValueError
         If an argument is wrong.
 
@@ -103,33 +107,30 @@ def flow_rate(
     """
     if not isinstance(surface, Wall):
         raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
-    wanted: list[Any] = [of] if isinstance(of, str) else list(of)
-    for one in wanted:
-        if one not in get_args(Flow):
-            raise ValueError(unknown("flow", one, get_args(Flow)))
+    flows: list[Any] = [of] if isinstance(of, str) else list(of)
+    for flow in flows:
+        if flow not in get_args(Flow):
+            raise ValueError(unknown("flow", flow, get_args(Flow)))
     call = format_call(
         "flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by}
     )
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
-    if "momentum" in wanted:
-        other = ds["velocity"].rename(component="direction")
-        ds = ds.assign(
-            velocity_squared=(ds["velocity"] * other).assign_attrs(units=units_in("m^2 s^-2", "SI"))
-        )
-    fields = [field for one in wanted for field in _fields(one, scene)]
+    if "momentum" in flows:
+        squared = ds["velocity"] * ds["velocity"].rename(component="direction")
+        squared.attrs["units"] = units_in("m^2 s^-2", "SI")
+        ds = ds.assign(velocity_squared=squared)
+    fields = [field for flow in flows for field in _fields(flow, scene)]
     shared = {"kernel": smooth, "by": by, "groups": groups, "on_error": on_error}
     if isinstance(surface, Plane) and surface.bounds is None:
         flux = _through_plane(ds, scene, surface, fields, shared)
     else:
-        flux = _through_points(
-            ds, scene, surface, fields, shared, smooth.width * _FINE if spacing is None else spacing
-        )
-    found = {f"{one}_flow_rate": _rate(flux, one, scene) for one in wanted}
-    result = xr.Dataset(found).drop_vars(
-        [*COMPONENTS, "direction", SETUP], errors="ignore"
-    )  # where the plane is, and the options of fields
+        spacing = smooth.width * _FINE if spacing is None else spacing
+        flux = _through_points(ds, scene, surface, fields, shared, spacing)
+    result = xr.Dataset({f"{flow}_flow_rate": _rate(flux, flow, scene) for flow in flows})
+    # the place of the plane, and the options of fields
+    result = result.drop_vars([*COMPONENTS, "direction", SETUP], errors="ignore")
     return result.assign_attrs(
         provenance(ds, call),
         kernel=smooth.name,
@@ -141,84 +142,82 @@ def flow_rate(
 
 def _fields(flow: Flow, scene: Description) -> list[str | Sum]:
     """Densities of the flux of a quantity, whose last axis is that of the surface's normal."""
+    has_forces = "contact_force" in scene.columns
     if flow == "momentum":
-        contacts = ["contact_stress"] if "contact_force" in scene.columns else []
-        return [Sum("velocity_squared", "mass", "momentum_transport"), *contacts]
+        transport = Sum("velocity_squared", "mass", "momentum_transport")
+        return [transport, "contact_stress"] if has_forces else [transport]
     if flow == "energy":
-        return [
-            "kinetic_energy_flux",
-            *(["contact_energy_flux"] if "contact_force" in scene.columns else []),
-        ]
+        return ["kinetic_energy_flux", *(["contact_energy_flux"] if has_forces else [])]
     return [Sum("velocity", flow, f"{flow}_transport")]
 
 
 def _rate(flux: xr.Dataset, flow: Flow, scene: Description) -> xr.DataArray:
-    """Sum what the flow of a quantity consists of, and label it."""
-    parts = [
-        flux[field if isinstance(field, str) else field.name] for field in _fields(flow, scene)
-    ]
-    found = sum(parts[1:], start=parts[0]).drop_attrs(deep=False)
-    found.attrs = {"units": units_in(_UNITS[flow], scene.setup.unit_system)}
-    found.attrs["long_name"] = f"flow rate of {flow} along the normal"
-    alone = flow in ("momentum", "energy") and "contact_force" not in scene.columns
-    comments = ["carried by particles alone, as the scene holds no contact forces"] * alone
-    if flow == "energy" and (lacking := [name for name in ROTATION if name not in scene.columns]):
-        comments.append(f"without rotation, as the scene holds no {' and no '.join(lacking)}")
-    return found.assign_attrs({"comment": "; ".join(comments)} if comments else {})
+    """Add up the parts of a flow, and label their sum."""
+    names = [field if isinstance(field, str) else field.name for field in _fields(flow, scene)]
+    rate = sum((flux[name] for name in names[1:]), start=flux[names[0]]).drop_attrs(deep=False)
+    rate.attrs["units"] = units_in(_UNITS[flow], scene.setup.unit_system)
+    rate.attrs["long_name"] = f"flow rate of {flow} along the normal"
+    comments = []
+    if flow in ("momentum", "energy") and "contact_force" not in scene.columns:
+        comments.append("carried by particles alone, as the scene holds no contact forces")
+    missing = [name for name in ROTATION if name not in scene.columns]
+    if flow == "energy" and missing:
+        comments.append(f"without rotation, as the scene holds no {' and no '.join(missing)}")
+    if comments:
+        rate.attrs["comment"] = "; ".join(comments)
+    return rate
 
 
 def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
-    """Parts of vectors and tensors along a normal (..., 3), which is that of their last axis."""
-    found = {}
+    """Contract the last axis of vectors and tensors with a normal, (3,) or (places, 3)."""
+    contracted = {}
     for name, values in flux.data_vars.items():
         dim = "direction" if "direction" in values.dims else "component"
         dims = ("place", dim) if normal.ndim == 2 else (dim,)
-        found[name] = (values * xr.Variable(dims, normal)).sum(dim, skipna=False)
-    return xr.Dataset(found, flux.drop_dims("direction", errors="ignore").coords)
+        contracted[name] = (values * xr.Variable(dims, normal)).sum(dim, skipna=False)
+    return xr.Dataset(contracted, flux.drop_dims("direction", errors="ignore").coords)
 
 
 def _depth(scene: Description) -> float:
     """Thickness of a scene of one layer (m), 1 in three dimensions: fields are per volume."""
     depth = scene.layer_depth
-    return (
-        scene.edges[depth][1] - scene.edges[depth][0]
-        if isinstance(depth, str)
-        else 1.0
-        if depth is None
-        else depth
-    )
+    if depth is None:
+        return 1.0
+    if isinstance(depth, str):
+        low, high = scene.edges[depth]
+        return high - low
+    return depth
 
 
 def _through_plane(
     ds: xr.Dataset, scene: Description, surface: Plane, fields: list[Any], shared: dict[str, Any]
 ) -> xr.Dataset:
-    """Integrals over a whole plane, by the marginal of the kernel: averages times their extents of 1 m."""
+    """Integrate over a whole plane by the marginal of the kernel: averages over extents of 1 m."""
     normal = surface.normals_at(np.zeros((1, 3)))[0]
-    k, plane, turn = axis_of(normal), scene.setup.plane, np.eye(3)
+    k = axis_of(normal)
+    plane = scene.setup.plane
     if k is not None:
-        at, options = {COMPONENTS[k]: float(surface.point[k])}, dict[str, Any]()
-    else:
-        across = [a for a in COMPONENTS if a not in plane]
-        along = "z" if not across else plane[0]
-        frame = Rotated(
-            **{
-                along: normal.tolist(),
-                **{a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in across},
-            },
-            origin=surface.point,
-        )
-        at, options, turn = {along: 0.0}, {"frame": frame}, np.asarray(frame.axes)
-    extent = {a: 1.0 for a in plane if a not in at}
-    flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **options, **shared) * _depth(
-        scene
-    )
-    flux = _across(flux, turn @ normal)  # the normal in the axes of the fields
-    if k is None and "momentum_transport" in flux:  # back to the axes of the scene
-        back = xr.DataArray(turn, dims=("component", "own"))
-        for name in {"momentum_transport", "contact_stress"} & {*map(str, flux.data_vars)}:
-            turned = xr.dot(flux[name].drop_vars("component"), back, dim="component").rename(
-                own="component"
-            )
+        at = {COMPONENTS[k]: float(surface.point[k])}
+        extent = {a: 1.0 for a in plane if a not in at}
+        flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **shared) * _depth(scene)
+        return _across(flux, normal)
+    # rotated axes: one is the normal, and the axis across a scene of one layer stays
+    axes = {a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in COMPONENTS if a not in plane}
+    along = plane[0] if axes else "z"
+    axes[along] = normal.tolist()
+    frame = Rotated(**axes, origin=surface.point)
+    rotation = np.asarray(frame.axes)
+    extent = {a: 1.0 for a in plane if a != along}
+    flux = coarse_grain(
+        ds, fields, axes="", at={along: 0.0}, extent=extent, frame=frame, **shared
+    ) * _depth(scene)
+    flux = _across(flux, rotation @ normal)
+    # momentum back to the axes of the scene
+    back = xr.DataArray(rotation, dims=("component", "of_scene"))
+    for name in ("momentum_transport", "contact_stress"):
+        if name in flux:
+            turned = xr.dot(flux[name].drop_vars("component"), back, dim="component")
+            turned = turned.rename(of_scene="component")
             flux = flux.assign({name: turned.assign_coords(component=list(COMPONENTS))})
     return flux
 
@@ -234,47 +233,50 @@ def _through_points(
     """Sum over points of the surface, each with its share of the area."""
     centre, area = _points(surface, scene, spacing)
     at = {a: xr.DataArray(centre[:, COMPONENTS.index(a)], dims="place") for a in scene.setup.plane}
-    flux = coarse_grain(ds, fields, at=at, **shared)
-    found = _across(flux, surface.normals_at(centre)) * xr.Variable("place", area)
-    return found.sum("place", skipna=False)
+    flux = _across(coarse_grain(ds, fields, at=at, **shared), surface.normals_at(centre))
+    return (flux * xr.Variable("place", area)).sum("place", skipna=False)
 
 
 def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray, NDArray]:
-    """Centres (n, 3) and areas (n,) of small cells of a surface; of triangles that are divided until they are small."""
-    if not isinstance(surface, Surface):
-        lower, upper = np.array(
-            scene.corners if scene.corners is not None else np.full((2, 3), np.nan)
-        )
-        inside, layer = 1.0, scene.layer
-        if layer is not None:  # fields are the same all across it
-            k, lower[k], upper[k] = layer
+    """Centres (n, 3) and areas (n,) of small cells of a surface."""
+    if isinstance(surface, Surface):
+        return _parts_of_triangles(surface, spacing)
+    corners = np.full((2, 3), np.nan) if scene.corners is None else np.array(scene.corners)
+    lower, upper = corners
+    layer = scene.layer
+    if layer is None:
         cells = surface.cells(lower, upper, spacing)
-        if layer is not None:
-            ends = np.sort(
-                surface.coordinates(np.where(np.arange(3) == k, [lower, upper], lower)), axis=0
-            )
-            for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
-                if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
-                    inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
-        return cells.centre, cells.area * inside
+        return cells.centre, cells.area
+    # fields are the same all across a layer, so that only the part of the surface inside counts
+    k, lower[k], upper[k] = layer
+    cells = surface.cells(lower, upper, spacing)
+    faces = np.where(np.arange(3) == k, corners, lower)
+    ends = np.sort(surface.coordinates(faces), axis=0)
+    inside = 1.0
+    for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
+        if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
+            inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
+    return cells.centre, cells.area * inside
+
+
+def _parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDArray]:
+    """Centres (n, 3) and areas (n,) of equal parts of triangles, no wider than `spacing`."""
     centres, areas = [], []
     for a, b, c in surface.corners:
-        longest = max(np.linalg.norm(one - other) for one, other in ((a, b), (b, c), (c, a)))
+        longest = max(np.linalg.norm(edge) for edge in (b - a, c - b, a - c))
         count = max(1, int(np.ceil(longest / spacing)))
-        i, j = (m.ravel() for m in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
-        upright, turned = i + j < count, i + j < count - 1
-        share = (
-            np.concatenate(
-                [np.stack([i, j], 1)[upright] + 1 / 3, np.stack([i, j], 1)[turned] + 2 / 3]
-            )
-            / count
-        )
+        grid = np.stack(np.meshgrid(np.arange(count), np.arange(count), indexing="ij"), axis=-1)
+        grid = grid.reshape(-1, 2)
+        upright = grid.sum(axis=1) < count
+        turned = grid.sum(axis=1) < count - 1
+        share = np.concatenate([grid[upright] + 1 / 3, grid[turned] + 2 / 3]) / count
         centres.append(a + share[:, :1] * (b - a) + share[:, 1:] * (c - a))
-        areas.append(np.full(len(share), 0.5 * np.linalg.norm(np.cross(b - a, c - a)) / count**2))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a)) / count**2
+        areas.append(np.full(len(share), area))
     return np.concatenate(centres), np.concatenate(areas)
 
 
-# --- traction on walls -----------------------------------------------------------------------------------
+# --- traction on walls ----------------------------------------------------------------------------
 
 
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
@@ -306,10 +308,10 @@ def wall_stress(
     """Traction of the grains on a wall, as a field on its surface; lazy where the scene is.
 
     The force of each contact with a wall is smeared over the cells of the surface by the kernel,
-    ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells at x_k of area A_k,
-    distances through space, in a scene of one layer within its plane. Weights of a contact add up to one, also at the
-    rim, so that the sum of traction times area is the sum of the forces. Where a cell is larger than the support, the
-    nearest one takes the whole force.
+    ``t_k = sum_c w_ck F_c / A_k`` with ``w_ck = Psi(x_k - c) A_k / sum_l Psi(x_l - c) A_l``: cells
+    at x_k of area A_k, distances through space, in a scene of one layer within its plane. Weights
+    of a contact add up to one, also at the rim, so that the sum of traction times area is the sum
+    of the forces. Where a cell is larger than the support, the nearest one takes the whole force.
 
     Parameters
     ----------
@@ -320,32 +322,37 @@ def wall_stress(
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
     walls : str, int or list of these, optional
-        Walls whose contacts are taken, by name or number, see `select_walls`; by default all, frozen grains among them.
-        At edges, where contacts with one wall are near another, say which.
+        Walls whose contacts are taken, by name or number, see `select_walls`; by default all,
+        frozen grains among them. At edges, where contacts with one wall are near another, say
+        which.
     kernel : str or Kernel
         As in `coarse_grain`.
     spacing : float, optional
-        Size of the cells of a plane or cylinder (m), half the width by default. A `Surface` has its triangles.
+        Size of the cells of a plane or cylinder (m), half the width by default. A `Surface` has its
+        triangles.
     within : float, optional
-        Distance of contact points from the surface up to which they are taken (m), the width by default.
+        Distance of contact points from the surface up to which they are taken (m), the width by
+        default.
     on_error : {"raise", "skip"}
         As in `coarse_grain`.
 
     Returns
     -------
     xarray.Dataset
-        On the cells, (time, theta, z) of a cylinder, (time, x, y) or (time, u, v) of a plane, (time, triangle) of a
-        surface, in Pa:
+        On the cells, (time, theta, z) of a cylinder, (time, x, y) or (time, u, v) of a plane,
+        (time, triangle) of a surface, in Pa:
 
-        - ``normal_traction``, the force of the grains on the wall against its normal: positive in compression,
-        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's axes: the axes of the
-          cells, or x, y, z of a surface,
+        - ``normal_traction``, the force of the grains on the wall against its normal: positive in
+          compression,
+        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's
+          axes: the axes of the cells, or x, y, z of a surface,
         - ``traction`` (..., component), the force of the grains on the wall.
 
-        Of each step: ``wall_force`` (component), the sum of the forces that were taken (N), and ``wall_contacts``,
-        their number. ``area`` is a coordinate. Parts across and along the wall are taken where the grain touches,
-        before smearing, so each of the three adds up to its own sum of forces; on curved walls they differ from parts
-        of ``traction`` by the turn of the normal within the support, (w / R)^2.
+        Of each step: ``wall_force`` (component), the sum of the forces that were taken (N), and
+        ``wall_contacts``, their number. ``area`` is a coordinate. Parts across and along the wall
+        are taken where the grain touches, before smearing, so each of the three adds up to its own
+        sum of forces; on curved walls they differ from parts of ``traction`` by the turn of the
+        normal within the support, (w / R)^2.
 
     Raises
     ------
@@ -376,10 +383,10 @@ def wall_stress(
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
             raise ValueError(f"{name}={value!r}: expected a positive length (m)")
-    cells = surface.cells(
-        *_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing)
-    )
-    task = _Task(surface, cells, smooth, smooth.width if within is None else float(within), setup)
+    low, high = _box_of_grains(scene)
+    cells = surface.cells(low, high, smooth.width / 2 if spacing is None else float(spacing))
+    reach = smooth.width if within is None else float(within)
+    task = _Task(surface, cells, smooth, reach, setup)
     nodes = tuple(cells.coords)
     rows = {
         "normal_traction": Variable(
@@ -392,20 +399,15 @@ def wall_stress(
         "wall_force": Variable(("component",), "N", "force of the grains on the wall"),
         "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
     }
-    results = results_of(
-        rows, dict(zip(nodes, cells.shape, strict=True)) | {"along": len(cells.axes)}
-    )
-    names = [
-        "particle_id",
-        "position",
-        *_NEEDS,
-        *(n for n in ("diameter", "frozen", *OF_STEP) if n in ds),
-    ]
-    found = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
+    sizes = {**dict(zip(nodes, cells.shape, strict=True)), "along": len(cells.axes)}
+    results = results_of(rows, sizes)
+    optional = [name for name in ("diameter", "frozen", *OF_STEP) if name in ds]
+    names = ["particle_id", "position", *_NEEDS, *optional]
+    arrays = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
     result = label(
         ds,
         rows,
-        found,
+        arrays,
         call,
         kernel=smooth.name,
         width=smooth.width,
@@ -413,25 +415,25 @@ def wall_stress(
         surface=repr(surface),
     )
     for values in result.data_vars.values():
-        values.attrs["source"] = (
-            "contact_force"  # sums over contacts, which averages take as they are
-        )
+        # sums over contacts, which averages take as they are
+        values.attrs["source"] = "contact_force"
     return storable(result.assign_coords(_coordinates(cells, setup.unit_system)))
 
 
 def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
-    """Corners of what the grains fill: period or layer where there is one, else the centres with half a diameter."""
-    edges = scene.edges
-    low, high = (np.array([edges.get(a, (0.0, 0.0))[k] for a in COMPONENTS]) for k in (0, 1))
-    if scene.corners is not None:
+    """Lowest and highest corners (3,) of the grains, or of the period or layer along its axes."""
+    if scene.corners is None:
+        low, high = np.array([scene.edges.get(a, (0.0, 0.0)) for a in COMPONENTS]).T
+    else:
         low, high = map(np.array, scene.corners)
-    room = 0.5 * scene.sizes.get("dmax", 0.0)
-    low, high = low - room, high + room
+    radius = 0.5 * scene.sizes.get("dmax", 0.0)
+    low = low - radius
+    high = high + radius
     for a in scene.periods:
         k = COMPONENTS.index(a)
-        low[k], high[k] = edges[a]
-    if layer := scene.layer:
-        k, low[k], high[k] = layer
+        low[k], high[k] = scene.edges[a]
+    if scene.layer is not None:
+        k, low[k], high[k] = scene.layer
     return low, high
 
 
@@ -451,7 +453,8 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
         )
     normal, along = task.surface.in_surface(point, force)
     smeared = _smear(task, point, np.column_stack([-normal, along, force]), lattice)
-    shape, axes = task.cells.shape, len(task.cells.axes)
+    shape = task.cells.shape
+    axes = len(task.cells.axes)
     return {
         "normal_traction": smeared[:, 0].reshape(shape),
         "shear_traction": smeared[:, 1 : 1 + axes].reshape(*shape, axes),
@@ -464,30 +467,33 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
 def _over_surface(
     task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str
 ) -> tuple[NDArray, ...]:
-    """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
+    """Return points and forces of contacts near the cells, as the images nearest to the surface."""
     if not len(point):
         return point, force
-    images = _images(lattice, 1)
-    places = (point + images[:, None]).reshape(-1, 3)
-    apart = np.abs(task.surface.distance(places)).reshape(len(images), -1)
-    distance = np.where(task.surface.covers(places, task.cells).reshape(apart.shape), apart, np.inf)
-    image, near = np.argmin(distance, axis=0), distance.min(axis=0) <= task.within
-    lost = ~near & (apart <= task.within).any(axis=0)
-    if lost.any() and all(
-        getattr(task.surface, end, None) is None for end in ("bounds", "low", "high")
-    ):
-        dims = [*task.cells.coords][-len(task.cells.bounds) :]
-        for a, x, (low, high) in zip(
-            dims, task.surface.coordinates(point[lost]).T, task.cells.bounds, strict=True
-        ):
+    surface = task.surface
+    cells = task.cells
+    shifts = _shifts(lattice, 1)
+    images = (point + shifts[:, None]).reshape(-1, 3)
+    apart = np.abs(surface.distance(images)).reshape(len(shifts), -1)
+    distance = np.where(surface.covers(images, cells).reshape(apart.shape), apart, np.inf)
+    nearest = np.argmin(distance, axis=0)
+    near = distance.min(axis=0) <= task.within
+    beyond = ~near & (apart <= task.within).any(axis=0)
+    is_bounded = any(getattr(surface, end, None) is not None for end in ("bounds", "low", "high"))
+    if beyond.any() and not is_bounded:
+        dims = [*cells.coords][-len(cells.bounds) :]
+        places = surface.coordinates(point[beyond]).T
+        for a, x, (low, high) in zip(dims, places, cells.bounds, strict=True):
             if a not in task.setup.periodic:
                 warn_beyond(a, x, low, high, source, what="contacts with the wall")
-    return (point + images[image])[near], force[near]
+    return (point + shifts[nearest])[near], force[near]
 
 
-def _images(lattice: Lattice, count: int) -> NDArray:
-    """Shifts by up to `count` periods, none first."""
-    numbers = [0.0, *(s * n for n in range(1, count + 1) for s in (-1.0, 1.0))]
+def _shifts(lattice: Lattice, count: int) -> NDArray:
+    """Return shifts (n, 3) by up to `count` periods, zero first."""
+    numbers = [0.0]
+    for n in range(1, count + 1):
+        numbers += [-float(n), float(n)]
     basis = lattice.basis
     return np.array(list(product(numbers, repeat=len(basis)))) @ basis
 
@@ -496,31 +502,29 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     """Sum over contacts weights (cells, contacts) times values (contacts, n), per area."""
     from scipy.spatial import cKDTree  # slow to import
 
-    cells, cutoff = task.cells, task.kernel.cutoff
-    seen = np.array(
-        [float(a in task.setup.plane) for a in COMPONENTS]
-    )  # the same all across a layer
+    cells = task.cells
+    cutoff = task.kernel.cutoff
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
         return out
-    shifts = _images(lattice, int(np.ceil(cutoff / lattice.closest[0])))
-    tree, trees = (
-        cKDTree(cells.centre * seen),
-        [cKDTree((point + shift) * seen) for shift in shifts],
-    )
-    pairs = [tree.sparse_distance_matrix(other, cutoff, output_type="ndarray") for other in trees]
-    cell, contact, distance = (
-        np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v")
-    )
+    in_plane = np.array([float(a in task.setup.plane) for a in COMPONENTS])  # alike across a layer
+    tree = cKDTree(cells.centre * in_plane)
+    pairs_of_shifts = []
+    for shift in _shifts(lattice, int(np.ceil(cutoff / lattice.closest[0]))):
+        images = cKDTree((point + shift) * in_plane)
+        pairs = tree.sparse_distance_matrix(images, cutoff, output_type="ndarray")
+        pairs_of_shifts.append(pairs)
+    cell = np.concatenate([pairs["i"] for pairs in pairs_of_shifts])
+    contact = np.concatenate([pairs["j"] for pairs in pairs_of_shifts])
+    distance = np.concatenate([pairs["v"] for pairs in pairs_of_shifts])
     weight = task.kernel.value(distance) * cells.area[cell]
     total = np.bincount(contact, weight, len(point))
     alone = np.flatnonzero(total <= 0)
     weight[total[contact] <= 0] = 0.0  # below zero where the kernel is
+    # the nearest cell takes the whole force of a contact without a cell in reach
     cell = np.concatenate([cell, tree.query(point[alone])[1]])
-    contact, weight = (
-        np.concatenate([contact, alone]),
-        np.concatenate([weight, np.ones(len(alone))]),
-    )
+    contact = np.concatenate([contact, alone])
+    weight = np.concatenate([weight, np.ones(len(alone))])
     total[alone] = 1.0
     np.add.at(out, cell, (weight / total[contact])[:, None] * values[contact])
     return out / cells.area[:, None]
@@ -528,13 +532,13 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
 
 def _coordinates(cells: SurfaceCells, system: str) -> dict[str, Any]:
     """Places and areas of the cells, and the axes of shear."""
-    length, area = (units_in(unit, system) for unit in ("m", "m^2"))
+    units = {"theta": "rad", "triangle": "1"}
     coords: dict[str, Any] = {}
     for dim, (values, text) in cells.coords.items():
-        unit = {"theta": "rad", "triangle": "1"}.get(dim, length)
+        unit = units.get(dim, units_in("m", system))
         coords[dim] = (dim, values, {"units": unit, "long_name": text})
-    about = {"units": area, "long_name": "area of the cell"}
+    about = {"units": units_in("m^2", system), "long_name": "area of the cell"}
     coords["area"] = (tuple(cells.coords), cells.area.reshape(cells.shape), about)
-    about = {"units": length, "long_name": "centre of the cell"}
+    about = {"units": units_in("m", system), "long_name": "centre of the cell"}
     coords["centre"] = ((*cells.coords, "component"), cells.centre.reshape(*cells.shape, 3), about)
     return coords | {"along": list(cells.axes)}

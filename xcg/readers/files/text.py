@@ -1,4 +1,4 @@
-"""Text files, plain or compressed: lines, blocks, and the bytes of one step; streams that decompress once."""
+"""Text files, plain or compressed: lines, blocks, the bytes of a step; decompressed once."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import os
 import threading
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, TypeAlias, cast
 
 from isal import igzip, isal_zlib
 
@@ -19,16 +19,15 @@ from xcg.common.messages import SceneError
 from xcg.compiled.text import BEYOND
 from xcg.readers.engine import StepRef
 
-_FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
-_LONGEST_LINE = (
-    1 << 20
-)  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
-_TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as this
+_FIRST_BLOCK = 1 << 16  # bytes; often the header is all that is wanted
+_BLOCK = 1 << 22
+# bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
+_LONGEST_LINE = 1 << 20
+_TEXT = 50  # tables of numbers shrink to a fifth, and never to a fiftieth
 _SLACK = 1 << 26  # bytes that any compressed text may have
-_MOST_BLANK = 10_000  # lines without a word between two that have some
-_SMALL = (
-    1 << 20
-)  # bytes that are no matter; rows that are missing from small files are named when they are read
+_MOST_BLANK = 10_000  # blank lines in succession
+# bytes that a header may promise too much; rows missing from small files are named on reading
+_SMALL = 1 << 20
 PIECE = 1 << 17  # bytes of text that stay in the processor's cache while they are parsed
 _BLANK = b"\n" * BEYOND
 _LONGEST_VALUE = 64  # bytes of one number and the space before it
@@ -36,7 +35,7 @@ _LONGEST_VALUE = 64  # bytes of one number and the space before it
 
 @contextmanager
 def open_binary(path: str, offset: int | None = None) -> Iterator[BinaryIO]:
-    """Open a file for reading bytes, decompressed when it is compressed (by its content, not its name).
+    """Open a file for reading bytes, decompressed if it is compressed by its content.
 
     Parameters
     ----------
@@ -50,34 +49,41 @@ def open_binary(path: str, offset: int | None = None) -> Iterator[BinaryIO]:
     """
     kind = compression(path)
     try:
-        with (
-            open(path, "rb")
-            if not kind
-            else open_compressed(path, kind)
-            if offset is None
-            else forward(path, offset)
-        ) as stream:
+        with ExitStack() as stack:
+            if not kind:
+                stream: BinaryIO = stack.enter_context(open(path, "rb"))
+            elif offset is None:
+                stream = stack.enter_context(open_compressed(path, kind))
+            else:
+                stream = stack.enter_context(forward(path, offset))
             if offset:
                 stream.seek(offset)
             yield stream
     except errors() as error:
         raise SceneError(
-            f"{path}: its compressed data are damaged or cut off ({error}); leave the file out, or write it again"
+            f"{path}: its compressed data are damaged or cut off ({error}); "
+            "leave the file out, or write it again"
         ) from None
 
 
 def most_text(path: str) -> float:
-    """Count the bytes of text that a file can hold if it is a table of numbers; more are only good to fill memory."""
+    """Return the most bytes of text in a table of numbers of this size; no limit unless compressed.
+
+    More would only fill memory.
+    """
     return os.path.getsize(path) * _TEXT + _SLACK if compression(path) else math.inf
 
 
 def check_rows(ref: StepRef, room: int | None = None) -> None:
-    """Raise SceneError for a header with more rows than its bytes can hold, before memory is allocated.
+    """Raise SceneError for a header with more rows than its bytes can hold.
+
+    It is called before memory is allocated for them.
 
     Parameters
     ----------
     room : int, optional
-        Bytes that the rows have, at most; by default all that can come out of the file after the header.
+        Bytes that the rows have, at most; by default all that can come out of the file after the
+        header.
 
     Raises
     ------
@@ -86,11 +92,13 @@ def check_rows(ref: StepRef, room: int | None = None) -> None:
     """
     if room is None:
         kind = compression(ref.path)
-        room = os.path.getsize(ref.path) * (_KINDS[kind][1] if kind else 1) - ref.offset
+        most_a_byte = _KINDS[kind][1] if kind else 1
+        room = os.path.getsize(ref.path) * most_a_byte - ref.offset
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
         raise SceneError(
-            f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} "
-            "bytes follow; the file was cut short or is damaged. Leave it out, or write it again"
+            f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, "
+            f"but only {room} bytes follow; the file was cut short or is damaged. "
+            "Leave it out, or write it again"
         )
 
 
@@ -102,24 +110,32 @@ def first_lines(path: str, size: int = 1 << 16) -> list[str]:
 
 
 class Scanner:
-    """Lines and blocks of the stream of a file, read once from front to back; more than `most_text` is refused.
+    """Lines and blocks of the stream of a file, read once from front to back.
 
-    `offset` counts the (decompressed) bytes handed out so far.
+    `offset` counts the (decompressed) bytes handed out so far. More than `most_text` raise
+    SceneError.
     """
 
     def __init__(self, stream: BinaryIO, path: str) -> None:
-        self._stream, self._name, self._most = stream, path, most_text(path)
-        self._data, self._at, self._blank, self._block = b"", 0, 0, _FIRST_BLOCK
+        self._stream = stream
+        self._name = path
+        self._most = most_text(path)
+        self._data = b""  # read from the stream
+        self._at = 0  # place in it of the next byte
+        self._blank = 0  # blank lines since the last other one
+        self._block = _FIRST_BLOCK
         self.offset = 0
 
     def _more(self) -> bool:
+        """Read a block, and return whether there was one."""
         try:
             block = self._stream.read(self._block)
         except EOFError:
             block = _up_to_the_cut(self._name, self.offset + len(self._data) - self._at)
             if not block:
                 raise
-        self._data, self._at = self._data[self._at :] + block, 0
+        self._data = self._data[self._at :] + block
+        self._at = 0
         self._block = _BLOCK
         return bool(block)
 
@@ -129,7 +145,8 @@ class Scanner:
         self.offset += len(taken)
         if self.offset > self._most:
             raise SceneError(
-                f"{self._name}: its compressed bytes stand for more than {self._most:.3g}; it is no table of numbers"
+                f"{self._name}: its compressed bytes stand for more than {self._most:.3g}; "
+                "it is no table of numbers"
             )
         return taken
 
@@ -138,32 +155,33 @@ class Scanner:
         while (end := self._data.find(b"\n", self._at)) < 0:
             if len(self._data) - self._at > _LONGEST_LINE:
                 raise SceneError(
-                    f"{self._name}: no end of a line in {_LONGEST_LINE} bytes after byte {self.offset}; it is no text"
+                    f"{self._name}: no end of a line in {_LONGEST_LINE} bytes after byte "
+                    f"{self.offset}; it is no text"
                 )
             if not self._more():
                 return self._take(len(self._data))
         self._blank = 0 if self._data[self._at : end].strip() else self._blank + 1
         if self._blank > _MOST_BLANK:
             raise SceneError(
-                f"{self._name}: more than {_MOST_BLANK} lines before byte {self.offset} are blank; the file is damaged"
+                f"{self._name}: more than {_MOST_BLANK} lines before byte {self.offset} are blank; "
+                "the file is damaged"
             )
         return self._take(end + 1)
 
     def until(self, marker: bytes) -> Iterator[bytes]:
-        """Yield, in pieces (some empty), all from the start of a line to the next that begins with `marker`."""
+        """Yield the lines before the next one that begins with `marker`, in pieces (some empty)."""
         while len(self._data) - self._at < len(marker) and self._more():
             pass
         if self._data.startswith(marker, self._at):
             return
         needle = b"\n" + marker
-        while (found := self._data.find(needle, self._at)) < 0:
-            yield self._take(
-                max(self._at, len(self._data) - len(marker))
-            )  # a marker may straddle two blocks
+        while (end := self._data.find(needle, self._at)) < 0:
+            # a marker may straddle two blocks
+            yield self._take(max(self._at, len(self._data) - len(marker)))
             if not self._more():
                 yield self._take(len(self._data))
                 return
-        yield self._take(found + 1)
+        yield self._take(end + 1)
 
     def block(self, size: int) -> bytes:
         """Return the next bytes, nothing at the end of the stream."""
@@ -191,15 +209,14 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
     Raises
     ------
     SceneError
-        If it is longer than its rows can be, as where a few compressed kilobytes expand to gigabytes, or more follows
-        it than was known.
+        If it is longer than its rows can be, as where a few compressed kilobytes expand to
+        gigabytes, or more follows it than was known.
     """
-    if ref.length < 0 or (
-        ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK
-    ):
+    most = _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK
+    if ref.length < 0 or (ref.rows and ref.length > most):
         raise SceneError(
-            f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
-            "values; the file is damaged. Leave it out, or write it again"
+            f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows "
+            f"of {len(ref.columns)} values; the file is damaged. Leave it out, or write it again"
         )
     with open_binary(ref.path, ref.offset) as stream:
         missing = ref.length
@@ -209,9 +226,9 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
             yield piece
         if ref.alone and stream.read(1):
             raise SceneError(
-                f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files "
-                "were put one after the other; give the file a name without the number of the step, and it is read "
-                "through"
+                f"{source_of(ref)}: more follows what was taken for the only step of the file, as "
+                "where gzipped files were put one after the other; give the file a name without "
+                "the number of the step, and it is read through"
             )
 
 
@@ -232,7 +249,8 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
         begun.append(piece[end:])
         if sum(map(len, begun)) > _LONGEST_LINE:
             raise SceneError(
-                f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out"
+                f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, "
+                "leave it out"
             )
     yield b"".join([*begun, _BLANK])
 
@@ -243,22 +261,23 @@ def source_of(ref: StepRef) -> str:
     return f"{path} (step {ref.step})" if ref.step >= 0 else path
 
 
-# --- compressed files ------------------------------------------------------------------------------------
+# --- compressed files -----------------------------------------------------------------------------
 #
-# Gzip and Zstandard can be read from the front only. Reading step after step would decompress the file anew up to each
-# of them, which takes a time that grows with the square of their number; a file still open at an earlier step goes on
-# from there.
+# Gzip and Zstandard can be read from the front only. Reading step after step would decompress the
+# file anew up to each of them, which takes a time that grows with the square of their number; a
+# file still open at an earlier step goes on from there.
 
 
-# the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a block of four bytes
+# the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a
+# block of four bytes
 _KINDS = {"gzip": (b"\x1f\x8b", 1032), "zstd": (b"\x28\xb5\x2f\xfd", 1 << 15)}
 ENDINGS = (".gz", ".zst")  # of the names of compressed files
 _MOST_WAITING = 8  # open files; each thread that reads a series keeps one
-_LOOKED_AT, _MOST_FOUND = 1 << 16, 1 << 24  # bytes of a file, and of what they hold
+_SAMPLE = 1 << 16  # bytes of a file that its size is estimated from
+_MOST_OF_SAMPLE = 1 << 24  # bytes that they may expand to
 _UNEVEN = 1.2  # parts of one table are compressed alike, to this factor
-_waiting: list[
-    tuple[tuple[str, int, int], BinaryIO]
-] = []  # by path, size and time of modification; last used last
+_Key: TypeAlias = tuple[str, int, int]  # path, size, time of modification
+_waiting: list[tuple[_Key, BinaryIO]] = []  # last used last
 _lock = threading.Lock()
 
 
@@ -286,43 +305,44 @@ def _zstd() -> Any:
 
 def errors() -> tuple[type[Exception], ...]:
     """Exceptions that mean damaged or cut off data."""
+    kinds: list[Any] = [EOFError, zlib.error, gzip.BadGzipFile, isal_zlib.IsalError]
     zstd = _zstd()
-    return (
-        EOFError,
-        zlib.error,
-        gzip.BadGzipFile,
-        isal_zlib.IsalError,
-        *([zstd.ZstdError] if zstd else []),
-    )
+    if zstd is not None:
+        kinds.append(zstd.ZstdError)
+    return tuple(kinds)
 
 
 def open_compressed(path: str, kind: str = "") -> BinaryIO:
-    """Open a compressed file for reading what it holds; `kind` is that of `compression`, where it is known.
+    """Open a compressed file for reading its decompressed bytes.
+
+    Parameters
+    ----------
+    kind : str
+        From `compression`, if it is known.
 
     Raises
     ------
     SceneError
-        If what unpacks it is not installed.
+        If the package that decompresses it is not installed.
     """
     if (kind or compression(path)) == "gzip":
         return cast(BinaryIO, igzip.open(path, "rb"))
     zstd = _zstd()
     if zstd is None:
         raise SceneError(
-            f"{path}: to unpack Zstandard's files, Python before 3.14 needs a package; pip install 'xcg[zstd]'"
+            f"{path}: to unpack Zstandard's files, Python before 3.14 needs a package; "
+            "pip install 'xcg[zstd]'"
         )
     return cast(BinaryIO, zstd.open(path, "rb"))
 
 
 def _up_to_the_cut(path: str, offset: int) -> bytes:
-    """Return what can be unpacked of a file that ends early, from an offset on; igzip drops it with its error."""
-    kind, pieces = compression(path), list[bytes]()
-    with (
-        gzip.open(path) if kind == "gzip" else open_compressed(path, kind) as stream,
-        suppress(EOFError),
-    ):
+    """Return the last bytes of a file that ends early, from an offset on; igzip drops them."""
+    pieces: list[bytes] = []
+    unpack: Any = gzip.open if compression(path) == "gzip" else open_compressed
+    with unpack(path) as stream, suppress(EOFError):
         stream.seek(offset)
-        while piece := cast(Any, stream).read1(PIECE):
+        while piece := stream.read1(PIECE):
             pieces.append(piece)
     return b"".join(pieces)
 
@@ -330,24 +350,27 @@ def _up_to_the_cut(path: str, offset: int) -> bytes:
 def uncompressed_size(path: str) -> int:
     """Size of what `open_binary` yields; -1 where a compressed file does not state it.
 
-    The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether there are others is seen
-    where the first one ends in what is looked at, and else from how far that was compressed.
+    The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. This is the
+    size of all if the first member ends at the end of the file, or else if the size agrees with
+    how far the first bytes are compressed.
     """
-    kind, size = compression(path), os.path.getsize(path)
+    kind = compression(path)
+    size = os.path.getsize(path)
     if kind != "gzip":
         return -1 if kind else size
     with open(path, "rb") as file:
-        head = file.read(_LOOKED_AT)
+        head = file.read(_SAMPLE)
         file.seek(max(0, size - 4))
-        told = int.from_bytes(file.read(4), "little")
+        of_last_member = int.from_bytes(file.read(4), "little")
     member = isal_zlib.decompressobj(31)
     try:
-        found = len(member.decompress(head, _MOST_FOUND))
+        expanded = len(member.decompress(head, _MOST_OF_SAMPLE))
     except errors():
         return -1
     taken = len(head) - len(member.unconsumed_tail) - len(member.unused_data)
-    whole = taken == size if member.eof else found * size <= _UNEVEN * told * taken
-    return told if whole else -1
+    agrees = expanded * size <= _UNEVEN * of_last_member * taken
+    is_only_member = taken == size if member.eof else agrees
+    return of_last_member if is_only_member else -1
 
 
 def _ended(stream: BinaryIO) -> bool:
@@ -360,7 +383,7 @@ def _ended(stream: BinaryIO) -> bool:
 
 @contextmanager
 def forward(path: str, offset: int) -> Iterator[BinaryIO]:
-    """Lend a compressed file that stands at or before an offset; if more follows, it waits for the next step."""
+    """Open a compressed file at or before an offset; keep it for the next step if more follows."""
     state = os.stat(path)
     key = (path, state.st_size, state.st_mtime_ns)
     stream = _take(key, offset) or open_compressed(path)
@@ -379,7 +402,7 @@ def forward(path: str, offset: int) -> Iterator[BinaryIO]:
         unused.close()
 
 
-def _take(key: tuple[str, int, int], offset: int) -> BinaryIO | None:
+def _take(key: _Key, offset: int) -> BinaryIO | None:
     """Return the waiting file with the largest position before an offset; or None."""
     with _lock:
         ready = [entry for entry in _waiting if entry[0] == key and entry[1].tell() <= offset]
