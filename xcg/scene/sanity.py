@@ -305,6 +305,8 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
     d, mass, volume = (
         np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume")
     )
+    if "half_axis_x" not in frame:
+        _warn_of_large_volumes(d, volume)
     if (
         len(d) < _FEW
         or np.std(d) < _VARIED * np.mean(d)
@@ -316,6 +318,18 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
             "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "
             "those of spheres: give shape='disc' and thickness="
             + (" and dimension=2" if setup.dimension == 3 else "")
+        )
+
+
+def _warn_of_large_volumes(d: NDArray, volume: NDArray) -> None:
+    """Warn where most volumes (n,) are larger than those of spheres with the diameters (n,)."""
+    over_sphere = volume / (np.pi / 6 * d**3)
+    ratio = np.median(over_sphere) if len(d) else 0.0
+    if ratio > 1 + _DIGITS:
+        warn_user(
+            f"volumes are {ratio:.4g} times those of spheres with the diameters (the median; in the first row volume "
+            f"{volume[0]:.6g} and diameter {d[0]:.6g}): a column holds radii in place of diameters or has another "
+            "unit, or grains are discs (shape='disc', thickness=). Drop the wrong column, names={'column': None}"
         )
 
 
@@ -344,8 +358,8 @@ def _is_contradicted(frame: Frame, some: slice, setup: Setup) -> bool:
     mass, volume, density, d = (
         np.asarray(frame[name][some], float) for name in ("mass", "volume", "density", "diameter")
     )
-    ratio = mass / (density * volume)
-    wrong = np.flatnonzero((np.abs(ratio - 1) > _DIGITS) & (mass > 0))
+    expected = density * volume
+    wrong = np.flatnonzero((np.abs(mass - expected) > _DIGITS * expected) & (mass > 0))
     if not wrong.size:
         return False
     row = wrong[0]

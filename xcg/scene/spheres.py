@@ -20,6 +20,9 @@ _MOST = 0.9  # share of the compared contacts that a verdict needs
 _SAME_OVERLAP = 0.25  # relative difference of two columns of overlaps, by their medians
 _UNEQUAL = 1e-3  # difference of radii, over their sum, from which the middle is another point
 _SOFT = 0.2  # largest overlap or gap, over R_i + R_j, of spheres that are taken to touch
+_ELSEWHERE = (
+    0.4  # distance from the surfaces, over the smaller radius, of points that are no contact points
+)
 _MIDDLE = 0.25  # distance to the middle, over the distance from there to the surfaces
 
 
@@ -197,6 +200,27 @@ class SphereContacts:
             "centre of i",
         )
         return True
+
+    def warn_of_points_elsewhere(self) -> None:
+        """Warn if points lie far from the surfaces of both spheres, which touch."""
+        pairs = self._sample
+        near = np.abs(pairs.overlap) <= _SOFT * pairs.touching
+        if pairs.side_sum is None or not near.any():
+            return
+        side_i, side_j = (pairs.side_sum + pairs.branch) / 2, (pairs.side_sum - pairs.branch) / 2
+        off_i = np.abs(np.linalg.norm(side_i, axis=1) - pairs.radius_i)
+        off_j = np.abs(np.linalg.norm(side_j, axis=1) - pairs.radius_j)
+        smaller = np.minimum(pairs.radius_i, pairs.radius_j)
+        off = np.minimum(off_i, off_j) / smaller
+        if (off > _ELSEWHERE)[near].mean() < _MOST:
+            return
+        row = np.argmax(np.where(near, off, 0.0))
+        warn_once(
+            "points elsewhere",
+            f"{self.source}: contact points lie off the surfaces of both spheres "
+            f"({self._name(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). Map the right columns to "
+            "contact_point, or drop these by names={'column': None}: points then follow from radii",
+        )
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""

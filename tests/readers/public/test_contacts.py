@@ -234,6 +234,17 @@ def test_points_on_a_surface_stay(depth):
     assert xcg.scene_from_arrays(**given).contact_point.values[0, 0, 0] == 0.5 - depth
 
 
+@pytest.mark.parametrize("large", [1.0, 1.02, 2.0, 4.0])
+@pytest.mark.parametrize("centre", ["of i", "of j", "beside both"])
+def test_points_far_from_both_surfaces_are_named(large, centre):
+    distance = 0.99 * (1 + large) / 2
+    point = {"of i": [0.0, 0, 0], "of j": [distance, 0, 0], "beside both": [0.5, 1.5 * large, 0]}
+    given = arrays(distance, -1.0, diameter=[1.0, large], contact_point=[point[centre]])
+    with pytest.warns(SceneWarning, match="points lie off the surfaces of both spheres .*names="):
+        ds = xcg.scene_from_arrays(**given)
+    assert ds.contact_point.values[0, 0].tolist() == point[centre]
+
+
 # --- several contacts of a pair, and coincident centres --------------------------------------------------
 
 
