@@ -120,6 +120,18 @@ def test_joined_scenes_that_differ_are_refused(options, named, combine_attrs):
         both.chunk(time=1).cg.coarse_grain("density", **MESH)
 
 
+@pytest.mark.parametrize("new_defaults", [True, False])
+def test_joined_scenes_that_differ_are_refused_where_xarray_compares(new_defaults):
+    """As docs/reading.md says, whatever the defaults of xarray are."""
+    parts = [lattice(), lattice(1.0, periodic="xy")]
+    with xr.set_options(use_new_combine_kwarg_defaults=new_defaults):
+        both = xr.concat(parts, "time", data_vars="all", coords="different", compat="equals")
+        with pytest.raises(xr.MergeError, match="setup"):
+            xr.merge([parts[0][["position"]], parts[1][["mass"]]], compat="no_conflicts")
+    with pytest.raises(xcg.SceneError, match='periodic is "xyz" and "xy"'):
+        both.cg.coarse_grain("density", **MESH)
+
+
 # --- results ---------------------------------------------------------------------------------------------
 
 
