@@ -127,7 +127,7 @@ def test_joined_scenes_that_differ_are_refused_where_xarray_compares(new_default
     with xr.set_options(use_new_combine_kwarg_defaults=new_defaults):
         both = xr.concat(parts, "time", data_vars="all", coords="different", compat="equals")
         with pytest.raises(xr.MergeError, match="setup"):
-            xr.merge([parts[0][["position"]], parts[1][["mass"]]], compat="no_conflicts")
+            xr.merge([lattice()[["mass"]], lattice(periodic="")[["box"]]], compat="no_conflicts")
     with pytest.raises(xcg.SceneError, match='periodic is "xyz" and "xy"'):
         both.cg.coarse_grain("density", **MESH)
 
