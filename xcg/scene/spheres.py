@@ -20,9 +20,8 @@ _MOST = 0.9  # share of the compared contacts that a verdict needs
 _SAME_OVERLAP = 0.25  # relative difference of two columns of overlaps, by their medians
 _UNEQUAL = 1e-3  # difference of radii, over their sum, from which the middle is another point
 _SOFT = 0.2  # largest overlap or gap, over R_i + R_j, of spheres that are taken to touch
-_ELSEWHERE = (
-    0.4  # distance from the surfaces, over the smaller radius, of points that are no contact points
-)
+# distance from the surfaces, over the smaller radius, of points that are no contact points
+_ELSEWHERE = 0.4
 _MIDDLE = 0.25  # distance to the middle, over the distance from there to the surfaces
 
 
@@ -222,8 +221,9 @@ class SphereContacts:
         warn_once(
             "points elsewhere",
             f"{self.source}: contact points lie off the surfaces of both spheres "
-            f"({self._name(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). Map the right columns to "
-            "contact_point, or drop these by names={'column': None}: points then follow from radii",
+            f"({self._name(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). "
+            "Map the right columns to contact_point, or drop these by names={'column': None}: points "
+            "then follow from radii",
         )
 
     def warn_of_coincident_centres(self) -> None:
