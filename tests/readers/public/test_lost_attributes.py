@@ -186,6 +186,18 @@ def test_correlations_need_the_axes_that_wrap_around(scenes):
         f.drop_attrs(deep=False).drop_vars("setup").cg.spatial_correlation("density")
 
 
+def test_slopes_of_surfaces_keep_the_support_of_the_kernel_in_their_errors():
+    surface = xcg.datasets.random_scene(400, seed=1, periodic="xy").cg.coarse_grain(
+        "volume_fraction", axes="xz", width=1.0
+    )
+    surface = surface.cg.free_surface("z")
+    kept = surface.cg.fit_slope().slope_error
+    for lost in (surface.drop_attrs(), from_variables(surface), surface.height.drop_attrs()):
+        np.testing.assert_array_equal(xcg.fit_slope(lost).slope_error, kept)
+    with pytest.raises(xcg.SceneError, match=r"lost its attributes cutoff.*heights alone"):
+        surface.drop_attrs().drop_vars("setup").cg.fit_slope()
+
+
 @pytest.mark.filterwarnings("ignore:In a future version of xarray:FutureWarning")
 @pytest.mark.parametrize(
     ("options", "named"),
