@@ -396,7 +396,7 @@ def test_data_in_padding_rows_raise():
         SceneError, match=r"row 0 has 'particle_id' -1.*'position': number particles from 0 on"
     ):
         xcg.scene_from_arrays(**at, particle_id=[-1, 0])
-    force = {"contact_force": np.ones((2, 3)), "contact_point": np.zeros((2, 3))}
+    force = {"contact_force": np.ones((2, 3)), "contact_point": np.full((2, 3), [0.5, 0, 0])}
     with pytest.raises(
         SceneError, match=r"row 1 has 'contact_i' -1.*a wall must stand as 'contact_j'"
     ):

@@ -259,7 +259,7 @@ _HINTS_OF_PARTICLES = {
     "diameter": "diam* dia d dp size vol volume*",
     "density": "dens* rho",
     "mass": "mass* m",
-    "body_id": "clump* molecule* mol",
+    "body_id": "clump* molecule* mol body",
     "image": "image* wraps unwrap*",
 }
 _HINTS_OF_CONTACTS = {

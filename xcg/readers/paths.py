@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from xcg.common.checks import is_positive
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import StepRef
 from xcg.readers.filenames import read_file_numbers, sort_by_numbers
 from xcg.readers.files.text import source_of
@@ -236,14 +236,29 @@ def index_steps(
     return timed_steps(refs, timestep)
 
 
+# share by which times of the files and of timestep= may differ, as times have few digits
+_SAME_DURATION = 1e-3
+
+
 def timed_steps(refs: Sequence[StepRef], timestep: object) -> list[StepRef]:
-    """Return the steps, those without time with the number of the step times a `timestep`, unless that is None."""
+    """Return the steps, those without time with the number of the step times a `timestep`, unless that is None.
+
+    Warn if the files hold other times.
+    """
     if timestep is None or not refs:
         return list(refs)
     if not is_positive(timestep):
         raise SceneError(
             f"timestep={timestep!r}: expected a positive number, the time between two steps"
         )
+    if refs[0].time is not None and refs[-1].time is not None:
+        duration = refs[-1].time - refs[0].time
+        by_timestep = (refs[-1].step - refs[0].step) * float(timestep)
+        if abs(duration - by_timestep) > _SAME_DURATION * max(abs(duration), abs(by_timestep)):
+            warn_user(
+                f"timestep={float(timestep):g} is not used, as the files hold times ({refs[0].time:g} to "
+                f"{refs[-1].time:g}): leave it out, or give times="
+            )
     first = min(refs[0].step, 0)
     return [
         replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref

@@ -399,6 +399,8 @@ def complete_contacts(
             spheres.warn_of_coincident_centres()
             if spheres.points_are_middles():
                 derived = (row_i >= 0) & (row_j >= 0)
+            else:
+                spheres.warn_of_points_elsewhere()
     if derived.any() or "contact_point" not in given:
         given["contact_point"] = _derive_points(
             given, number, derived, particles, row_i, row_j, seen, lattice, source

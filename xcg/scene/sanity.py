@@ -55,11 +55,12 @@ def without_repeats(
     centre[there >= 0] = particles["position"][there[there >= 0]]
     order = np.lexsort((np.linalg.norm(contacts["contact_force"][rows], axis=1), pair))
     rows, pair, centre = rows[order], pair[order], centre[order]
-    copy = _copies(contacts, number, rows, pair, centre, lattice, source)
+    copy, has_both_sides = _copies(contacts, number, rows, pair, centre, lattice, source)
     dropped = rows[copy]
     if sides != "separate":
+        kept = ~copy
         first, second, apart, unlike = _mirrored(
-            contacts, rows[~copy], pair[~copy], centre[~copy], lattice
+            contacts, rows[kept], pair[kept], centre[kept], ~has_both_sides[kept], lattice
         )
         if unlike.size:
             _warn_of_unlike(contacts, unlike, source)
@@ -129,8 +130,10 @@ def _copies(
     centre: NDArray,
     lattice: Lattice,
     source: str,
-) -> NDArray:
+) -> tuple[NDArray, NDArray]:
     """Return a mask of the rows that repeat a contact (n,): the same force, from either side, at the same point.
+
+    A second mask (n,) marks the rows that are repeated from the other side.
 
     Parameters
     ----------
@@ -148,6 +151,7 @@ def _copies(
     size = np.linalg.norm(force, axis=1)
     radius = np.linalg.norm(lattice.shortest(point - centre), axis=1)
     copy = np.zeros(len(rows), bool)
+    has_both_sides = np.zeros(len(rows), bool)
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
         near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
         near &= size[distance:] - size[:-distance] <= _ROUNDED * size[distance:]
@@ -163,6 +167,7 @@ def _copies(
         same = np.linalg.norm(force[one] - force[other], axis=1) <= least
         opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
         copy[other[together & np.where(turned, opposite, same)]] = True
+        has_both_sides[one[together & turned & opposite]] = True
         wrong = turned & same & ~opposite
         if wrong.any():
             first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]
@@ -171,16 +176,22 @@ def _copies(
                 f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
                 "the sign of one of them, or list each contact once"
             )
-    return copy
+    return copy, has_both_sides
 
 
 def _mirrored(
-    contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice
+    contacts: Frame,
+    rows: NDArray,
+    pair: NDArray,
+    centre: NDArray,
+    free: NDArray,
+    lattice: Lattice,
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Rows that list one contact from both sides, the first one first, and by how much their forces differ; (m,) each.
 
     Differences are shares of the larger force. Last come rows at one place whose forces differ by more, and that are
-    no contact with a third one (k, 2). Arguments as in `_copies`, without copies.
+    no contact with a third one (k, 2). Arguments as in `_copies`, without copies; `free` (n,) marks the rows whose
+    other side may be among them.
     """
     point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
     turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]
@@ -189,7 +200,7 @@ def _mirrored(
         np.linalg.norm(lattice.shortest(point - centre), axis=1),
     )
     least = _SMALL_FORCE * size.mean() if size.size else 0.0
-    free, found, apart, beside = np.ones(len(rows), bool), [], [], []
+    free, found, apart, beside = free.copy(), [], [], []
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
         of_pair = pair[distance:] == pair[:-distance]
         if not of_pair.any():
@@ -294,6 +305,8 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
     d, mass, volume = (
         np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume")
     )
+    if "half_axis_x" not in frame:
+        _warn_of_large_volumes(d, volume)
     if (
         len(d) < _FEW
         or np.std(d) < _VARIED * np.mean(d)
@@ -305,6 +318,18 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
             "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "
             "those of spheres: give shape='disc' and thickness="
             + (" and dimension=2" if setup.dimension == 3 else "")
+        )
+
+
+def _warn_of_large_volumes(d: NDArray, volume: NDArray) -> None:
+    """Warn where most volumes (n,) are larger than those of spheres with the diameters (n,)."""
+    over_sphere = volume / (np.pi / 6 * d**3)
+    ratio = np.median(over_sphere) if len(d) else 0.0
+    if ratio > 1 + _DIGITS:
+        warn_user(
+            f"volumes are {ratio:.4g} times those of spheres with the diameters (the median; in the first row volume "
+            f"{volume[0]:.6g} and diameter {d[0]:.6g}): a column holds radii in place of diameters or has another "
+            "unit, or grains are discs (shape='disc', thickness=). Drop the wrong column, names={'column': None}"
         )
 
 
@@ -333,8 +358,8 @@ def _is_contradicted(frame: Frame, some: slice, setup: Setup) -> bool:
     mass, volume, density, d = (
         np.asarray(frame[name][some], float) for name in ("mass", "volume", "density", "diameter")
     )
-    ratio = mass / (density * volume)
-    wrong = np.flatnonzero((np.abs(ratio - 1) > _DIGITS) & (mass > 0))
+    expected = density * volume
+    wrong = np.flatnonzero((np.abs(mass - expected) > _DIGITS * expected) & (mass > 0))
     if not wrong.size:
         return False
     row = wrong[0]

@@ -20,6 +20,8 @@ _MOST = 0.9  # share of the compared contacts that a verdict needs
 _SAME_OVERLAP = 0.25  # relative difference of two columns of overlaps, by their medians
 _UNEQUAL = 1e-3  # difference of radii, over their sum, from which the middle is another point
 _SOFT = 0.2  # largest overlap or gap, over R_i + R_j, of spheres that are taken to touch
+# distance from the surfaces, over the smaller radius, of points that are no contact points
+_ELSEWHERE = 0.4
 _MIDDLE = 0.25  # distance to the middle, over the distance from there to the surfaces
 
 
@@ -52,6 +54,11 @@ def warn_of_coincident(i: NDArray, j: NDArray, source: str) -> None:
         )
 
 
+def _lengths(vectors: NDArray) -> NDArray:
+    """Lengths (n,) of vectors (n, 3), faster than those of np.linalg.norm for few vectors."""
+    return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
+
+
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """Contacts of two spheres.
@@ -82,7 +89,7 @@ class Pairs:
     @cached_property
     def overlap(self) -> NDArray:
         """Overlaps (n,), negative across a gap."""
-        return self.touching - np.sqrt(np.einsum("nk,nk->n", self.branch, self.branch))
+        return self.touching - _lengths(self.branch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +204,27 @@ class SphereContacts:
             "centre of i",
         )
         return True
+
+    def warn_of_points_elsewhere(self) -> None:
+        """Warn if points lie far from the surfaces of both spheres, which touch."""
+        pairs = self._sample
+        if pairs.side_sum is None or not len(pairs.rows):
+            return
+        off_i = np.abs(_lengths(pairs.side_sum + pairs.branch) / 2 - pairs.radius_i)
+        off_j = np.abs(_lengths(pairs.side_sum - pairs.branch) / 2 - pairs.radius_j)
+        off = np.minimum(off_i, off_j) / np.minimum(pairs.radius_i, pairs.radius_j)
+        near = np.abs(pairs.overlap) <= _SOFT * pairs.touching
+        elsewhere = (off > _ELSEWHERE) & near
+        if not elsewhere.any() or elsewhere.sum() < _MOST * near.sum():
+            return
+        row = np.argmax(np.where(near, off, 0.0))
+        warn_once(
+            "points elsewhere",
+            f"{self.source}: contact points lie off the surfaces of both spheres "
+            f"({self._name(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). "
+            "Map the right columns to contact_point, or drop these by names={'column': None}: points "
+            "then follow from radii",
+        )
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""

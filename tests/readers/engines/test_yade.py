@@ -57,13 +57,14 @@ def test_a_sheared_cell_is_read(tmp_path):
 
 
 def test_names_without_numbers_are_paired_in_their_order(tmp_path):
+    pairs = PAIRS.replace("11.95", "1.45")
     for name in ("a", "b"):
         write(
             tmp_path / f"grains_{name}.txt",
             "#format id_x_y_z_r_matId\n0\t1\t1\t1\t0.5\t3\n1\t1.9\t1\t1\t0.5\t3\n",
         )
         write(
-            tmp_path / f"pairs_{name}.txt", PAIRS.replace(" 5 0 0 ", f" {5 + (name == 'b')} 0 0 ")
+            tmp_path / f"pairs_{name}.txt", pairs.replace(" 5 0 0 ", f" {5 + (name == 'b')} 0 0 ")
         )
     ds = xcg.open_scene(
         str(tmp_path / "grains_*.txt"), contacts=str(tmp_path / "pairs_*.txt"), density=2500, periodic="x",

@@ -1,5 +1,7 @@
 """Rows that are no contacts, columns that are no overlaps, points off the surfaces, bodies that are defaults."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -232,6 +234,17 @@ def test_points_on_a_surface_stay(depth):
     assert xcg.scene_from_arrays(**given).contact_point.values[0, 0, 0] == 0.5 - depth
 
 
+@pytest.mark.parametrize("large", [1.0, 1.02, 2.0, 4.0])
+@pytest.mark.parametrize("centre", ["of i", "of j", "beside both"])
+def test_points_far_from_both_surfaces_are_named(large, centre):
+    distance = 0.99 * (1 + large) / 2
+    point = {"of i": [0.0, 0, 0], "of j": [distance, 0, 0], "beside both": [0.5, 1.5 * large, 0]}
+    given = arrays(distance, -1.0, diameter=[1.0, large], contact_point=[point[centre]])
+    with pytest.warns(SceneWarning, match="points lie off the surfaces of both spheres .*names="):
+        ds = xcg.scene_from_arrays(**given)
+    assert ds.contact_point.values[0, 0].tolist() == point[centre]
+
+
 # --- several contacts of a pair, and coincident centres --------------------------------------------------
 
 
@@ -250,6 +263,25 @@ def test_contacts_of_a_pair_at_different_points_all_count(tmp_path, sides, apart
     force = ds.contact_force.values[0, :, 2] * np.where(ds.contact_i.values[0] == 1, 1, -1)
     assert np.nansum(force) == 10.0
     assert (ds.contact_i.values >= 0).sum() == 2
+
+
+@pytest.mark.parametrize("sides", ["mean", "first", "separate"])
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4)))[::5])
+def test_contacts_from_both_sides_at_close_points_all_count(sides, order):
+    rows = [(1, 0, 5.0, 0.0), (0, 1, -5.0, 0.0), (1, 0, 5.0, 0.02), (0, 1, -5.0, 0.02)]
+    i, j, force, x = zip(*(rows[k] for k in order), strict=True)
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [0, 0, 1]],
+        diameter=[1.02, 1.02],
+        density=1.0,
+        contact_i=i,
+        contact_j=j,
+        contact_force=[[0, 0, f] for f in force],
+        contact_point=[[place, 0, 0.5] for place in x],
+        sides=sides,
+    )
+    on_upper = ds.contact_force.values[0, :, 2] * np.where(ds.contact_i.values[0] == 1, 1, -1)
+    assert on_upper.tolist() == [5.0, 5.0]
 
 
 def test_rows_that_are_the_same_count_once(tmp_path):

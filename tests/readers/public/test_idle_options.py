@@ -129,6 +129,53 @@ def test_columns_of_six_digits_do_not_contradict_each_other(tmp_path):
     open_dump(tmp_path, columns)
 
 
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("factor", [8.0, 1e9])
+def test_volumes_larger_than_the_spheres_are_named(tmp_path, door, factor):
+    columns = {"radius": DIAMETER / 2, "volume": factor * VOLUME}
+    with pytest.warns(xcg.SceneWarning, match=r"volumes are (8|1e\+09) times .*names="):
+        door(tmp_path, columns, density=2600.0)
+
+
+def test_volumes_smaller_than_spheres_are_other_shapes(tmp_path):
+    columns = {"radius": DIAMETER / 2, "volume": 0.7 * VOLUME}
+    ds = open_csv(tmp_path, columns, density=2600.0)
+    np.testing.assert_allclose(ds.mass.squeeze(), 0.7 * 2600 * VOLUME)
+
+
+def test_grains_without_mass_open_without_a_warning_of_numpy(tmp_path):
+    ds = open_csv(tmp_path, {"radius": DIAMETER / 2, "mass": np.zeros(COUNT)})
+    assert not ds.mass.any()
+
+
+# --- times -----------------------------------------------------------------------------------------------
+
+
+def write_steps(folder, kind, clock):
+    """Two steps, 0 and 100, at the times of a clock."""
+    if kind == "csv":
+        rows = [f"{time},{step},1,{step},0,0" for step, time in zip((0, 100), clock, strict=True)]
+        text = "\n".join(["time,step,id,x,y,z", *rows, ""])
+    else:
+        text = "".join(
+            f"ITEM: UNITS\nsi\nITEM: TIME\n{time}\nITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n1\n"
+            f"ITEM: BOX BOUNDS ff ff ff\n0 200\n0 1\n0 1\nITEM: ATOMS id x y z\n1 {step} 0 0\n"
+            for step, time in zip((0, 100), clock, strict=True)
+        )
+    path = folder / f"steps.{kind}"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv", "dump"])
+def test_a_time_step_beside_other_times_is_named(tmp_path, kind):
+    path = write_steps(tmp_path, kind, (0.5, 0.6))
+    with pytest.warns(xcg.SceneWarning, match=r"timestep=0\.01 is not used, .*0\.5 to 0\.6"):
+        ds = xcg.open_scene(path, timestep=0.01)
+    assert ds.time.values.tolist() == [0.5, 0.6]
+    assert xcg.open_scene(path, timestep=0.001).time.values.tolist() == [0.5, 0.6]
+
+
 # --- saving ----------------------------------------------------------------------------------------------
 
 

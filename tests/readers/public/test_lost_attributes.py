@@ -120,6 +120,18 @@ def test_joined_scenes_that_differ_are_refused(options, named, combine_attrs):
         both.chunk(time=1).cg.coarse_grain("density", **MESH)
 
 
+@pytest.mark.parametrize("new_defaults", [True, False])
+def test_joined_scenes_that_differ_are_refused_where_xarray_compares(new_defaults):
+    """As docs/reading.md says, whatever the defaults of xarray are."""
+    parts = [lattice(), lattice(1.0, periodic="xy")]
+    with xr.set_options(use_new_combine_kwarg_defaults=new_defaults):
+        both = xr.concat(parts, "time", data_vars="all", coords="different", compat="equals")
+        with pytest.raises(xr.MergeError, match="setup"):
+            xr.merge([lattice()[["mass"]], lattice(periodic="")[["box"]]], compat="no_conflicts")
+    with pytest.raises(xcg.SceneError, match='periodic is "xyz" and "xy"'):
+        both.cg.coarse_grain("density", **MESH)
+
+
 # --- results ---------------------------------------------------------------------------------------------
 
 
@@ -172,6 +184,18 @@ def test_correlations_need_the_axes_that_wrap_around(scenes):
     np.testing.assert_array_equal(lost.correlation, kept.correlation)
     with pytest.raises(xcg.SceneError, match="lost its attributes wrapped_axes"):
         f.drop_attrs(deep=False).drop_vars("setup").cg.spatial_correlation("density")
+
+
+def test_slopes_of_surfaces_keep_the_support_of_the_kernel_in_their_errors():
+    surface = xcg.datasets.random_scene(400, seed=1, periodic="xy").cg.coarse_grain(
+        "volume_fraction", axes="xz", width=1.0
+    )
+    surface = surface.cg.free_surface("z")
+    kept = surface.cg.fit_slope().slope_error
+    for lost in (surface.drop_attrs(), from_variables(surface), surface.height.drop_attrs()):
+        np.testing.assert_array_equal(xcg.fit_slope(lost).slope_error, kept)
+    with pytest.raises(xcg.SceneError, match=r"lost its attributes cutoff.*heights alone"):
+        surface.drop_attrs().drop_vars("setup").cg.fit_slope()
 
 
 @pytest.mark.filterwarnings("ignore:In a future version of xarray:FutureWarning")

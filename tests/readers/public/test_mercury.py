@@ -188,6 +188,20 @@ def test_boundaries_that_are_not_read_are_named(tmp_path, boundary, match, answe
         open_scene(data, **answer)
 
 
+@pytest.mark.parametrize("end", [".data", ".fstat"])
+def test_other_files_are_no_restart_files(tmp_path, end):
+    data = write_run(tmp_path, restart())
+    path = data.with_suffix(end)
+    with pytest.raises(SceneError, match=rf"run{end}: not a restart file .*name that of this run"):
+        open_scene(data, restart=path)
+
+
+def test_a_damaged_restart_file_beside_the_data_is_named(tmp_path):
+    data = write_run(tmp_path, "")
+    with pytest.raises(SceneError, match=r"run\.restart: not a restart file"):
+        open_scene(data)
+
+
 OLD = """restart_version {version}
 name old
 xmin 0 xmax 1 ymin 0 ymax 1 zmin 0 zmax 1

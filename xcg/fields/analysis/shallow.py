@@ -16,7 +16,7 @@ from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.facts import with_facts
+from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
@@ -148,6 +148,8 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     ------
     ValueError
         If there is no ``height``, or no axis is resolved.
+    SceneError
+        If a Dataset has lost its ``cutoff``, or parts of different widths were joined.
 
     Examples
     --------
@@ -161,12 +163,17 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
             "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
         )
     height = surface["height"] if isinstance(surface, xr.Dataset) else surface
+    facts = with_facts(height.to_dataset(name="height").assign_attrs(surface.attrs))
+    facts = facts.assign_attrs(height.attrs)
+    if isinstance(surface, xr.Dataset):
+        way_out = "or pass the heights alone, f.height, if no kernel smoothed them"
+        require_facts(facts, ("cutoff",), "this surface", way_out)
     axes = [a for a in COMPONENTS if a in height.dims]
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
     grids = np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")
     places = np.stack([grid.ravel() for grid in grids], axis=1)
-    support = 2 * float(np.max(height.attrs.get("cutoff", surface.attrs.get("cutoff", 0.0))))
+    support = 2 * float(np.max(facts.attrs.get("cutoff", 0.0)))
     nodes_a_support = 1.0
     for a in axes:
         if height.sizes[a] > 1:

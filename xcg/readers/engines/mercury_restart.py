@@ -108,7 +108,12 @@ def restart_beside(data: str) -> str | None:
 
 
 def read_restart(path: str) -> Restart:
-    """Read the head of a restart file, down to the particles."""
+    """Read the head of a restart file, down to the particles. Raise SceneError if it is another file."""
+    if not is_restart(path):
+        raise SceneError(
+            f"{path}: not a restart file of MercuryDPM, whose first word is 'restart_version' or 'MercuryDPM'; name "
+            "that of this run in restart="
+        )
     lines: dict[str, list[list[str]]] = {"": []}
     section = ""
     with scanned(path) as scanner:
