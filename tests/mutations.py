@@ -233,8 +233,8 @@ TABLE = [
         "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
     ),
     Mutation(
-        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]], sign",
-        "phase[partner[at]] * others + phase[row[at]], sign", "test_exchange_between_phases_equals_brute_force",
+        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]]",
+        "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
     # --- fields/grids ---
     Mutation(
