@@ -92,7 +92,7 @@ TABLE = [
         "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
-        "compiled/cell_means.py", "found *= integral / volume / total", "found *= integral / total",
+        "compiled/cell_means.py", "values *= integral / volume / total", "values *= integral / total",
         "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
