@@ -235,14 +235,8 @@ def _allocate(
     scratch = np.zeros((next(fresh), loops.TILE))
     for place, value in constants.items():
         scratch[place] = value
-    widths: dict[str, int] = {}
-    for name, first, components in stored:
-        widths[name] = max(widths.get(name, 0), first + components)
-    names = list(widths)
-    stores = [(names.index(name), first, components) for name, first, components in stored]
-    return Program(
-        np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, np.array(stores)
-    )
+    widths, stores = _table_of_stores(stored)
+    return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
 
 
 def _uses(
@@ -285,6 +279,18 @@ def _rows_for_good(
         elif operation == loops.PART:
             row[number] = row[operands[1]] + operands[0]
     return row, constants, kept
+
+
+def _table_of_stores(
+    stored: Sequence[tuple[str, int, int]],
+) -> tuple[dict[str, int], NDArray]:
+    """Return the numbers of each field that are stored for a place, and stores by field's number."""
+    widths: dict[str, int] = {}
+    for name, first, components in stored:
+        widths[name] = max(widths.get(name, 0), first + components)
+    names = list(widths)
+    stores = [(names.index(name), first, components) for name, first, components in stored]
+    return widths, np.array(stores)
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:
