@@ -35,7 +35,7 @@ CHECKS = {
 }
 
 
-# building the site runs all scripts; these show in seconds that the data and the form of a script are right
+# building the site runs all scripts; these take seconds
 QUICK = {"glued_spheres", "heap", "heat_conduction", "photoelastic", "rods_in_shear"}
 
 

@@ -149,7 +149,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     beside = {}
     for name in map(str, mean.data_vars):
-        # without coordinates, which are the mean's; of blocks without an unknown step there may be an error
+        # without coordinates, which are the mean's; an error may be known where the mean is not
         error = errors[name].variable.where(mean[name].variable.notnull())
         error.attrs = {
             "units": f[name].attrs.get("units", "1"),

@@ -65,7 +65,7 @@ class Program:
         arrays, layouts = _arrays_of(sums)
         sources = self._sources(layouts)
         factors = list(dict.fromkeys(source.factor for source in sources))
-        # rows of the scratch: constants of the program, factors, columns of each array, results of steps
+        # rows of the scratch: constants, factors, columns of each array, results of steps
         constants = len(self.scratch)
         widths = [array.shape[1] for array in arrays]
         whole_lines = [width + -width % EIGHT for width in widths]
@@ -257,7 +257,7 @@ def _uses(
 def _rows_for_good(
     recorded: Sequence[tuple[int, tuple[Any, ...]]], numbers: Iterable[int]
 ) -> tuple[dict[int, int], dict[int, float], int]:
-    """Return the rows of steps that are never reused, the constants by row, and how many rows these are.
+    """Return the rows of steps that are never reused, the constants by row, and the next row.
 
     They are rows of constants, and of what a fit takes and finds, side by side.
     """
@@ -284,7 +284,7 @@ def _rows_for_good(
 def _table_of_stores(
     stored: Sequence[tuple[str, int, int]],
 ) -> tuple[dict[str, int], NDArray]:
-    """Return the numbers of each field that are stored for a place, and stores by field's number."""
+    """Return how many numbers of each field a place holds, and the stores by field's number."""
     widths: dict[str, int] = {}
     for name, first, components in stored:
         widths[name] = max(widths.get(name, 0), first + components)
