@@ -92,7 +92,7 @@ TABLE = [
         "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
-        "compiled/cell_means.py", "found *= integral / volume / total", "found *= integral / total",
+        "compiled/cell_means.py", "values *= integral / volume / total", "values *= integral / total",
         "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
@@ -233,8 +233,8 @@ TABLE = [
         "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
     ),
     Mutation(
-        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]], sign",
-        "phase[partner[at]] * others + phase[row[at]], sign", "test_exchange_between_phases_equals_brute_force",
+        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]]",
+        "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
     # --- fields/grids ---
     Mutation(

@@ -89,7 +89,8 @@ def used(run_once, tmp_path):
     return shutil.copytree(run_once, tmp_path / "used")
 
 
-@pytest.mark.parametrize("beside", [True, False])
+# a folder that cannot be written to takes another way to the same code
+@pytest.mark.parametrize("beside", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_change_of_another_file_is_noticed(package, beside):
     place = package / "xcg" / "compiled" / "__pycache__"
     if beside:
@@ -108,7 +109,14 @@ def zeros_within(data):
     return data[:start] + bytes(32) + data[start + 32 :]
 
 
-@pytest.mark.parametrize(("kind", "damage"), [("nbi", lambda _: b"\xff"), ("nbc", zeros_within)])
+# a damaged index is noticed as damaged machine code is
+@pytest.mark.parametrize(
+    ("kind", "damage"),
+    [
+        pytest.param("nbi", lambda _: b"\xff", marks=pytest.mark.slow),
+        ("nbc", zeros_within),
+    ],
+)
 def test_damaged_code_is_made_anew(used, kind, damage):
     (path,) = used.rglob(f"outer*.{kind}")
     path.write_bytes(damage(path.read_bytes()))

@@ -6,6 +6,7 @@ import sys
 import warnings
 
 import numpy as np
+import pytest
 
 import xcg
 from tests import ROOT
@@ -52,6 +53,7 @@ def all_fields():
     }
 
 
+@pytest.mark.slow  # test_references, with the loops in NumPy
 def test_fields_in_python_have_the_bits_of_compiled_code(tmp_path):
     """Kernels of polynomials, roots, exp and erf; log and arcs come from the same library of C here and there."""
     path = tmp_path / "fields.npz"

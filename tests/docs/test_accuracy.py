@@ -29,7 +29,15 @@ def errors():
     return of
 
 
-@pytest.mark.parametrize("make", accuracy.PANELS, ids=lambda make: make.__name__)
+# panels are made alike: one of them is enough for a change
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(make, marks=() if make is accuracy.kinetic_stress else pytest.mark.slow)
+        for make in accuracy.PANELS
+    ],
+    ids=lambda make: make.__name__,
+)
 def test_every_panel_has_a_default_in_each_group_of_ways(make):
     panel = make(PARTICLES)
     groups = {way.group for way in panel.ways}
@@ -53,6 +61,7 @@ def test_errors_of_contact_stress_are_below_rtol(errors):
     assert points[5] > 1e-7
 
 
+@pytest.mark.slow  # the other panels
 def test_errors_of_kernel_tables_scale_with_their_bins(errors):
     error = errors(accuracy.volume_fraction)
     assert error["kernel evaluated", "evaluated"] < 1e-14

@@ -35,7 +35,15 @@ CHECKS = {
 }
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+# building the site runs all scripts; these take seconds
+QUICK = {"glued_spheres", "heap", "heat_conduction", "photoelastic", "rods_in_shear"}
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(path, marks=() if path.stem in QUICK else pytest.mark.slow) for path in SCRIPTS],
+    ids=lambda path: path.stem,
+)
 def test_each_script_agrees_with_physics(script, monkeypatch):
     from matplotlib import pyplot as plt
 

@@ -79,7 +79,13 @@ def files(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "answer", ANSWERS, ids=lambda text: text.partition("\n")[0].removeprefix("... ")
+    "answer",
+    [
+        # test_plots draws movies
+        pytest.param(text, marks=pytest.mark.slow if text.startswith("... make a movie?") else ())
+        for text in ANSWERS
+    ],
+    ids=lambda text: text.partition("\n")[0].removeprefix("... "),
 )
 @pytest.mark.filterwarnings("ignore")  # of steps of other boxes, of files without units
 def test_each_answer_runs(answer, setting, files, monkeypatch):

@@ -10,6 +10,8 @@ from numpy.polynomial.legendre import leggauss
 import xcg
 from tests import planning
 
+# the loops of "gaussian" with a shift; it is slower than the other kernels
+SLOWER = pytest.param("shifted gaussian", marks=pytest.mark.slow)
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
 SUMS = ["density", "momentum_density", "kinetic_stress", "contact_stress"]
 MASS = 1e-5  # the error that docs/evaluation.md states; along one axis alone it is rounding
@@ -51,13 +53,20 @@ def total_contact_stress(ds):
     return found
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", ["lucy", "gaussian", SLOWER, "heaviside"])
 @pytest.mark.parametrize(
     "mesh",
-    [{"spacing": 0.7}, {"spacing": 3.0}, {"spacing": 100.0}, {"spacing": {"x": 1.0, "y": 9.0, "z": 2.5}},
-     {"axes": "xz", "spacing": 1.1}, {"axes": "y", "spacing": 0.7}, {"axes": "z", "spacing": 50.0}],
+    [
+        pytest.param({"spacing": 0.7}, marks=pytest.mark.slow),  # many cells; the same with fewer
+        {"spacing": 3.0},
+        {"spacing": 100.0},
+        {"spacing": {"x": 1.0, "y": 9.0, "z": 2.5}},
+        {"axes": "xz", "spacing": 1.1},
+        {"axes": "y", "spacing": 0.7},
+        {"axes": "z", "spacing": 50.0},
+    ],
     ids=str,
-)  # fmt: skip
+)
 def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
     tolerance = 1e-13 if len(mesh.get("axes", "xyz")) == 1 else MASS
     step = scene.isel(time=0)
@@ -70,7 +79,8 @@ def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
     )
 
 
-@pytest.mark.parametrize("spacing", [0.6, 3.0])
+# small cells repeat large ones; spline, kink and core do what jump and stairs do
+@pytest.mark.parametrize("spacing", [pytest.param(0.6, marks=pytest.mark.slow), 3.0])
 @pytest.mark.parametrize(
     ("profile", "error"),
     [
@@ -79,9 +89,13 @@ def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
             1e-6,
         ),  # cubic spline
         (lambda q: np.where(q < 0.4, 1.0, (1 - q) / 0.6), 1e-5),  # a kink
-        (lambda q: np.where(q < 0.6, 1.0, 0.25), 1e-6),  # a jump
+        pytest.param(  # a jump
+            lambda q: np.where(q < 0.6, 1.0, 0.25), 1e-6, marks=pytest.mark.slow
+        ),
         (lambda q: np.where(q < 0.3, 1.0, 0.0), 1e-6),  # nothing beyond
-        (lambda q: 1.0 - np.floor(7.5 * q) / 8.0, 1e-6),  # as many jumps as there may be
+        pytest.param(  # as many jumps as there may be
+            lambda q: 1.0 - np.floor(7.5 * q) / 8.0, 1e-6, marks=pytest.mark.slow
+        ),
     ],
     ids=["spline", "kink", "jump", "core", "stairs"],
 )
@@ -117,6 +131,7 @@ def test_cells_hold_all_contact_stress(scene, mesh):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.slow  # totals on given meshes
 @settings(max_examples=15, deadline=None)
 @given(
     spacing=st.tuples(*[st.floats(0.5, 8.0)] * 2), periodic=st.sampled_from(["", "x", "xz"]),
@@ -210,7 +225,12 @@ def points_in(edges, parts, order=6):
 
 @pytest.mark.parametrize(
     ("kernel", "rtol"),
-    [("lucy", 1e-5), ("shifted gaussian", 1e-4), ("gaussian", 2e-3), ("heaviside", 3e-2)],
+    [
+        ("lucy", 1e-5),
+        pytest.param("shifted gaussian", 1e-4, marks=pytest.mark.slow),  # as `SLOWER`
+        ("gaussian", 2e-3),
+        ("heaviside", 3e-2),
+    ],
 )
 @pytest.mark.parametrize(
     "mesh", [{}, {"axes": "xz"}, {"axes": "xz", "at": "y"}, {"axes": "z"}], ids=str

@@ -25,6 +25,7 @@ def test_the_continuity_equation_holds(name):
     assert residuals.continuity(case.ds, case.width, case.points).relative < KINK
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=20)
 @given(case=SYNTHETIC)
 def test_the_continuity_equation_holds_for_any_scene(case):
@@ -107,6 +108,7 @@ def test_divergence_of_the_contact_stress_of_each_phase(name):
     assert found.relative < ROUNDING
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_divergence_of_the_contact_stress_of_each_phase_of_any_scene(case):
@@ -118,6 +120,7 @@ def test_divergence_of_the_contact_stress_of_each_phase_of_any_scene(case):
     )
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=20)
 @given(case=SYNTHETIC)
 def test_divergence_of_contact_stress_of_any_scene(case):
@@ -208,6 +211,7 @@ def test_momentum_is_balanced_between_close_frames(name):
     assert second_order(coarse, fine)
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_momentum_of_any_scene_is_balanced_between_close_frames(case):

@@ -78,6 +78,7 @@ def test_linear_flow_of_a_real_layer():
     assert_linear_flow_is_exact(ds, width, points, gradient)
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=15)
 @given(seed=st.integers(0, 10_000), width=st.floats(0.9, 1.5), size=st.floats(1e-6, 1e6))
 def test_linear_flow_of_any_scene(seed, width, size):

@@ -162,6 +162,7 @@ def test_turned_scenes_have_turned_fields(angle, mirror):
     assert_transforms(load("mercury_synthetic"), matrix)
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=15)
 @given(
     seed=st.integers(0, 10_000), angle=st.floats(0, 6.3), azimuth=st.floats(0, 6.3), polar=st.floats(0, 3.1),

@@ -24,6 +24,7 @@ def test_integral_of_density_is_the_mass(name):
     assert residuals.mass(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_integral_of_density_of_any_scene_is_the_mass(case):
@@ -78,6 +79,7 @@ def test_shifted_scenes_have_shifted_fields(name, seed):
     assert residuals.periodicity(case.ds, case.width, case.points, seed).relative < SHIFT
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_shifted_scenes_have_shifted_fields_for_any_scene(case):
@@ -98,6 +100,7 @@ def test_marginals_are_integrals(name):
     assert residuals.marginals(case.ds, case.width, case.points[0]).relative < MARGINAL
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_marginals_are_integrals_for_any_scene(case):
@@ -128,6 +131,7 @@ def test_integral_of_contact_stress_is_the_virial(name):
     assert residuals.virial(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
+@pytest.mark.slow  # the same identity on given scenes
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
 def test_integral_of_contact_stress_of_any_scene_is_the_virial(case):

@@ -349,7 +349,8 @@ def test_runs_work_on_a_file_system_without_locks(tmp_path, monkeypatch):
 # --- out of disk -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("limit", [20_000, 600_000])  # the first step fails, or a later one
+# the first step fails, or a later one, after which the run resumes in the same way
+@pytest.mark.parametrize("limit", [20_000, pytest.param(600_000, marks=pytest.mark.slow)])
 def test_a_full_disk_is_reported_and_the_run_resumes(job, limit):
     before = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
     process = start(job, before=before)

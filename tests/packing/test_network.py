@@ -187,6 +187,7 @@ def test_percolation_equals_that_of_copies_of_the_box(count, seed):
     )
 
 
+@pytest.mark.slow  # percolation equals that of copies of the box
 def test_random_packings_percolate_about_half_the_time():
     found = np.array(
         [

@@ -99,6 +99,7 @@ except xcg.SceneError as error:
     )
 
 
+@pytest.mark.slow  # test_backend, and the same package through open_scene
 def test_xarray_opens_files_of_that_package(tmp_path, site):
     write_grit(tmp_path)
     code = """

@@ -37,7 +37,11 @@ def peak(work) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("suffix", [".nc", ".zarr", ".vtkhdf"])
+@pytest.mark.parametrize(
+    "suffix",
+    # one path through the steps, which NetCDF shows as well
+    [".nc", *(pytest.param(suffix, marks=pytest.mark.slow) for suffix in (".zarr", ".vtkhdf"))],
+)
 @pytest.mark.parametrize("what", ["fields", "scene"])
 def test_memory_does_not_grow_with_the_series(scene, tmp_path, suffix, what, monkeypatch):
     if what == "scene" and suffix == ".vtkhdf":

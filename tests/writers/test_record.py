@@ -202,6 +202,10 @@ SCRIPT = """
 """
 
 
+# test_store kills processes that write NetCDF
+@pytest.mark.parametrize(
+    "path", [pytest.param("live.nc", marks=pytest.mark.slow), "live.zarr"], indirect=True
+)
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")
 def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
     """Whenever the process is killed: all steps that were appended are whole, and it goes on from there."""

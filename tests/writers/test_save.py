@@ -250,7 +250,14 @@ def test_a_full_disk_is_named_with_the_folder(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("when", "new"), [("before", False), ("between", False), ("after", True)])
+@pytest.mark.parametrize(
+    ("when", "new"),
+    [
+        ("before", False),
+        pytest.param("between", False, marks=pytest.mark.slow),  # the kills before and after
+        ("after", True),
+    ],
+)
 def test_a_killed_writer_leaves_the_old_or_the_new_store(tmp_path, when, new):
     """Killed before, between and after the two renames that put a new store in the place of an old one."""
     ds = xcg.datasets.simple_cubic(2)

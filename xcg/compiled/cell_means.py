@@ -68,11 +68,10 @@ def cell_means(
     """
     if not 2 <= sum(h > 0.0 for h in half) == seen:
         return INTEGRATED
-    codes = [
-        (one.kind, None if one.table is None else one.table.tobytes())
-        for one in (kernel, kernel.once, kernel.twice)
-    ]
-    key = half, integral, kernel.spread, kernel.rims.tobytes(), *codes
+    key: tuple[Any, ...] = (half, integral, kernel.spread, kernel.rims.tobytes())
+    for function in (kernel, kernel.once, kernel.twice):
+        table = None if function.table is None else function.table.tobytes()
+        key += (function.kind, table)
     if key not in _tables:
         if len(_tables) == _MOST_TABLES:
             _tables.clear()
@@ -87,26 +86,26 @@ def _tabulated(half: tuple[float, float, float], kernel: CellKernel, integral: f
     if math.prod(shape) > MOST_PLACES or max(shape) + TAPS > LONGEST_LINE:
         return INTEGRATED
     a, b, c = order
-    volumes = Volumes(Rows((0, 0, 0), (1, 1, 1), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)), half, (a, b, c))
-    found = np.zeros(shape)
+    rows = Rows((0, 0, 0), (1, 1, 1), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
+    volumes = Volumes(rows, half, (a, b, c))
+    values = np.zeros(shape)
     scratch = np.zeros((LISTS, LONGEST_LINE))
-    _fill_means(volumes, kernel, *(axis.distances for axis in axes), scratch, found)
+    _fill_means(volumes, kernel, *(axis.distances for axis in axes), scratch, values)
     # the means of a point over all cells, which their volume makes the integral
-    total = np.einsum("abc,xa,yb,zc->xyz", found, *(axis.cells for axis in axes), optimize=True)
+    total = np.einsum("abc,xa,yb,zc->xyz", values, *(axis.cells for axis in axes), optimize=True)
     volume = math.prod(2.0 * h for h in half if h > 0.0)
-    found *= integral / volume / total[np.ix_(*(axis.group for axis in axes))]
-    table = np.ascontiguousarray(found[np.ix_(*(axis.place for axis in axes))])
-    (fa, pa), (fb, pb), (fc, pc) = ((float(axis.distances[0]), axis.per_step) for axis in axes)
-    means = CellMeans(table, (fa, fb, fc), (pa, pb, pc), 0.0)
+    values *= integral / volume / total[np.ix_(*(axis.group for axis in axes))]
+    table = np.ascontiguousarray(values[np.ix_(*(axis.place for axis in axes))])
+    first_a, first_b, first_c = (float(axis.distances[0]) for axis in axes)
+    per_a, per_b, per_c = (axis.per_step for axis in axes)
+    means = CellMeans(table, (first_a, first_b, first_c), (per_a, per_b, per_c), 0.0)
     ends = np.array([[axis.distances[0], axis.distances[-1]] for axis in axes])
     probes = ends[:, 0] + np.random.default_rng(0).random((_PROBES, 3)) * np.diff(ends)[:, 0]
     error = _largest_error(probes, volumes, kernel, means, scratch, np.zeros(2))
-    largest = float(np.abs(found).max())
-    return (
-        INTEGRATED
-        if error > _WORST * largest
-        else means._replace(least=max(_SMALL * largest, _IN_HAND * error))
-    )
+    largest = float(np.abs(values).max())
+    if error > _WORST * largest:
+        return INTEGRATED
+    return means._replace(least=max(_SMALL * largest, _IN_HAND * error))
 
 
 class _Axis(NamedTuple):
@@ -137,25 +136,35 @@ class _Axis(NamedTuple):
 def _axis(half: float) -> _Axis:
     if half == 0.0:
         return _Axis(1.0, np.zeros(1), np.zeros(TAPS, int), np.ones((1, 1)), np.zeros(1, int))
-    first = max(0.0, half - 1.0)  # before it a cell holds the support from end to end
-    within = 2 * FINEST if first else math.ceil(half * max(2 * FINEST, 4.0 / half))
-    step = 1.0 / FINEST if first else 2.0 * half / within
-    many = math.ceil((half + 1.0 - first) / step) + 1
-    number, place = np.arange(many), np.arange(many + TAPS - 1) - BEFORE
-    turn = number if first else number % within
+    if half > 1.0:
+        return _axis_of_large_cells(half)
+    within = math.ceil(half * max(2 * FINEST, 4.0 / half))  # intervals in a cell
+    step = 2.0 * half / within
+    many = math.ceil((half + 1.0) / step) + 1
+    number = np.arange(many)
     cells = np.zeros((within // 2 + 1, many))
     for k in range(len(cells)):
-        beside = (
-            np.array([k, within - k]) if first else np.abs(k + within * np.arange(-many, many + 1))
-        )
+        beside = np.abs(k + within * np.arange(-many, many + 1))
         np.add.at(cells[k], beside[beside < many], 1.0)
-    return _Axis(
-        1.0 / step,
-        first + step * number,
-        (place.clip(0) if first else np.abs(place)).clip(max=many - 1),
-        cells,
-        np.minimum(turn, within - turn).clip(0),
-    )
+    turn = number % within
+    place = np.abs(np.arange(many + TAPS - 1) - BEFORE).clip(max=many - 1)
+    return _Axis(1.0 / step, step * number, place, cells, np.minimum(turn, within - turn))
+
+
+def _axis_of_large_cells(half: float) -> _Axis:
+    """Places along an axis where a cell holds the support from end to end before the first one."""
+    first = half - 1.0
+    within = 2 * FINEST  # intervals in the support
+    step = 1.0 / FINEST
+    many = math.ceil((half + 1.0 - first) / step) + 1
+    number = np.arange(many)
+    cells = np.zeros((within // 2 + 1, many))
+    for k in range(len(cells)):
+        beside = np.array([k, within - k])
+        np.add.at(cells[k], beside[beside < many], 1.0)
+    group = np.minimum(number, within - number).clip(0)
+    place = (np.arange(many + TAPS - 1) - BEFORE).clip(0, many - 1)
+    return _Axis(1.0 / step, first + step * number, place, cells, group)
 
 
 @jit
@@ -187,8 +196,11 @@ def _taps(distance, first, per_step, last):
     x = max(0.0, abs(distance) - first) * per_step
     k = min(np.int64(x), last)
     f = x - k
-    a, b, c, d, e = f + 2.0, f + 1.0, f - 1.0, f - 2.0, f - 3.0
-    ab, de, ce = a * b, d * e, c * e
+    a, b = f + 2.0, f + 1.0
+    c, d, e = f - 1.0, f - 2.0, f - 3.0
+    ab = a * b
+    de = d * e
+    ce = c * e
     weights = (
         b * f * c * de / -120.0,
         a * f * c * de / 24.0,
@@ -212,8 +224,10 @@ def _line_of_means(da, db, low, high, means, line):
     for n in range(begin, end + TAPS):
         line[n] = 0.0
     for k in range(TAPS):
-        w, rows = wa[k], table[i + k]
-        w0, w1, w2, w3, w4, w5 = w * wb[0], w * wb[1], w * wb[2], w * wb[3], w * wb[4], w * wb[5]
+        w = wa[k]
+        rows = table[i + k]
+        w0, w1, w2 = w * wb[0], w * wb[1], w * wb[2]
+        w3, w4, w5 = w * wb[3], w * wb[4], w * wb[5]
         for n in range(begin, end + TAPS):
             left = w0 * rows[j, n] + w1 * rows[j + 1, n] + w2 * rows[j + 2, n]
             line[n] += left + (w3 * rows[j + 3, n] + w4 * rows[j + 4, n] + w5 * rows[j + 5, n])
@@ -229,12 +243,16 @@ def _mean_of_line(dc, means, line):
 @inner
 def _interpolate_row(da, db, dc, node, many, share, volumes, means, values, out, first):
     """As `integrate_row`, from the table of means; cells that the support does not reach are left out."""
-    (a, b, c), half = volumes.order, volumes.half
+    a, b, c = volumes.order
+    half = volumes.half
     across2 = max(0.0, abs(da) - half[a]) ** 2 + max(0.0, abs(db) - half[b]) ** 2
     if across2 >= 1.0:
         return
-    step, half_c, line = volumes.rows.steps[c], half[c], values[LINE]
-    begin, end = dc - node * step, dc - (node + many - 1) * step
+    step = volumes.rows.steps[c]
+    half_c = half[c]
+    line = values[LINE]
+    begin = dc - node * step
+    end = dc - (node + many - 1) * step
     nearest = 0.0 if begin * end < 0.0 else min(abs(begin), abs(end))
     _line_of_means(da, db, nearest, max(abs(begin), abs(end)), means, line)
     for k in range(many):
@@ -261,7 +279,8 @@ def _add_row(da, db, dc, node, many, volumes, kernel, means, values, out, first)
 @inner
 def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
     """Write the mean of the kernel over the cell of a node to place k, for a point minus the node."""
-    offset, (a, b, c) = (x, y, z), volumes.order
+    offset = (x, y, z)
+    a, b, c = volumes.order
     out[k] = 0.0
     _add_row(offset[a], offset[b], offset[c], 0, 1, volumes, kernel, kernel.means, values, out, k)
 
@@ -289,29 +308,35 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
     """
     if volumes is None:
         return 0
-    values, numbers = lists.values, lists.numbers
-    (low, high, steps, per_steps), half = volumes.rows, volumes.half
-    place, (a, b, c) = (x, y, z), volumes.order
+    values = lists.values
+    numbers = lists.numbers
+    low, high, steps, per_steps = volumes.rows
+    half = volumes.half
+    place = (x, y, z)
+    a, b, c = volumes.order
     strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
     first_a, end_a = _range_along(place[a], 0.0, half[a], per_steps[a], low[a], high[a])
     first_b, end_b = _range_along(place[b], 0.0, half[b], per_steps[b], low[b], high[b])
     first_c, end_c = _range_along(place[c], 0.0, half[c], per_steps[c], low[c], high[c])
-    many, hits, weight, least = end_c - first_c, 0, values[WEIGHT], -_ROUNDING * kernel.norm
+    many = end_c - first_c
+    hits = 0
+    weight = values[WEIGHT]
+    least = -_ROUNDING * kernel.norm
+    means = kernel.means
     for ia in range(first_a, end_a):
         da = place[a] - ia * steps[a]
         for ib in range(first_b, end_b):
             db = place[b] - ib * steps[b]
             for k in range(many):
                 weight[hits + k] = 0.0
-            _add_row(
-                da, db, place[c], first_c, many, volumes, kernel, kernel.means, values, weight, hits
-            )
+            _add_row(da, db, place[c], first_c, many, volumes, kernel, means, values, weight, hits)
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
                 if weight[begin + k] > 0.0 or weight[begin + k] < least:
                     weight[hits] = weight[begin + k]
-                    values[_AXES[a], hits], values[_AXES[b], hits] = da, db
+                    values[_AXES[a], hits] = da
+                    values[_AXES[b], hits] = db
                     values[_AXES[c], hits] = place[c] - (first_c + k) * steps[c]
                     numbers[NODE, hits] = row + (first_c + k - low[c]) * strides[c]
                     hits += 1
@@ -336,14 +361,21 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
     int
         Number of nodes listed.
     """
-    values, numbers = lists.values, lists.numbers
-    (low, high, steps, per_steps), half = volumes.rows, volumes.half
-    place, branch, (a, b, c) = (x, y, z), (bx, by, bz), volumes.order
+    values = lists.values
+    numbers = lists.numbers
+    low, high, steps, per_steps = volumes.rows
+    half = volumes.half
+    place = (x, y, z)
+    branch = (bx, by, bz)
+    a, b, c = volumes.order
     strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
     first_a, end_a = _range_along(place[a], branch[a], half[a], per_steps[a], low[a], high[a])
     first_b, end_b = _range_along(place[b], branch[b], half[b], per_steps[b], low[b], high[b])
     first_c, end_c = _range_along(place[c], branch[c], half[c], per_steps[c], low[c], high[c])
-    many, hits, weight = end_c - first_c, 0, values[WEIGHT]
+    many = end_c - first_c
+    hits = 0
+    weight = values[WEIGHT]
+    means = kernel.means
     for ia in range(first_a, end_a):
         da = place[a] - ia * steps[a]
         for ib in range(first_b, end_b):
@@ -352,27 +384,17 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
                 weight[hits + k] = 0.0
             for part in range(parts):
                 for g in range(points.size):
-                    u, share = (part + points[g]) / parts, shares[g] / parts
-                    ea, eb, ec = da + u * branch[a], db + u * branch[b], place[c] + u * branch[c]
-                    if kernel.means.least == math.inf:
-                        integrate_row(
-                            ea, eb, ec, first_c, many, share, volumes, kernel, values, weight, hits
-                        )
+                    u = (part + points[g]) / parts
+                    share = shares[g] / parts
+                    ea = da + u * branch[a]
+                    eb = db + u * branch[b]
+                    ec = place[c] + u * branch[c]
+                    line = (ea, eb, ec, first_c, many)
+                    if means.least == math.inf:
+                        integrate_row(*line, share, volumes, kernel, values, weight, hits)
                     else:
                         share *= kernel.norm
-                        _interpolate_row(
-                            ea,
-                            eb,
-                            ec,
-                            first_c,
-                            many,
-                            share,
-                            volumes,
-                            kernel.means,
-                            values,
-                            weight,
-                            hits,
-                        )
+                        _interpolate_row(*line, share, volumes, means, values, weight, hits)
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):

@@ -11,15 +11,17 @@ from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
 _IMAGINARY = 1e-14
-# A matrix is diagonal where squares off the diagonal are below this share of those on it; a handful of sweeps.
-_DIAGONAL, _MOST_SWEEPS = 1e-40, 12
+# A matrix is diagonal where squares off the diagonal are below this share of those on it.
+_DIAGONAL = 1e-40
+_MOST_SWEEPS = 12  # a handful are taken
 _MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
 _WELL_CONDITIONED = 1e-3
 # The same for the sum of the principal minors and the inverse within a plane; what is below the other two, shares of
 # those of well-spread grains, is nothing but rounding: the grains lie on one line, or in one plane.
 _WELL_SPREAD = 1e-4
-_ONE_LINE, _ONE_PLANE = 1e-13, 1e-11
+_ONE_LINE = 1e-13
+_ONE_PLANE = 1e-11
 # Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
 # 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
 _RANK_THRESHOLD = 1e-9
@@ -79,9 +81,8 @@ def _unfinished(matrix, turns):
     some = False
     for n in range(TILE):
         off = matrix[0, 1, n] ** 2 + matrix[0, 2, n] ** 2 + matrix[1, 2, n] ** 2
-        turns[n] = not off <= _DIAGONAL * (
-            matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2
-        )
+        on = matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2
+        turns[n] = not off <= _DIAGONAL * on
         some |= turns[n]
     return some
 
@@ -95,25 +96,22 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
         cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
         for n in range(TILE):
+            c, s = cosine[n], sine[n]
             a, b = matrix[k, p, n], matrix[k, q, n]
-            matrix[k, p, n], matrix[k, q, n] = (
-                cosine[n] * a - sine[n] * b,
-                sine[n] * a + cosine[n] * b,
-            )
+            matrix[k, p, n] = c * a - s * b
+            matrix[k, q, n] = s * a + c * b
     for k in range(3):
         for n in range(TILE):
+            c, s = cosine[n], sine[n]
             a, b = matrix[p, k, n], matrix[q, k, n]
-            matrix[p, k, n], matrix[q, k, n] = (
-                cosine[n] * a - sine[n] * b,
-                sine[n] * a + cosine[n] * b,
-            )
+            matrix[p, k, n] = c * a - s * b
+            matrix[q, k, n] = s * a + c * b
     for k in range(3):
         for n in range(TILE):
+            c, s = cosine[n], sine[n]
             a, b = vectors[k, p, n], vectors[k, q, n]
-            vectors[k, p, n], vectors[k, q, n] = (
-                cosine[n] * a - sine[n] * b,
-                sine[n] * a + cosine[n] * b,
-            )
+            vectors[k, p, n] = c * a - s * b
+            vectors[k, q, n] = s * a + c * b
 
 
 @inner
@@ -123,13 +121,11 @@ def _descending(matrix, n):
     for k in range(1, 3):
         if matrix[k, k, n] > matrix[first, first, n]:
             first = k
-    one = 1 if first == 0 else 0
-    other = 3 - first - one
-    return (
-        (first, one, other)
-        if matrix[other, other, n] <= matrix[one, one, n]
-        else (first, other, one)
-    )
+    second = 1 if first == 0 else 0
+    third = 3 - first - second
+    if matrix[third, third, n] <= matrix[second, second, n]:
+        return first, second, third
+    return first, third, second
 
 
 @jit
@@ -145,12 +141,13 @@ def principal(tensor, values, vectors):
     vectors : (n, 3, 3)
         Unit eigenvectors, one a row, in the same order; set here.
     """
-    matrix, axes, turns = np.zeros((3, 3, TILE)), np.empty((3, 3, TILE)), np.empty(TILE, np.bool_)
+    matrix = np.zeros((3, 3, TILE))
+    axes = np.empty((3, 3, TILE))
+    turns = np.empty(TILE, np.bool_)
     cosine, sine = np.empty(TILE), np.empty(TILE)
     for first in range(0, tensor.shape[0], TILE):
-        many = min(
-            TILE, tensor.shape[0] - first
-        )  # what is left in the last tile is finished already
+        # what is left in the last tile is finished already
+        many = min(TILE, tensor.shape[0] - first)
         for n in range(many):
             for i in range(3):
                 for j in range(3):
@@ -199,24 +196,21 @@ def _null_vector(matrix, shift, vector):
     most = 0.0
     for i in range(2):
         for j in range(i + 1, 3):
-            ax, ay, az = (
-                matrix[i, 0] - shift * (i == 0),
-                matrix[i, 1] - shift * (i == 1),
-                matrix[i, 2],
-            )
-            bx, by, bz = (
-                matrix[j, 0],
-                matrix[j, 1] - shift * (j == 1),
-                matrix[j, 2] - shift * (j == 2),
-            )
-            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            ax = matrix[i, 0] - shift * (i == 0)
+            ay = matrix[i, 1] - shift * (i == 1)
+            az = matrix[i, 2]
+            bx = matrix[j, 0]
+            by = matrix[j, 1] - shift * (j == 1)
+            bz = matrix[j, 2] - shift * (j == 2)
+            x = ay * bz - az * by
+            y = az * bx - ax * bz
+            z = ax * by - ay * bx
             length2 = x * x + y * y + z * z
             if length2 > most:
                 most = length2
                 vector[0], vector[1], vector[2] = x, y, z
-    if (
-        most == 0.0
-    ):  # zero, or a dyad of vectors at right angles, which maps its own columns to zero
+    if most == 0.0:
+        # zero, or a dyad of vectors at right angles, which maps its own columns to zero
         vector[0], vector[1], vector[2] = 1.0, 0.0, 0.0
         for k in range(3):
             if matrix[0, k] != 0.0 or matrix[1, k] != 0.0 or matrix[2, k] != 0.0:
@@ -256,12 +250,10 @@ def principal_of_any(tensor, values, vectors):
     vectors : (n, 3, 3)
         Unit eigenvectors, one a row, in the same order; set here.
     """
-    matrix, reflection, product, vector = (
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty(3),
-    )
+    matrix = np.empty((3, 3))
+    reflection = np.empty((3, 3))
+    product = np.empty((3, 3))
+    vector = np.empty(3)
     for n in range(tensor.shape[0]):
         size = 0.0
         for i in range(3):
@@ -275,9 +267,8 @@ def principal_of_any(tensor, values, vectors):
         (a, b, c), (d, e, f), (g, h, k) = matrix
         linear = a * e - b * d + a * k - c * g + e * k - f * h
         determinant = a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
-        _null_vector(
-            matrix, math.copysign(_root_apart(linear, abs(determinant)), determinant), vector
-        )
+        apart = math.copysign(_root_apart(linear, abs(determinant)), determinant)
+        _null_vector(matrix, apart, vector)
         _reflect(vector, matrix, reflection, product)
         _write_pairs(matrix, reflection, mean, size, values[n], vectors[n])
 
@@ -285,15 +276,19 @@ def principal_of_any(tensor, values, vectors):
 @inner
 def _write_pairs(matrix, reflection, mean, size, values, vectors):
     """Write eigenvalues and eigenvectors of a matrix whose first axis is an eigenvector, turned back and scaled."""
-    apart, middle, half = (
-        matrix[0, 0],
-        0.5 * (matrix[1, 1] + matrix[2, 2]),
-        0.5 * (matrix[1, 1] - matrix[2, 2]),
-    )
+    apart = matrix[0, 0]
+    middle = 0.5 * (matrix[1, 1] + matrix[2, 2])
+    half = 0.5 * (matrix[1, 1] - matrix[2, 2])
     above, below = matrix[1, 2], matrix[2, 1]
     square = half * half + above * below
+    # the others are middle + root and middle - root, NaN if they are complex
     root = math.sqrt(max(0.0, square)) if square >= -(_IMAGINARY**2) else math.nan
-    place = 0 if not apart < middle + root else (1 if apart >= middle - root else 2)
+    if not apart < middle + root:
+        place = 0
+    elif apart >= middle - root:
+        place = 1
+    else:
+        place = 2
     sign = 1.0
     for k in range(3):
         if k == place:
@@ -308,14 +303,14 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
                 y, z = (1.0, 0.0) if sign > 0.0 else (0.0, 1.0)
             x = matrix[0, 1] * y + matrix[0, 2] * z
             if x != 0.0:  # else it is at right angles to the first
-                y, z = (value - apart) * y, (value - apart) * z
+                y = (value - apart) * y
+                z = (value - apart) * z
             sign = -sign
         length = math.sqrt(x * x + y * y + z * z)
         values[k] = (value + mean) * size
         for i in range(3):
-            vectors[k, i] = (
-                reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z
-            ) / length
+            turned_back = reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z
+            vectors[k, i] = turned_back / length
 
 
 # --- best linear fit: small symmetric systems, rank-aware ------------------------------------------------
@@ -345,8 +340,8 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
     """
     rows = np.empty((SUMS + FOUND, sums.shape[1]))
     rows[:SUMS] = sums
-    begin, end, flags = (np.uint64(k) for k in (0, SUMS, flags_of(active, about_node)))
-    fit_rows(rows, begin, end, rows.shape[1], flags)
+    flags = np.uint64(flags_of(active, about_node))
+    fit_rows(rows, np.uint64(0), np.uint64(SUMS), rows.shape[1], flags)
     return rows[SUMS:]
 
 
@@ -380,13 +375,16 @@ def _moved(shear, u, offsets):
 @inner
 def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
     """Rank of a symmetric matrix, the part of each axis (3,) that its range spans, and its pseudo-inverse (6,)."""
-    rank, spanned, inverse = 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    rank = 0
+    spanned = (0.0, 0.0, 0.0)
+    inverse = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     values, axes = principal_of_one(xx, xy, xz, yy, yz, zz)
     least = max(_RANK_THRESHOLD * max(values), rounding)
     for k in range(3):
         if values[k] > least:
             x, y, z = axes[k]
-            rank, scale = rank + 1, 1.0 / values[k]
+            rank += 1
+            scale = 1.0 / values[k]
             spanned = spanned[0] + x * x, spanned[1] + y * y, spanned[2] + z * z
             inverse = (
                 inverse[0] + scale * x * x,
@@ -416,27 +414,24 @@ def fit_rows(rows, first, found, many, flags):
     flags : int
         See `flags_of`.
     """
-    active_x, active_y, active_z, about_node = (
-        flags & 1 != 0,
-        flags & 2 != 0,
-        flags & 4 != 0,
-        flags & 8 != 0,
-    )
+    active_x = flags & 1 != 0
+    active_y = flags & 2 != 0
+    active_z = flags & 4 != 0
+    about_node = flags & 8 != 0
     full = int(active_x) + int(active_y) + int(active_z)
     # as unsigned numbers: signed ones are looked at for counting from the end
-    count, of_mass, momentum = (
-        first + np.uint64(COUNT),
-        first + np.uint64(MASS),
-        first + np.uint64(MOMENTUM),
-    )
-    offset, shear, spread = (
-        first + np.uint64(OFFSET),
-        first + np.uint64(SHEAR),
-        first + np.uint64(SPREAD),
-    )
-    gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
-    determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
+    count = first + np.uint64(COUNT)
+    of_mass = first + np.uint64(MASS)
+    momentum = first + np.uint64(MOMENTUM)
+    offset = first + np.uint64(OFFSET)
+    shear = first + np.uint64(SHEAR)
+    spread = first + np.uint64(SPREAD)
+    gradient = found + np.uint64(GRADIENT)
+    explained = found + np.uint64(EXPLAINED)
+    determined = found + np.uint64(DETERMINED)
+    mean = found + np.uint64(MEAN)
     inverse = found + np.uint64(INVERSE)
+    three = np.uint64(3)
     for n in range(many):
         mass = rows[of_mass, n]
         per_mass = 1.0 / mass if mass > 0.0 else 0.0
@@ -446,65 +441,69 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, mean, n, (x, y, z))
         about_xx, about_xy, about_xz = _three(rows, spread, n)
         about_yy, about_yz, about_zz = _three(rows, spread + three, n)
-        xx, yy, zz = about_xx - x * offsets[0], about_yy - y * offsets[1], about_zz - z * offsets[2]
-        xy, xz, yz = about_xy - x * offsets[1], about_xz - x * offsets[2], about_yz - y * offsets[2]
+        xx = about_xx - x * offsets[0]
+        xy = about_xy - x * offsets[1]
+        xz = about_xz - x * offsets[2]
+        yy = about_yy - y * offsets[1]
+        yz = about_yz - y * offsets[2]
+        zz = about_zz - z * offsets[2]
         trace = xx + yy + zz
         rounding = _ROUNDING * (about_xx + about_yy + about_zz)
         # along the other axes all offsets are zero, and any spread gives a gradient of zero
         own = trace / full
-        xx, yy, zz = xx if active_x else own, yy if active_y else own, zz if active_z else own
+        xx = xx if active_x else own
+        yy = yy if active_y else own
+        zz = zz if active_z else own
         c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-        determinant, minors, size = xx * c00 + xy * c01 + xz * c02, c00 + c11 + c22, xx + yy + zz
-        rank, px, py, pz = full, 1.0, 1.0, 1.0  # the part of each axis that the grains span
+        determinant = xx * c00 + xy * c01 + xz * c02
+        minors = c00 + c11 + c22
+        size = xx + yy + zz
+        rank = full
+        px, py, pz = 1.0, 1.0, 1.0  # the part of each axis that the grains span
         if not trace > rounding:
-            rank, px, py, pz = 0, 0.0, 0.0, 0.0
+            rank = 0
+            px, py, pz = 0.0, 0.0, 0.0
             c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         elif determinant > _WELL_CONDITIONED * own * own * own:
             scale = 1.0 / determinant
             c00, c01, c02 = scale * c00, scale * c01, scale * c02
             c11, c12, c22 = scale * c11, scale * c12, scale * c22
         elif minors <= _ONE_LINE * size * size:
-            rank, scale = full - 2, 1.0 / size
+            rank = full - 2
+            scale = 1.0 / size
             px, py, pz = scale * xx, scale * yy, scale * zz
             scale = scale * scale
             c00, c01, c02 = scale * xx, scale * xy, scale * xz
             c11, c12, c22 = scale * yy, scale * yz, scale * zz
         elif minors > _WELL_SPREAD * size * size and abs(determinant) <= _ONE_PLANE * minors * size:
-            rank, scale = full - 1, 1.0 / minors
+            rank = full - 1
+            scale = 1.0 / minors
             px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
             across = -scale * size
-            c00, c01, c02 = (
-                scale * (size * px - xx),
-                scale * (across * c01 - xy),
-                scale * (across * c02 - xz),
-            )
-            c11, c12, c22 = (
-                scale * (size * py - yy),
-                scale * (across * c12 - yz),
-                scale * (size * pz - zz),
-            )
+            c00 = scale * (size * px - xx)
+            c01 = scale * (across * c01 - xy)
+            c02 = scale * (across * c02 - xz)
+            c11 = scale * (size * py - yy)
+            c12 = scale * (across * c12 - yz)
+            c22 = scale * (size * pz - zz)
         else:
-            xx, yy, zz = xx if active_x else 0.0, yy if active_y else 0.0, zz if active_z else 0.0
-            rank, (px, py, pz), (c00, c01, c02, c11, c12, c22) = _inverse_of_rank(
-                xx, xy, xz, yy, yz, zz, rounding
-            )
-        # where offsets are all zero the spread that stands for theirs has an inverse too, which is none of M^+
-        _put_three(rows, inverse, n, (c00 if active_x else 0.0, c01, c02))
-        _put_three(
-            rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0)
-        )
-        known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
-        _put_three(
-            rows,
-            determined,
-            n,
-            (
-                1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
-                1.0 if mass > 0.0 and (not active_y or known_y) else np.nan,
-                1.0 if mass > 0.0 and (not active_z or known_z) else np.nan,
-            ),
-        )
+            xx = xx if active_x else 0.0
+            yy = yy if active_y else 0.0
+            zz = zz if active_z else 0.0
+            rank, spanned, pseudo = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
+            px, py, pz = spanned
+            c00, c01, c02, c11, c12, c22 = pseudo
+        # the spread that stands for offsets of zero has an inverse too, which is not part of M^+
+        of_xx = c00 if active_x else 0.0
+        of_yy = c11 if active_y else 0.0
+        of_zz = c22 if active_z else 0.0
+        _put_three(rows, inverse, n, (of_xx, c01, c02))
+        _put_three(rows, inverse + three, n, (of_yy, c12, of_zz))
+        known_x = 1.0 if mass > 0.0 and (not active_x or px > _SPANNED) else np.nan
+        known_y = 1.0 if mass > 0.0 and (not active_y or py > _SPANNED) else np.nan
+        known_z = 1.0 if mass > 0.0 and (not active_z or pz > _SPANNED) else np.nan
+        _put_three(rows, determined, n, (known_x, known_y, known_z))
         b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if mass > 0.0:
             u, v, w = _three(rows, momentum, n)
@@ -520,12 +519,7 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        _put_three(
-            rows, explained, n, (known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2))
-        )
-        _put_three(
-            rows,
-            explained + three,
-            n,
-            (known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)),
-        )
+        e00, e01, e02 = known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)
+        e11, e12, e22 = known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)
+        _put_three(rows, explained, n, (e00, e01, e02))
+        _put_three(rows, explained + three, n, (e11, e12, e22))

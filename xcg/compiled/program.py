@@ -47,12 +47,15 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
     """
     fits = len(numbers) >= rows and numbers.size == len(numbers) * width
     if not (fits and numbers.dtype == _NUMBER and numbers.flags.carray):
+        read_only = "" if numbers.flags.writeable else ", which is read-only"
         raise ValueError(
-            f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory that can "
-            f"be written to; this is an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"
-            f"{'' if numbers.flags.writeable else ', which is read-only'}"
+            f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the "
+            f"other in memory that can be written to; this is an array {numbers.shape} of "
+            f"{numbers.dtype} with strides {numbers.strides}{read_only}"
         )
-    return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data)) if numbers.size else 0
+    if not numbers.size:
+        return 0
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data))
 
 
 @leaf
@@ -85,28 +88,28 @@ def run(steps, records, source, fields, target, place, order, tile, scratch):
     for first in range(0, place.size, TILE):
         many = min(TILE, place.size - first)
         for n in range(records.shape[0]):
-            address, width, row = records[n, 0], records[n, 1], records[n, 2]
+            address = records[n, 0]
+            width = records[n, 1]
+            row = records[n, 2]
             if order is None:
                 unread += _transpose_records(address, width, row, first, many, place.size, scratch)
             else:
                 unread += _gather_records(address, width, order, first, many, tile)
                 _transpose_records(tile, width, row, 0, many, TILE + EIGHT, scratch)
         for step in range(steps.shape[0]):
-            operation, r, a, b = steps[step, 0], steps[step, 1], steps[step, 2], steps[step, 3]
+            operation = steps[step, 0]
+            r = steps[step, 1]
+            a = steps[step, 2]
+            b = steps[step, 3]
             if operation == STORE:
-                if fields[r, 1] == fields[r, 2]:
-                    _store(fields[r, 0], fields[r, 1], target[r], place, first, many, scratch)
+                address = fields[r, 0]
+                width = fields[r, 1]
+                components = fields[r, 2]
+                rows = target[r]
+                if width == components:
+                    _store(address, width, rows, place, first, many, scratch)
                 else:
-                    _store_apart(
-                        fields[r, 0],
-                        fields[r, 1],
-                        fields[r, 2],
-                        target[r],
-                        place,
-                        first,
-                        many,
-                        scratch,
-                    )
+                    _store_apart(address, width, components, rows, place, first, many, scratch)
             elif operation == FIT:
                 fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
@@ -159,7 +162,8 @@ def _gather_records(address, width, order, first, many, tile):
             read += load_number(address, begin + c)
         read += load_number(address, begin + width - np.uint64(1))
     for k in range(many):
-        begin, to = order[first + k] * width, k * width
+        begin = order[first + k] * width
+        to = k * width
         for c in range(width):
             store_number(tile, to + c, load_number(address, begin + c))
     return read
@@ -171,12 +175,13 @@ def _transpose_records(address, width, row, first, many, nodes, scratch):
 
     Lines are first read one after the other, as the processor expects it: that takes half the time.
     """
-    begin, end, read = first * width, (first + many) * width, 0.0
+    begin = first * width
+    end = (first + many) * width
+    read = 0.0
     for k in range(begin, end, np.uint64(EIGHT)):
         read += load_number(address, k)
-    if (
-        many == TILE and end + np.uint64(EIGHT) <= nodes * width
-    ):  # what is read beyond a record is there
+    # eight numbers at a time also read what follows the last record
+    if many == TILE and end + np.uint64(EIGHT) <= nodes * width:
         for k in range(0, TILE, EIGHT):
             for c in range(0, width, EIGHT):
                 transpose8x8(address, begin + k * width + c, width, scratch, row + c, k)
@@ -196,18 +201,18 @@ def _store(address, width, row, place, first, many, scratch):
             store_nontemporal(address, place[first + k], scratch[x, k])
     elif width == 3:
         for k in range(many):
-            _store_three(
-                address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k]
-            )
-    else:
-        yx, yy, yz, zx, zy, zz = row[3], row[4], row[5], row[6], row[7], row[8]
-        for k in range(many):
             to = width * place[first + k]
             _store_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
-            _store_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
-            _store_three(
-                address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k]
-            )
+    else:
+        yx, yy, yz = row[3], row[4], row[5]
+        zx, zy, zz = row[6], row[7], row[8]
+        for k in range(many):
+            to_x = width * place[first + k]
+            to_y = to_x + THREE
+            to_z = to_y + THREE
+            _store_three(address, to_x, scratch[x, k], scratch[y, k], scratch[z, k])
+            _store_three(address, to_y, scratch[yx, k], scratch[yy, k], scratch[yz, k])
+            _store_three(address, to_z, scratch[zx, k], scratch[zy, k], scratch[zz, k])
 
 
 @inner

@@ -61,6 +61,7 @@ def test_a_random_walk_diffuses():
     assert m.self_diffusion.attrs["units"] == "m^2 s^-1"
 
 
+@pytest.mark.slow  # test_widths and test_averages on errors of means
 def test_errors_equal_those_of_repeated_walks():
     runs = [
         walks(80, 20, edge=8.0, seed=seed)[0].cg.mean_squared_displacement([1, 4], fit=(0.25, 1.0))

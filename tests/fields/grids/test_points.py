@@ -324,6 +324,7 @@ for rtol in (0.0, 1e-3):
 """
 
 
+@pytest.mark.slow  # fields at points equal those of a mesh
 def test_loops_over_points_run_uncompiled_to_the_same_bits(tmp_path):
     for name, disabled in (("compiled", "0"), ("python", "1")):
         code = f"folder, name = {str(tmp_path)!r}, {name!r}\n{UNCOMPILED}"

@@ -80,11 +80,11 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     if not noise or not set(others) <= set(COMPONENTS):
         return mean
     count = _independent(f, others)
-    scatter = {
-        f"{name}_error": f[name].std(others) / np.sqrt(count - 1.0) for name in noise if count > 1
-    }
-    of_nodes = {name: _noise(one, sums, name, others, count) for name, one in noise.items()}
-    return _with_larger(mean.assign(scatter), of_nodes, "scatter_of_places")
+    if count > 1:
+        scatter = {name: f[name].std(others) / np.sqrt(count - 1.0) for name in noise}
+        mean = mean.assign({f"{name}_error": error for name, error in scatter.items()})
+    of_nodes = {name: _noise(error, sums, name, others, count) for name, error in noise.items()}
+    return _with_larger(mean, of_nodes, "scatter_of_places")
 
 
 def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
@@ -149,16 +149,18 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     beside = {}
     for name in map(str, mean.data_vars):
-        # without coordinates, which are the mean's; of blocks that leave out an unknown step there may be an error
-        beside[f"{name}_error"] = errors[name].variable.where(mean[name].variable.notnull())
-        beside[f"{name}_error"].attrs = {
+        # without coordinates, which are the mean's; an error may be known where the mean is not
+        error = errors[name].variable.where(mean[name].variable.notnull())
+        error.attrs = {
             "units": f[name].attrs.get("units", "1"),
             "long_name": f"standard error of {name}",
         }
+        beside[f"{name}_error"] = error
     mean = mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
+    steps_averaged = samples.sizes[_SAMPLE]
     of_steps = {
-        name: _noise(one, samples, name, [_SAMPLE], samples.sizes[_SAMPLE])
-        for name, one in noisy.items()
+        name: _noise(error, samples, name, [_SAMPLE], steps_averaged)
+        for name, error in noisy.items()
     }
     return _with_larger(mean, of_steps, "scatter_of_steps")
 
@@ -168,21 +170,21 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
 
     `sample_count` does not change; other fields are NaN where the fraction is.
     """
-    rows, fraction = _rows_of(f), fraction.drop_attrs(deep=False)
+    rows = _rows_of(f)
+    fraction = fraction.drop_attrs(deep=False)
     sums = _to_sums(f, "per='accessible'")
-    kept = {"sample_count", *(name for name, row in rows.items() if row is not None and row.weight)}
-    divided = {
-        name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction
-        for name in sums
-    }
+    ratios = {name for name, row in rows.items() if row is not None and row.weight}
+    divided = {}
+    for name, values in sums.items():
+        part_of_ratio = "/" in str(name)
+        kept = part_of_ratio or name == "sample_count"
+        divided[name] = values if kept else values / fraction
     out = _from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
-    return out.assign(
-        {
-            name: f[name].where(known) if name != "sample_count" else f[name]
-            for name in kept & set(rows)
-        }
-    )
+    unchanged = {name: f[name].where(known) for name in ratios}
+    if "sample_count" in rows:
+        unchanged["sample_count"] = f["sample_count"]
+    return out.assign(unchanged)
 
 
 # --- errors of one step ----------------------------------------------------------------------------------
@@ -196,21 +198,22 @@ def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
     """Remove the errors of single steps from a result; return them by the names of their fields."""
     if "averaged_steps" in f.attrs:
         return f, {}
-    found = {name: f.get(f"{name}_error") for name in map(str, f.data_vars)}
-    noise = {name: error for name, error in found.items() if error is not None}
-    return f.drop_vars(
-        [f"{name}_error{end}" for name in noise for end in ("", "_from")], errors="ignore"
-    ), noise
+    names = list(map(str, f.data_vars))
+    noise = {name: f[f"{name}_error"] for name in names if f"{name}_error" in f}
+    errors = [f"{name}_error" for name in noise]
+    sources = [f"{name}_error_from" for name in noise]
+    return f.drop_vars([*errors, *sources], errors="ignore"), noise
 
 
 def _noise(
     noise: xr.DataArray, sums: xr.Dataset, name: str, dims: Sequence[str], independent: float
 ) -> xr.DataArray:
     """Error of an average of some independent values over dimensions; of a ratio with the weights of its average."""
-    if (bottom := sums.get(f"{name}/bottom")) is None:
+    denominator = sums.get(f"{name}/bottom")
+    if denominator is None:
         variance = (noise**2).mean(dims)
     else:
-        weight = bottom.where(noise.notnull(), 0.0)
+        weight = denominator.where(noise.notnull(), 0.0)
         total = weight.sum(dims)
         share = ((weight * noise.fillna(0.0)) ** 2).sum(dims) / total.where(total != 0) ** 2
         variance = share * math.prod(sums.sizes[dim] for dim in dims)
@@ -222,18 +225,15 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     count = math.prod(f.sizes[a] for a in axes)
     dimension = int(f.attrs["kernel_dimension"])
     kernel = kernel_of(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), {}, dimension)
-    seen = [a for a in COMPONENTS if a in f.coords]
-    kept = len(seen) - len(axes)
-    length = [float(f[a][1] - f[a][0]) * f.sizes[a] if f.sizes[a] > 1 else 0.0 for a in axes]
-    return max(
-        1.0,
-        min(
-            count,
-            math.prod(length)
-            * squared_integral(kernel, len(seen))
-            / squared_integral(kernel, kept),
-        ),
-    )
+    seen = len([a for a in COMPONENTS if a in f.coords])
+    lengths = [0.0] * len(axes)
+    for k, axis in enumerate(axes):
+        if f.sizes[axis] > 1:
+            lengths[k] = float(f[axis][1] - f[axis][0]) * f.sizes[axis]
+    before = squared_integral(kernel, seen)
+    after = squared_integral(kernel, seen - len(axes))
+    places = math.prod(lengths) * before / after
+    return max(1.0, min(count, places))
 
 
 def squared_integral(kernel: Kernel, seen: int) -> float:
@@ -241,27 +241,27 @@ def squared_integral(kernel: Kernel, seen: int) -> float:
     if not seen:
         return 1.0
     r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
-    shell = {1: 2.0 + 0 * r, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}[seen]
-    return float(np.trapezoid(kernel.value(r, seen) ** 2 * shell, dx=step))
+    shells = {1: 2.0, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}
+    return float(np.trapezoid(kernel.value(r, seen) ** 2 * shells[seen], dx=step))
 
 
 def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
     """Add the larger of two errors of each field to an average, and its source: noise or scatter."""
-    found = {}
-    for name, one in noise.items():
-        other = mean.get(f"{name}_error", one)
-        larger = ((other > one) | one.isnull()).drop_attrs(deep=False)
-        error = other.where(larger, one).where(mean[name].notnull()).drop_attrs(deep=False)
-        units = mean[name].attrs.get("units", "1")
-        found[f"{name}_error"] = error.assign_attrs(
-            units=units, long_name=f"standard error of {name}"
+    beside = {}
+    for name, of_noise in noise.items():
+        of_scatter = mean.get(f"{name}_error", of_noise)
+        scatter_is_larger = (of_scatter > of_noise) | of_noise.isnull()
+        scatter_is_larger = scatter_is_larger.drop_attrs(deep=False)
+        error = of_scatter.where(scatter_is_larger, of_noise).where(mean[name].notnull())
+        beside[f"{name}_error"] = error.drop_attrs(deep=False).assign_attrs(
+            units=mean[name].attrs.get("units", "1"), long_name=f"standard error of {name}"
         )
-        found[f"{name}_error_from"] = larger.astype("int8").assign_attrs(
+        beside[f"{name}_error_from"] = scatter_is_larger.astype("int8").assign_attrs(
             long_name=f"source of the error of {name}",
             flag_values=np.array([0, 1], "int8"),
             flag_meanings=f"noise_of_each_step {source}",
         )
-    return mean.assign(found)
+    return mean.assign(beside)
 
 
 def block_errors(
@@ -281,61 +281,67 @@ def block_errors(
         samples = samples.coarsen({dim: 2}, boundary="trim").mean()
     if not levels:
         return function(samples.mean(dim)) * np.nan
-    found = levels[-1]
+    errors = levels[-1]
     for k in reversed(range(len(levels) - 1)):
         flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]
         for m in range(k + 2, len(levels)):
             flat = flat & (levels[m] * (1 - doubt[m]) <= levels[k])
-        found = xr.where(flat, levels[k], found)
-    return found
+        errors = xr.where(flat, levels[k], errors)
+    return errors
 
 
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
-    rows = {
-        name: registry.row(name, options)
-        for name in names
-        if name.removesuffix("_error") not in {*names} - {name}
-    }
+    errors = _errors_among(names)
+    rows = {name: registry.row(name, options) for name in names if name not in errors}
     return _all_of(_missing(rows, options))
+
+
+def _errors_among(names: Iterable[str]) -> list[str]:
+    """Return the names of the errors of other fields in the list."""
+    names = list(names)
+    return [name for name in names if name.endswith("_error") and name[:-6] in names]
 
 
 def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     """Return the fields that are missing, each once."""
-    return tuple(
-        dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE)
-    )
+    fields = dict.fromkeys(field for lacking in missing.values() for field in lacking)
+    fields.pop(_NO_RULE, None)
+    return tuple(fields)
 
 
 def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
     """Fields that averages of each field of a result lack, each named once; None is a field without a row."""
-    here, missing = set(rows), dict[str, list[str]]()
+    here = set(rows)
+    missing: dict[str, list[str]] = {}
 
     def follows(name: str) -> bool:
         """Return whether a sum is here, or follows from sums that are."""
+        if name in here:
+            return True
         row = registry.row(name, options)
-        return name in here or bool(
-            row.fields and not row.moments and all(map(follows, row.fields))
-        )
+        return bool(row.fields) and not row.moments and all(map(follows, row.fields))
 
     def obtain(name: str, row: Field | None) -> list[str]:
-        if row is None or (row.moments and not row.additive and not row.weight):
+        """Return what a field lacks, which counts as here from then on."""
+        if row is None:
             return [_NO_RULE]
-        if not row.additive and not row.weight:
-            return [
-                lack for need in row.fields for lack in obtain(need, registry.row(need, options))
-            ]
-        wanted = [
-            field
-            for field in (name, row.weight)
-            if field and not (field in here or (row.additive and follows(name)))
-        ]
+        if row.additive:
+            wanted = [] if follows(name) else [name]
+        elif row.weight:
+            wanted = [field for field in (name, row.weight) if field not in here]
+        elif row.moments:
+            return [_NO_RULE]
+        else:
+            needs = {need: registry.row(need, options) for need in row.fields}
+            return [field for need in needs.items() for field in obtain(*need)]
         here.update(wanted)
         return wanted
 
     for name, row in rows.items():
-        if lacking := list(dict.fromkeys(obtain(name, row))):
+        lacking = list(dict.fromkeys(obtain(name, row)))
+        if lacking:
             missing[name] = lacking
     return missing
 
@@ -343,11 +349,13 @@ def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, li
 def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
     """Rows of the fields of a result; None for other variables."""
     options = registry.options_of(f.attrs)
-    names = map(str, f.data_vars)
-    return {
-        name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name])
-        for name in names
-    }
+    rows: dict[str, Field | None] = {}
+    for name in map(str, f.data_vars):
+        if name in registry.FIELDS:
+            rows[name] = registry.row(name, options)
+        else:
+            rows[name] = row_of_result(f[name])
+    return rows
 
 
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
@@ -357,7 +365,8 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
             f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
         )
     rows = _rows_of(f)
-    if errors := [name for name in rows if name.removesuffix("_error") in {*rows} - {name}]:
+    errors = _errors_among(rows)
+    if errors:
         raise ValueError(
             f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
         )
@@ -368,32 +377,35 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         require_facts(f, required, "this result", way_out)
     missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
-        lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
-        msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
-        if sums := _all_of(missing):
-            msg += (
-                f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
-            )
+        lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
+        msg = (
+            f"{purpose} averages ratios through their sums, and some are not in this result: "
+            + "; ".join(lacks)
+        )
+        sums = ", ".join(_all_of(missing))
+        if sums:
+            msg += f". Call coarse_grain with for_averages=True, or ask it for {sums} too"
         raise ValueError(msg)
     f = _with_components(f, rows, purpose)
     out: dict[str, xr.DataArray] = {}
     for name, row in rows.items():
         assert row is not None
         if row.additive:
-            value = f[name].astype(float)
-            out[name] = (
-                value.where(~f[SKIPPED]) if SKIPPED in f.coords else value
-            )  # whole numbers of such steps are -1
+            out[name] = f[name].astype(float)
+            if SKIPPED in f.coords:  # whole numbers of such steps are -1
+                out[name] = out[name].where(~f[SKIPPED])
         elif row.weight:
-            weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
-            weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
+            weight = f[row.weight]
+            if row.by_bulk:
+                weight = _of_bulk(weight, name, purpose)
+            weight = weight.where(f[name].notnull(), 0.0)
+            value = f[name].fillna(0.0)
             if row.harmonic:
-                out[f"{name}/top"], out[f"{name}/bottom"] = (
-                    weight,
-                    weight / value.where(weight != 0, 1.0),
-                )
+                out[f"{name}/top"] = weight
+                out[f"{name}/bottom"] = weight / value.where(weight != 0, 1.0)
             else:
-                out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
+                out[f"{name}/top"] = weight * value
+                out[f"{name}/bottom"] = weight
     return xr.Dataset(out)
 
 
@@ -411,21 +423,20 @@ def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: s
     for dim in ("component", "direction"):
         if dim not in f.coords:
             continue
-        ordered = (in_order(f, dim, axes) for axes in (COMPONENTS, ("r", "theta", "z")))
-        if (whole := next((found for found in ordered if found is not None), None)) is not None:
-            f = whole
+        ordered = in_order(f, dim, COMPONENTS)
+        if ordered is None:
+            ordered = in_order(f, dim, ("r", "theta", "z"))
+        if ordered is not None:
+            f = ordered
             continue
-        anew = [
-            n
-            for n, row in rows.items()
-            if row and not (row.additive or row.weight) and of_tensors(n)
-        ]
+        derived = [name for name, row in rows.items() if row and not (row.additive or row.weight)]
+        anew = [name for name in derived if of_tensors(name)]
         if anew:
             held = ", ".join(map(str, labels_along(f, dim)))
             raise ValueError(
-                f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, of which this result "
-                f"has the {dim} {held} alone: select after it, or leave these fields out with "
-                "drop_vars"
+                f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, "
+                f"of which this result has the {dim} {held} alone: select after it, or leave "
+                "these fields out with drop_vars"
             )
     return f
 
@@ -444,39 +455,36 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
 def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     """Fields of `f` from averaged quantities."""
     options = registry.options_of(f.attrs)
-    found: dict[str, xr.DataArray] = {}
+    fields: dict[str, xr.DataArray] = {}
     for name in map(str, sums.data_vars):
-        if name.endswith("/top"):
-            ratio, below = name.removesuffix("/top"), sums[name.removesuffix("top") + "bottom"]
-            found[ratio] = sums[name] / below.where(below != 0)
-        elif "/" not in name:
-            found[name] = sums[name]
-
-    out = {
-        name: derive(name, found, options).assign_attrs(f[name].attrs)
-        for name in map(str, f.data_vars)
-    }
+        ratio, _, part = name.partition("/")
+        if not part:
+            fields[name] = sums[name]
+        elif part == "top":
+            denominator = sums[f"{ratio}/bottom"]
+            fields[ratio] = sums[name] / denominator.where(denominator != 0)
+    out = {}
+    for name in map(str, f.data_vars):
+        out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)
     return xr.Dataset(out, attrs=f.attrs)
 
 
-def derive(name: str, found: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Return a field from those found, or compute it and add what it needed to them."""
-    if name not in found:
+def derive(name: str, fields: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Return one of the fields, or compute it and add it and what it needed to them."""
+    if name not in fields:
         row = registry.row(name, options)
-        found[name] = _compute(
-            row, {need: derive(need, found, options) for need in row.fields}, options
-        )
-    return found[name]
+        needs = {need: derive(need, fields, options) for need in row.fields}
+        fields[name] = _compute(row, needs, options)
+    return fields[name]
 
 
 def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
     """Compute one row of the registry on labelled arrays."""
 
     def plain(*arrays: NDArray) -> NDArray:
+        fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
         with np.errstate(all="ignore"):
-            return row.compute(
-                SimpleNamespace(**dict(zip(needs, arrays, strict=True))), None, options
-            )
+            return row.compute(fields, None, options)
 
     if not needs:
         return xr.DataArray(plain())
@@ -484,7 +492,7 @@ def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) ->
     return xr.apply_ufunc(
         plain,
         *needs.values(),
-        input_core_dims=[[d for d in tail if d in v.dims] for v in needs.values()],
+        input_core_dims=[[dim for dim in tail if dim in need.dims] for need in needs.values()],
         output_core_dims=[tail[: row.rank]],
         dask="parallelized",
         output_dtypes=[float],

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,59 +62,89 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        # the reference velocity and the groups of each pass, (nodes, columns) each; where those of a moment begin
-        arrays, found = [sums.velocity], dict[str, tuple[int, Layout]]()
-        for done, filled in zip(sums.of.passes, sums.filled, strict=True):
-            for name in done.layout.moments:
-                found.setdefault(name, (len(arrays), done.layout))
-            arrays += list(filled)
-        # inputs: of which array, which column, and which factor
-        source, factors = list[tuple[int, int, int]](), list[float]()
-        for moment, group, column in self.inputs:
-            number, first, factor = 0, 0, 1.0
-            if moment != "reference":
-                number, layout = found[moment]
-                columns, each = layout.moments[moment]
-                number, first = number + group, int(columns.min())
-                factor = each if isinstance(each, float) else float(each[group])
-            if factor not in factors:
-                factors.append(factor)
-            source.append((number, first + column, factors.index(factor)))
-        # rows of the scratch: constants of the program, factors, columns of each array, and results of steps
-        own, widths = len(self.scratch), [a.shape[1] for a in arrays]
-        rows = np.cumsum(
-            [own + len(factors), *(width + -width % EIGHT for width in widths)]
-        ).tolist()
+        arrays, layouts = _arrays_of(sums)
+        sources = self._sources(layouts)
+        factors = list(dict.fromkeys(source.factor for source in sources))
+        # rows of the scratch: constants, factors, columns of each array, results of steps
+        constants = len(self.scratch)
+        widths = [array.shape[1] for array in arrays]
+        whole_lines = [width + -width % EIGHT for width in widths]
+        rows = np.cumsum([constants + len(factors), *whole_lines]).tolist()
         scratch = loops.room_for(rows[-1])
-        scratch[:own], scratch[own : rows[0]] = self.scratch, np.reshape(factors, (-1, 1))
-        inputs = [(rows[number] + column, own + factor) for number, column, factor in source]
-        nodes, places = len(place), 1 + int(place.max(initial=0))
+        scratch[:constants] = self.scratch
+        scratch[constants : rows[0]] = np.reshape(factors, (-1, 1))
+        inputs = [
+            (rows[source.array] + source.column, constants + factors.index(source.factor))
+            for source in sources
+        ]
+        nodes = len(place)
         records = [
-            (loops.address_of(a, nodes, width, "moments"), width, row)
-            for a, width, row in zip(arrays, widths, rows, strict=False)
+            (loops.address_of(array, nodes, width, "moments"), width, row)
+            for array, width, row in zip(arrays, widths, rows, strict=False)
         ]
-        begins = [
-            loops.address_of(out[name], places, width, name) for name, width in self.widths.items()
-        ]
-        which, first, count = self.stores.T
-        address = np.array(begins, "uint64")[which] + loops.BYTES * first.astype("uint64")
-        fields = np.stack(
-            [
-                address,
-                np.array(list(self.widths.values()), "uint64")[which],
-                count.astype("uint64"),
-            ],
-            1,
-        )
         tile = np.empty((loops.TILE + EIGHT) * max(widths))
-        to = place if order is None else place[order]
-        lists = (
+        loops.run(
+            self.steps,
             np.array(records, "uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
-            fields,
+            self._fields(out, places=1 + int(place.max(initial=0))),
             self.target,
+            place if order is None else place[order],
+            order,
+            tile.ctypes.data,
+            scratch,
         )
-        loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
+
+    def _sources(self, layouts: Mapping[str, tuple[int, Layout]]) -> list[_Source]:
+        """Return where each input stands among the arrays of sums."""
+        sources = []
+        for moment, group, column in self.inputs:
+            if moment == "reference":
+                sources.append(_Source(0, column, 1.0))
+                continue
+            first_array, layout = layouts[moment]
+            columns, factor = layout.moments[moment]
+            if not isinstance(factor, float):  # of each group
+                factor = float(factor[group])
+            sources.append(_Source(first_array + group, int(columns.min()) + column, factor))
+        return sources
+
+    def _fields(self, out: Mapping[str, NDArray], places: int) -> NDArray:
+        """Return address, width and components of each store (stores, 3), for the loop."""
+        addresses = [
+            loops.address_of(out[name], places, width, name) for name, width in self.widths.items()
+        ]
+        field, first, components = self.stores.T
+        return np.stack(
+            [
+                np.array(addresses, "uint64")[field] + loops.BYTES * first.astype("uint64"),
+                np.array(list(self.widths.values()), "uint64")[field],
+                components.astype("uint64"),
+            ],
+            axis=1,
+        )
+
+
+class _Source(NamedTuple):
+    """An input of a program: a column of an array of sums, times a factor."""
+
+    array: int
+    column: int
+    factor: float
+
+
+def _arrays_of(sums: BlockSums) -> tuple[list[NDArray], dict[str, tuple[int, Layout]]]:
+    """Return arrays (nodes, columns) of a block, and first array and layout of each moment.
+
+    The reference velocity is the first array; the groups of each pass follow.
+    """
+    arrays = [sums.velocity]
+    layouts: dict[str, tuple[int, Layout]] = {}
+    for done, groups in zip(sums.of.passes, sums.filled, strict=True):
+        for name in done.layout.moments:
+            layouts.setdefault(name, (len(arrays), done.layout))
+        arrays += list(groups)
+    return arrays, layouts
 
 
 @lru_cache(maxsize=64)
@@ -126,30 +156,30 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     """
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
-    record, found = Trace(), dict[str, Any]()
-    wanted = registry.moments_of(fields, options)
+    record = Trace()
     moments = {
         name: record.load(name, row.columns, groups, paired=row.paired)
-        for name, row in wanted.items()
+        for name, row in registry.moments_of(fields, options).items()
     }
     moments["reference"] = zero_if_unknown(record.load("reference", np.arange(3))[0, 0])
-    s = SimpleNamespace(**moments)
+    sums = SimpleNamespace(**moments)
+    traced: dict[str, Any] = {}
     for name in registry.order_of(fields, options):
         row = registry.row(name, options)
-        if found.keys() >= set(row.fields):
+        if traced.keys() >= set(row.fields):
             try:
-                found[name] = as_symbols(row.compute(SimpleNamespace(**found), s, options))
+                traced[name] = as_symbols(row.compute(SimpleNamespace(**traced), sums, options))
             except Exception:  # numbers may do; if not, they give an error that says why
                 continue
-    results = {
-        (name, first, number): [
-            record.of(value).number for value in found[name].flat[first : first + number]
-        ]
-        for name in fields
-        if name in found
-        for number in [3 ** registry.row(name, options).rank]
-        for first in range(0, found[name].size, number)
-    }
+    results = {}
+    for name in fields:
+        if name not in traced:
+            continue
+        components = list(traced[name].flat)
+        together = 3 ** registry.row(name, options).rank
+        for first in range(0, len(components), together):
+            values = components[first : first + together]
+            results[name, first, together] = [record.of(value).number for value in values]
     return _allocate(record.steps, results) if results else None
 
 
@@ -162,31 +192,17 @@ def _allocate(
     `results` holds the steps that lead to the components of each store. What is stored together is stored as soon as
     it is there.
     """
-    uses = Counter(number for numbers in results.values() for number in numbers)
-    waiting = list(uses)
-    while waiting:
-        for operand in _operands(*recorded[waiting.pop()]):
-            if not uses[operand]:
-                waiting.append(operand)
-            uses[operand] += 1
-    # rows for good: of constants, and of what a fit takes and finds, side by side
-    row, constants, kept = dict[int, int](), dict[int, float](), 0
-    for number in sorted(uses):
-        operation, operands = recorded[number]
-        if operation == loops.CONSTANT:
-            row[number], constants[kept], kept = kept, operands[0], kept + 1
-        elif operation == loops.FIT:
-            row |= {operand: kept + k for k, operand in enumerate(operands[1:])}
-            row[number] = kept + len(operands) - 1
-            kept = row[number] + FOUND
-        elif operation == loops.PART:
-            row[number] = row[operands[1]] + operands[0]
-    free, fresh = list[int](), count(kept)
-    steps, inputs = list[tuple[int, int, int, int]](), list[tuple[str, int, int]]()
-    stored, target = list[tuple[str, int, int]](), np.zeros((len(results), 9), "uint64")
+    uses = _uses(recorded, results)
+    row, constants, kept = _rows_for_good(recorded, sorted(uses))
+    free: list[int] = []
+    fresh = count(kept)
+    steps: list[tuple[int, int, int, int]] = []
+    inputs: list[tuple[str, int, int]] = []
+    stored: list[tuple[str, int, int]] = []
+    target = np.zeros((len(results), 9), "uint64")
 
     def row_of(number: int) -> int:
-        """Row of the result of a step; a column is loaded when it is first needed."""
+        """Return the row of the result of a step; a column is loaded when it is first needed."""
         operation, operands = recorded[number]
         if number not in row:
             row[number] = free.pop() if free else next(fresh)
@@ -195,7 +211,7 @@ def _allocate(
             inputs.append((operands[0], operands[1], operands[2]))
         return row[number]
 
-    complete = dict[int, list[tuple[str, int, int]]]()
+    complete: dict[int, list[tuple[str, int, int]]] = {}
     for store, numbers in results.items():
         complete.setdefault(max(numbers), []).append(store)
     for number in sorted(uses):
@@ -206,7 +222,7 @@ def _allocate(
         elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
             rows = [row_of(operand) for operand in operands]
             steps.append((operation, row_of(number), rows[0], rows[-1]))
-        taken = [*_operands(operation, operands)]
+        taken = list(_operands(operation, operands))
         for store in complete.get(number, ()):
             target[len(stored), : len(results[store])] = [row_of(k) for k in results[store]]
             steps.append((loops.STORE, len(stored), 0, 0))
@@ -217,16 +233,64 @@ def _allocate(
             if not uses[operand] and row[operand] >= kept:
                 free.append(row[operand])
     scratch = np.zeros((next(fresh), loops.TILE))
-    for number, value in constants.items():
-        scratch[number] = value
+    for place, value in constants.items():
+        scratch[place] = value
+    widths, stores = _table_of_stores(stored)
+    return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
+
+
+def _uses(
+    recorded: Sequence[tuple[int, tuple[Any, ...]]],
+    results: Mapping[tuple[str, int, int], Sequence[int]],
+) -> Counter[int]:
+    """Return how often the result of each step is used, of those that lead to results."""
+    uses = Counter(number for numbers in results.values() for number in numbers)
+    waiting = list(uses)
+    while waiting:
+        for operand in _operands(*recorded[waiting.pop()]):
+            if not uses[operand]:
+                waiting.append(operand)
+            uses[operand] += 1
+    return uses
+
+
+def _rows_for_good(
+    recorded: Sequence[tuple[int, tuple[Any, ...]]], numbers: Iterable[int]
+) -> tuple[dict[int, int], dict[int, float], int]:
+    """Return the rows of steps that are never reused, the constants by row, and the next row.
+
+    They are rows of constants, and of what a fit takes and finds, side by side.
+    """
+    row: dict[int, int] = {}
+    constants: dict[int, float] = {}
+    kept = 0
+    for number in numbers:
+        operation, operands = recorded[number]
+        if operation == loops.CONSTANT:
+            row[number] = kept
+            constants[kept] = operands[0]
+            kept += 1
+        elif operation == loops.FIT:
+            for operand in operands[1:]:
+                row[operand] = kept
+                kept += 1
+            row[number] = kept
+            kept += FOUND
+        elif operation == loops.PART:
+            row[number] = row[operands[1]] + operands[0]
+    return row, constants, kept
+
+
+def _table_of_stores(
+    stored: Sequence[tuple[str, int, int]],
+) -> tuple[dict[str, int], NDArray]:
+    """Return how many numbers of each field a place holds, and the stores by field's number."""
     widths: dict[str, int] = {}
     for name, first, components in stored:
         widths[name] = max(widths.get(name, 0), first + components)
     names = list(widths)
-    stores = np.array(
-        [(names.index(name), first, components) for name, first, components in stored]
-    )
-    return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
+    stores = [(names.index(name), first, components) for name, first, components in stored]
+    return widths, np.array(stores)
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:

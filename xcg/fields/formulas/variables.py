@@ -96,46 +96,75 @@ class OwnField:
     @property
     def moments(self) -> dict[str, Moment]:
         """The sums that it needs and that are not in the registry of moments."""
-        q, symbol = self.quantity.variable, WEIGHTS[self.weight][0]
-        reads = (q,) if self.weight == "number" else (q, self.weight)
+        q = self.quantity.variable
         if isinstance(self.quantity, Conduction):
-            formula, column = f"{q} a, along the branch", partial(_of_sides, q)
-            return {
-                formula: Moment(
-                    reads, formula, (3,), column=column, contacts=True, along_branches=True
-                )
-            }
-        made = partial(Moment, contacts=self.at_contacts, at_contacts=self.at_contacts)
+            formula = f"{q} a, along the branch"
+            moment = Moment(
+                self._reads,
+                formula,
+                (3,),
+                column=partial(_of_sides, q),
+                contacts=True,
+                along_branches=True,
+            )
+            return {formula: moment}
         if isinstance(self.quantity, (Mean, Sum)):
-            formula, column = (
+            symbol = WEIGHTS[self.weight][0]
+            moment = Moment(
+                self._reads,
                 q if symbol == "1" else f"{symbol} {q}",
-                partial(_weighted, q, self.weight),
+                (3,) * self.rank,
+                column=partial(_weighted, q, self.weight),
+                contacts=self.at_contacts,
+                at_contacts=self.at_contacts,
             )
-            return {f"{self.weight} {q}": made(reads, formula, (3,) * self.rank, column=column)}
-        # sums of products, relative to each node, of three numbers a pass
-        numbers: list[_Number] = [(q, k) for k in range(3**self.rank)]
+            return {f"{self.weight} {q}": moment}
+        return dict(map(self._products, self._triples))
+
+    @property
+    def _reads(self) -> tuple[str, ...]:
+        """Variables that its sums read."""
+        if self.weight == "number":
+            return (self.quantity.variable,)
+        return (self.quantity.variable, self.weight)
+
+    @property
+    def _triples(self) -> list[tuple[_Number, ...]]:
+        """Three numbers a pass, whose products are summed relative to each node."""
+        components: list[_Number] = [(self.quantity.variable, k) for k in range(3**self.rank)]
         if isinstance(self.quantity, Variance):
-            numbers += [None] * (-len(numbers) % 3)
-            triples = [tuple(numbers[k : k + 3]) for k in range(0, len(numbers), 3)]
-        else:
-            x, y, z = (("velocity", k) for k in range(3))
-            triples = [triple for one in numbers for triple in ((one, x, y), (one, z, None))]
-        of_error = isinstance(self.quantity, _MeanError)
-        layout = (*_ABOUT, loops.SQUARE) if of_error else _ABOUT
-        squares = f", {symbol}^2 Psi" if of_error else ""
-        return {
-            f"{self.weight} about {', '.join(map(_text, triple))}{squares}": made(
-                tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
-                f"{symbol} (1, q, q q){squares} of {', '.join(_text(part) for part in triple if part)}",
-                (len(layout),),
-                loops.FLUCTUATION,
-                loops.MASS,
-                partial(_numbers, triple, self.weight),
-                layout=layout,
-                vector=self.rank == 1 and isinstance(self.quantity, Variance),
-            )
-            for triple in triples
-        }
+            components += [None] * (-len(components) % 3)
+            return [tuple(components[k : k + 3]) for k in range(0, len(components), 3)]
+        x, y, z = (("velocity", k) for k in range(3))
+        triples: list[tuple[_Number, ...]] = []
+        for component in components:
+            triples.append((component, x, y))
+            triples.append((component, z, None))
+        return triples
+
+    def _products(self, triple: tuple[_Number, ...]) -> tuple[str, Moment]:
+        """Return the name and the moment of the sums of products of three numbers."""
+        symbol = WEIGHTS[self.weight][0]
+        layout = _ABOUT
+        squares = ""
+        if isinstance(self.quantity, _MeanError):
+            layout = (*_ABOUT, loops.SQUARE)
+            squares = f", {symbol}^2 Psi"
+        parts = [part for part in triple if part is not None]
+        variables = [name for name, _ in parts]
+        moment = Moment(
+            tuple(dict.fromkeys([*self._reads, *variables])),
+            f"{symbol} (1, q, q q){squares} of {', '.join(map(_text, parts))}",
+            (len(layout),),
+            loops.FLUCTUATION,
+            loops.MASS,
+            partial(_numbers, triple, self.weight),
+            layout=layout,
+            vector=self.rank == 1 and isinstance(self.quantity, Variance),
+            contacts=self.at_contacts,
+            at_contacts=self.at_contacts,
+        )
+        return f"{self.weight} about {', '.join(map(_text, triple))}{squares}", moment
 
     @property
     def error(self) -> Quantity | None:
@@ -147,15 +176,21 @@ class OwnField:
     @property
     def row(self) -> Field:
         """The row that it would have in the registry of fields."""
-        names, rank = tuple(self.moments), self.rank
+        names = tuple(self.moments)
+        rank = self.rank
+        q = self.quantity.variable
+        kind = type(self.quantity)
         # what weights sum to: a moment, and the field that weighs averages over nodes or steps
-        total, counts = (
-            ("contacts", "contact_number_density") if self.at_contacts else WEIGHTS[self.weight][2:]
-        )
-        u = {"1": ""}.get(WEIGHTS[self.weight][0], f"{WEIGHTS[self.weight][0]}_i ")
-        point = "Psi(r - c)" if self.at_contacts else "Psi"
-        by = "number" if self.at_contacts else self.weight
-        q, kind = self.quantity.variable, type(self.quantity)
+        if self.at_contacts:
+            total, counts = "contacts", "contact_number_density"
+            by = "number"
+            point = "Psi(r - c)"
+        else:
+            total, counts = WEIGHTS[self.weight][2:]
+            by = self.weight
+            point = "Psi"
+        symbol = WEIGHTS[self.weight][0]
+        u = "" if symbol == "1" else f"{symbol}_i "
         below = f"sum {u}{point}"
         mean = f"<q> = sum {u}q {point} / {below}"
         forms: dict[type[Quantity], tuple[Any, ...]] = {
@@ -197,6 +232,7 @@ class OwnField:
             ),
         }
         long_name, formula, compute, more = forms[kind]
+        rows = "contacts" if self.at_contacts else "particles"
         return Field(
             rank=rank + (kind in (Flux, Conduction)),
             units=self.units,
@@ -207,7 +243,7 @@ class OwnField:
             moments=(*names, *more),
             additive=kind in (Sum, Flux, Conduction),
             weight=counts if kind in (Mean, Variance) else "",
-            source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
+            source=f"variable {q!r} of the {rows}",
         )
 
 
@@ -220,7 +256,7 @@ def row_of_result(field: xr.DataArray) -> Field | None:
 
 
 def own_fields(
-    given: Iterable[str | Quantity | registry.OwnRow], scene: Description
+    requested: Iterable[str | Quantity | registry.OwnRow], scene: Description
 ) -> dict[int, OwnField | registry.OwnRow]:
     """Return the requested fields that are quantities of a variable, or rows, by their index in the list.
 
@@ -231,26 +267,28 @@ def own_fields(
     SceneError, ValueError
         As `own_field`, or if two have the same name.
     """
-    found: dict[int, OwnField | registry.OwnRow] = {}
-    for k, one in enumerate(given):
-        if isinstance(one, registry.OwnRow):
-            found[k] = one
+    own: dict[int, OwnField | registry.OwnRow] = {}
+    by_name: dict[str, list[Quantity]] = {}
+    for k, field in enumerate(requested):
+        quantity: Any = field
+        if isinstance(field, registry.OwnRow):
+            own[k] = field
             continue
-        quantity = (
-            read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
-        )
-        if quantity is None and one in scene.rows:
-            quantity = Mean(str(one))
+        if isinstance(field, str) and field not in registry.FIELDS:
+            quantity = read_quantity(field)
+            if quantity is None and field in scene.rows:
+                quantity = Mean(field)
         if isinstance(quantity, Quantity):
-            found[k] = own_field(quantity, scene)
-    quantities = [own for own in found.values() if isinstance(own, OwnField)]
-    for name in {own.name for own in quantities}:
-        same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
-        if len(same) > 1:
+            result = own_field(quantity, scene)
+            own[k] = result
+            by_name.setdefault(result.name, []).append(quantity)
+    for name, quantities in by_name.items():
+        different = dict.fromkeys(quantities)
+        if len(different) > 1:
             raise ValueError(
-                f"{' and '.join(map(str, same))} would both be called {name!r}; pass name="
+                f"{' and '.join(map(str, different))} would both be called {name!r}; pass name="
             )
-    return found
+    return own
 
 
 def own_field(quantity: Quantity, scene: Description) -> OwnField:
@@ -266,33 +304,37 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     name = quantity.variable
     if name not in scene.columns:
         raise SceneError(f"{quantity}: {unknown('variable', name, scene.rows)}")
-    found = scene.columns[name]
-    row = variable(name, "int64" if found.kind in "iu" else "float64", max(len(found.dims) - 1, 1))
+    column = scene.columns[name]
+    dtype = "int64" if column.kind in "iu" else "float64"
+    row = variable(name, dtype, max(len(column.dims) - 1, 1))
     rank = len(row.dims) - 1
-    if set(found.dims) != {"time", *row.dims} or found.kind not in "fiub":
-        raise SceneError(_wrong_dims(name, found, row.dims))
+    if set(column.dims) != {"time", *row.dims} or column.kind not in "fiub":
+        raise SceneError(_wrong_dims(name, column, row.dims))
     at_contacts = row.dims[0] == "contact"
     weight = quantity.weight or ("number" if at_contacts else quantity.usual)
     if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
         lack = "velocity" if weight == "number" else weight
         raise ValueError(
-            f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: leave weight= out, and take "
-            "Mean, Sum or Variance"
+            f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: "
+            "leave weight= out, and take Mean, Sum or Variance"
         )
     if isinstance(quantity, Conduction) and not (at_contacts and rank == 0):
         raise ValueError(
-            f"{quantity}: {name!r} is {found.dims}; what flows along contacts is one number for each contact"
+            f"{quantity}: {name!r} is {column.dims}; what flows along contacts is one number "
+            "for each contact"
         )
     if isinstance(quantity, Flux) and rank == 2:
         raise ValueError(
-            f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; take those of its components"
+            f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; "
+            "take those of its components"
         )
     result = quantity.name or quantity.prefix + name
     if quantity.name is None and result in registry.FIELDS:
         result = f"mean_{name}"
     if result in registry.FIELDS or result in registry.COORDINATES:
         raise ValueError(
-            f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
+            f"{quantity}: the result cannot be called {result!r}, which is something else "
+            "in a result; pass name="
         )
     return OwnField(
         quantity,
@@ -300,8 +342,8 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
         weight,
         rank,
         at_contacts,
-        units=_units(quantity, weight, found.units, scene.setup.unit_system),
-        what=found.long_name or name.replace("_", " "),
+        units=_units(quantity, weight, column.units, scene.setup.unit_system),
+        what=column.long_name or name.replace("_", " "),
     )
 
 
@@ -313,58 +355,69 @@ def check_turns(own: Iterable[Any]) -> None:
     ValueError
         If one is a flux, or a variance of tensors.
     """
-    for one in own:
-        if not isinstance(one, OwnField):
+    for field in own:
+        if not isinstance(field, OwnField):
             continue
-        if isinstance(one.quantity, Flux) or (isinstance(one.quantity, Variance) and one.rank == 2):
+        quantity = field.quantity
+        of_tensors = isinstance(quantity, Variance) and field.rank == 2
+        if isinstance(quantity, Flux) or of_tensors:
             raise ValueError(
-                f"{one.quantity} is not there in a cylindrical frame: take it in the scene's axes, or Mean, Sum and "
-                "the Variance of scalars and vectors"
+                f"{quantity} is not there in a cylindrical frame: take it in the scene's axes, "
+                "or Mean, Sum and the Variance of scalars and vectors"
             )
 
 
-def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
-    msg = f"{name!r} has the dimensions {found.dims} and NumPy's type {found.kind!r}"
-    if "contact" in found.dims and expected[0] == "particle":
+def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
+    msg = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
+    rows = expected[0]
+    if "contact" in column.dims and rows == "particle":
         to = f"contact_{name}"
-        return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({name}={to!r})"
-    if "particle" in found.dims and expected[0] == "contact":
-        return f"{msg}: names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
-    if "time" not in found.dims:
+        return (
+            f"{msg}: names of variables of contacts begin with 'contact_'; "
+            f"call ds = ds.rename({name}={to!r})"
+        )
+    if "particle" in column.dims and rows == "contact":
+        return (
+            f"{msg}: names that begin with 'contact_' are for contacts; give it another name, "
+            "by ds.rename"
+        )
+    if "time" not in column.dims:
         return (
             f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
         )
-    rows = expected[0]
     return (
-        f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, or 'component' and 'direction' "
-        "for tensors"
+        f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, "
+        "or 'component' and 'direction' for tensors"
     )
 
 
 def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) -> str:
     """Return the unit of a quantity, from that of its variable; empty where the variable has none."""
-    if unit is None or isinstance(quantity, (Mean, _MeanError)):
-        return unit or ""
-    length, mass, _ = powers_of(WEIGHTS[weight][1])
+    if unit is None:
+        return ""
+    if isinstance(quantity, (Mean, _MeanError)):
+        return unit
     if isinstance(quantity, Variance):
         return _times(unit, 2, "1")
-    flux, along = isinstance(quantity, Flux), isinstance(quantity, Conduction)
-    return _times(
-        unit, 1, units_in(units_of((length - 3 + flux + along, mass, -int(flux))), system)
-    )
+    length, mass, time = powers_of(WEIGHTS[weight][1])
+    length, time = length - 3, 0  # in a unit of volume
+    if isinstance(quantity, Flux):  # times a velocity
+        length, time = length + 1, -1
+    if isinstance(quantity, Conduction):  # times a branch
+        length += 1
+    return _times(unit, 1, units_in(units_of((length, mass, time)), system))
 
 
 def _times(unit: str, exponent: int, other: str) -> str:
     """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
-    factors, others = factors_of_unit(unit), factors_of_unit(other) or {}
+    factors = factors_of_unit(unit)
     if factors is None:  # another notation
-        return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (
-            f" {other}" if other != "1" else ""
-        )
-    names = [*factors, *(name for name in others if name not in factors)]
-    return product_of_units(
-        {name: exponent * factors.get(name, 0) + others.get(name, 0) for name in names}
-    )
+        text = f"({unit})^{exponent}" if exponent > 1 else f"({unit})"
+        return text if other == "1" else f"{text} {other}"
+    powers = {name: exponent * power for name, power in factors.items()}
+    for name, power in (factors_of_unit(other) or {}).items():
+        powers[name] = powers.get(name, 0) + power
+    return product_of_units(powers)
 
 
 # --- sums ------------------------------------------------------------------------------------------------
@@ -420,30 +473,29 @@ def _bulk_mean(weight: NDArray, first: NDArray) -> NDArray:
 
 def _variance(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return S u (q - b)^2 / S u, with S u (q - b)^2 = S u q q - b S u q - (S u q - b S u) b."""
-    found = []
+    variances = []
     for name, k in product(names, range(3 if rank else 1)):
         sums = getattr(s, name)
-        weight, first = sums[..., 0], sums[..., _FIRST + k]
+        weight = sums[..., 0]
+        first = sums[..., _FIRST + k]
         b = _bulk_mean(weight, first)
         squares = sums[..., _SQUARES[k]] - b * first - (first - b * weight) * b
-        found.append(at_least_zero(mean_of(squares, weight)))
-    return _components(found, rank)
+        variances.append(at_least_zero(mean_of(squares, weight)))
+    return _components(variances, rank)
 
 
 def _mean_error(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
-    found = []
+    """Return the error of a mean, see `_MeanError`."""
+    errors = []
     for name, k in product(names, range(3 if rank else 1)):
         sums = getattr(s, name)
-        weight, first, square = (
-            where_positive(sums[..., 0]),
-            sums[..., _FIRST + k],
-            sums[..., _OF_WEIGHTS],
-        )
+        weight = where_positive(sums[..., 0])
+        first = sums[..., _FIRST + k]
+        square = sums[..., _OF_WEIGHTS]
         scatter = at_least_zero(sums[..., _SQUARES[k]] - first * first / weight)
-        found.append(
-            np.sqrt(scatter * square / (where_positive(weight - square / weight) * weight * weight))
-        )
-    return _components(found, rank)
+        freedom = where_positive(weight - square / weight)
+        errors.append(np.sqrt(scatter * square / (freedom * weight * weight)))
+    return _components(errors, rank)
 
 
 def _flux(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
@@ -451,20 +503,25 @@ def _flux(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDAr
 
     V is relative to the velocity that the main pass refers to at the node, which is that of the same grain.
     """
-    found = []
-    for pair in zip(names[::2], names[1::2], strict=True):
-        (one, other), mean = (getattr(s, name) for name in pair), f._drift[:1]
-        weight, first = one[..., 0], one[..., _FIRST]
+    fluxes = []
+    drift = f._drift[:1]
+    for name_of_xy, name_of_z in zip(names[::2], names[1::2], strict=True):
+        with_xy = getattr(s, name_of_xy)
+        with_z = getattr(s, name_of_z)
+        weight = with_xy[..., 0]
+        first = with_xy[..., _FIRST]
         b = _bulk_mean(weight, first)
         rest = first - b * weight  # nothing but for phases
-        for axis, (sums, k) in enumerate(((one, 0), (one, 1), (other, 0))):
-            product_of_two, speed = sums[..., _PRODUCTS[k]], sums[..., _FIRST + 1 + k]
-            found.append(product_of_two - b * speed - zero_if_unknown(mean[..., axis]) * rest)
-    return _components(found, rank + 1)
+        for axis, (sums, k) in enumerate(((with_xy, 0), (with_xy, 1), (with_z, 0))):
+            with_speed = sums[..., _PRODUCTS[k]]
+            speed = sums[..., _FIRST + 1 + k]
+            drifting = zero_if_unknown(drift[..., axis]) * rest
+            fluxes.append(with_speed - b * speed - drifting)
+    return _components(fluxes, rank + 1)
 
 
-def _components(found: list[NDArray], rank: int) -> NDArray:
-    """Fields (phase, node, ...) from their components; nodes run fastest in memory."""
+def _components(components: list[NDArray], rank: int) -> NDArray:
+    """Return fields (phase, node, ...) from their components; nodes run fastest in memory."""
     shape = (3,) * rank
-    whole = np.stack(found).reshape(*shape, *found[0].shape)
+    whole = np.stack(components).reshape(*shape, *components[0].shape)
     return whole.transpose(rank, rank + 1, *range(rank))

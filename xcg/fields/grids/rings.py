@@ -67,25 +67,27 @@ class RingBlock:
         """Return whether any node has several angles."""
         return len(self.rings.angle) > len(self.places)
 
-    def averages(self, found: BlockSums) -> BlockSums:
+    def averages(self, at_angles: BlockSums) -> BlockSums:
         """Return sums at the nodes: averages of those at all their angles, turned into (r, theta, z) before.
 
         Numbers relative to a velocity are brought to one velocity first, in these axes the same at all angles of a
         node.
         """
+        # passes that refer to one velocity share the array
         common: dict[int, tuple[NDArray, NDArray]] = {}
-        filled, references = [], []
-        for run, sums, given in zip(found.of.passes, found.filled, found.references, strict=True):
+        filled: list[NDArray] = []
+        references: list[NDArray] = []
+        for run, sums, velocities in zip(
+            at_angles.of.passes, at_angles.filled, at_angles.references, strict=True
+        ):
             layout = run.layout
-            if id(given) not in common:
-                common[id(given)] = self._reference(given, turns=layout.vector)
-            reference, difference = common[id(given)]
+            if id(velocities) not in common:
+                common[id(velocities)] = self._reference(velocities, turns=layout.vector)
+            reference, difference = common[id(velocities)]
             groups, _, columns = sums.shape
-            averaged, record, tensor = (
-                np.zeros((groups, len(self.places), columns)),
-                np.empty(columns),
-                np.empty(27),
-            )
+            averaged = np.zeros((groups, len(self.places), columns))
+            record = np.empty(columns)
+            tensor = np.empty(27)
             ring_means(
                 sums,
                 self.rings,
@@ -97,32 +99,40 @@ class RingBlock:
                 tensor,
                 averaged,
             )
-            for squared in run.squared if self.is_mean else ():
-                self._square(layout, squared, averaged)
+            if self.is_mean:
+                for squared in run.squared:
+                    self._square(layout, squared, averaged)
             filled.append(averaged)
             references.append(reference)
-        velocity, _ = common.get(id(found.velocity)) or self._reference(found.velocity, turns=True)
-        return BlockSums(found.of, filled, velocity, references)
+        main = at_angles.velocity
+        if id(main) not in common:
+            common[id(main)] = self._reference(main, turns=True)
+        velocity, _ = common[id(main)]
+        return BlockSums(at_angles.of, filled, velocity, references)
 
-    def _reference(self, given: NDArray, *, turns: bool) -> tuple[NDArray, NDArray]:
-        """Return one velocity (m, 3) for all angles of each node, NaN where nothing reaches, and offsets (a, 3)."""
-        mean, difference = np.empty((len(self.places), 3)), np.empty_like(given)
-        ring_references(given, self.rings, turns, mean, difference)
+    def _reference(self, velocities: NDArray, *, turns: bool) -> tuple[NDArray, NDArray]:
+        """Return one velocity (m, 3) for all angles of each node, and the offsets (a, 3) from it.
+
+        NaN where nothing reaches.
+        """
+        mean = np.empty((len(self.places), 3))
+        difference = np.empty_like(velocities)
+        ring_references(velocities, self.rings, turns, mean, difference)
         return mean, difference
 
     def _square(self, layout: Layout, squared: Squared, averaged: NDArray) -> None:
         """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
         seen_z = bool(squared.grid.active[2])
-        low, high = (extreme(axis=0) for extreme in (self.rings.place.min, self.rings.place.max))
-        (row, position), cutoff = squared.images, squared.grains.cutoff
-        near = np.abs(np.hypot(position[:, 0], position[:, 1]) - 0.5 * (low[0] + high[0])) < (
-            0.5 * (high[0] - low[0]) + cutoff
-        )
+        row, position = squared.images
+        cutoff = squared.grains.cutoff
+        low = self.rings.place.min(axis=0)
+        high = self.rings.place.max(axis=0)
+        middle = 0.5 * (low + high)
+        reach = 0.5 * (high - low) + cutoff
+        radius = np.hypot(position[:, 0], position[:, 1])
+        near = np.abs(radius - middle[0]) < reach[0]
         if seen_z:
-            near &= (
-                np.abs(position[:, 2] - 0.5 * (low[1] + high[1]))
-                < 0.5 * (high[1] - low[1]) + cutoff
-            )
+            near &= np.abs(position[:, 2] - middle[1]) < reach[1]
         row = row[near]
         grains = position[near], squared.grains.mass[row], squared.grains.phase[row]
         out = np.zeros((layout.groups, len(self.places), 10))
@@ -183,10 +193,9 @@ def _tensors(layout: Layout) -> tuple[NDArray, NDArray]:
     if layout.level == loops.CUBIC:
         parts.append(_FLOW["cubes"])
     parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
-    columns = [np.resize(part, 27) for part in parts]
-    return np.array([part.ndim for part in parts], dtype=int), np.array(columns, dtype=int).reshape(
-        -1, 27
-    )
+    ranks = np.array([part.ndim for part in parts], dtype=int)
+    columns = np.array([np.resize(part, 27) for part in parts], dtype=int)
+    return ranks, columns.reshape(-1, 27)
 
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
@@ -232,79 +241,51 @@ def make_rings(
     ValueError
         If an argument is wrong.
     """
-    letters = "rtz" if "z" in plane else "rt"
-    known = [NAMES[a] for a in letters]
-    if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(
-            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
-        )
-    resolved = [NAMES[a] for a in letters if a in axes]
-    if any(np.ndim(x) for x in at.values()):
-        raise ValueError(
-            "at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated"
-        )
-    # a part of the circle may be averaged
-    check_places(
-        resolved, at, {a: ends for a, ends in bounds.items() if a != "theta" or a in at}, known
-    )
-    fixed = {a: float(at[a]) for a in known if a in at}
-    if "r" not in resolved and "r" not in fixed:
-        raise ValueError(
-            "a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it (at={'r': ...})"
-        )
-    if fixed.get("r", 0.0) < 0.0:
-        raise ValueError(f"at={dict(at)!r}: expected no radius below zero")
+    known = [NAMES[letter] for letter in _letters_of(plane)]
+    resolved = _resolved_axes(axes, plane)
+    fixed = _fixed_places(at, bounds, resolved, known)
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
     nodes: dict[str, NDArray] = {}
-    limits: dict[str, Sequence[float]] = dict(bounds)
     if "r" in resolved:
-        if "r" not in limits and "r" in automatic and steps.get("r"):
-            limits["r"] = 0.0, math.ceil(automatic["r"][1] / steps["r"]) * steps["r"]
-        nodes["r"], _ = nodes_along(
-            "r", steps.get("r"), resolved, limits, automatic, {}, kernel.cutoff
-        )
-        if nodes["r"][0] < 0.0:
-            raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
+        nodes["r"] = _radii(steps.get("r"), resolved, bounds, automatic, kernel.cutoff)
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
-    low, high = map(float, bounds.get("theta", (0.0, _FULL)))
-    if not 0.0 < high - low <= _FULL * (1 + 1e-12):
-        raise ValueError(
-            f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), at most a circle apart"
-        )
+    low, high = _part_of_circle(bounds)
     if "theta" in resolved:
         widest = max(float(radii.max()), kernel.cutoff)
-        along = steps.get("theta", steps["r"] / widest if "r" in steps else None)
-        around, once = {"theta": (0.0, _FULL)}, {"theta": _FULL}
+        step = steps.get("theta", steps["r"] / widest if "r" in steps else None)
+        circle = {"theta": (0.0, _FULL)}
         nodes["theta"], _ = nodes_along(
-            "theta", along, resolved, bounds, around, once, kernel.cutoff / widest
+            "theta", step, resolved, bounds, circle, {"theta": _FULL}, kernel.cutoff / widest
         )
     if "z" in resolved:
         nodes["z"], _ = nodes_along(
             "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
         )
-    averaged = "z" if "z" in plane and "z" not in resolved and "z" not in fixed else ""
-    seen = seen_all - len(averaged)
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
-    reached = 0.0
+    averaged = "z" if "z" in plane and "z" not in resolved and "z" not in fixed else ""
+    error_met = 0.0
     if "theta" in nodes or "theta" in fixed:
         angles = nodes.get("theta", np.array([fixed.get("theta", 0.0)]))
-        rules = [[(np.array([x]), np.ones(1)) for x in angles] for _ in radii]
+        rules = [[(np.array([angle]), np.ones(1)) for angle in angles] for _ in radii]
     else:
-        step, reached = angular_step(kernel, seen, error)
-        whole = high - low > _FULL * (1 - 1e-12)
-        rules = [[_circle(r, step) if whole else _part(r, step, low, high)] for r in radii]
+        step, error_met = angular_step(kernel, seen_all - len(averaged), error)
+        if high - low > _FULL * (1 - 1e-12):
+            rules = [[_circle(radius, step)] for radius in radii]
+        else:
+            rules = [[_part(radius, step, low, high)] for radius in radii]
     count = sum(len(share) for rule in rules for _, share in rule) * len(heights)
     if count > MAX_NODES:
         raise ValueError(
-            f"averages over theta would take {count} places, more than {MAX_NODES}: choose a larger spacing or error"
+            f"averages over theta would take {count} places, more than {MAX_NODES}: "
+            "choose a larger spacing or error"
         )
     origin = np.array([0.0, 0.0, heights[len(heights) // 2]])
-    top = float(radii.max())
-    lower, upper = np.array([-top, -top, heights.min()]), np.array([top, top, heights.max()])
+    widest = float(radii.max())
+    lower = np.array([-widest, -widest, heights.min()])
+    upper = np.array([widest, widest, heights.max()])
     parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, seen_all, count))
-    on_axis = np.flatnonzero(
-        np.repeat(radii == 0.0, len(rules[0]) * len(heights))
-    )  # where r and theta have no direction
+    # on the axis r and theta have no direction
+    on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
     mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
     coords, text = labels_of(nodes, fixed, mean)
     return Grid(
@@ -319,8 +300,77 @@ def make_rings(
         text,
         parts=parts,
         undirected=on_axis,
-        attrs={"theta_error": reached},
+        attrs={"theta_error": error_met},
     )
+
+
+def _letters_of(plane: str) -> str:
+    return "rtz" if "z" in plane else "rt"
+
+
+def _resolved_axes(axes: str, plane: str) -> list[str]:
+    """Return the names of the resolved axes. Raise ValueError for other letters."""
+    letters = _letters_of(plane)
+    if set(axes) - set(letters) or len(set(axes)) < len(axes):
+        raise ValueError(
+            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
+        )
+    return [NAMES[letter] for letter in letters if letter in axes]
+
+
+def _fixed_places(
+    at: Mapping[str, Any],
+    bounds: Mapping[str, Sequence[float]],
+    resolved: Sequence[str],
+    known: Sequence[str],
+) -> dict[str, float]:
+    """Return the places along axes that are not resolved. Raise ValueError unless they fit."""
+    if any(np.ndim(place) for place in at.values()):
+        raise ValueError(
+            "at= has arrays, which name points: give these in the axes of the scene or of "
+            "xcg.Rotated"
+        )
+    # a part of the circle may be averaged
+    checked = {axis: ends for axis, ends in bounds.items() if axis != "theta" or axis in at}
+    check_places(resolved, at, checked, known)
+    fixed = {axis: float(at[axis]) for axis in known if axis in at}
+    if "r" not in resolved and "r" not in fixed:
+        raise ValueError(
+            "a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it "
+            "(at={'r': ...})"
+        )
+    if fixed.get("r", 0.0) < 0.0:
+        raise ValueError(f"at={dict(at)!r}: expected no radius below zero")
+    return fixed
+
+
+def _radii(
+    step: float | None,
+    resolved: Sequence[str],
+    bounds: Mapping[str, Sequence[float]],
+    automatic: Mapping[str, tuple[float, float]],
+    cutoff: float,
+) -> NDArray:
+    """Return the radii of the nodes; without bounds a whole number of steps from the axis."""
+    limits = dict(bounds)
+    if "r" not in bounds and "r" in automatic and step:
+        _, end = automatic["r"]
+        limits["r"] = (0.0, math.ceil(end / step) * step)
+    radii, _ = nodes_along("r", step, resolved, limits, automatic, {}, cutoff)
+    if radii[0] < 0.0:
+        raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
+    return radii
+
+
+def _part_of_circle(bounds: Mapping[str, Sequence[float]]) -> tuple[float, float]:
+    """Return the bounds of theta. Raise ValueError unless they are at most a circle apart."""
+    low, high = map(float, bounds.get("theta", (0.0, _FULL)))
+    if not 0.0 < high - low <= _FULL * (1 + 1e-12):
+        raise ValueError(
+            f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), at most a circle "
+            "apart"
+        )
+    return low, high
 
 
 def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
@@ -329,7 +379,8 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
     The error of the trapezoidal rule on a line through the support, at any distance from its middle and with its nodes
     anywhere, is at most this share of the integral over the line through the middle.
     """
-    offset, shift = np.linspace(0.0, 0.98, 41), (np.arange(32) + 0.5) / 32
+    offset = np.linspace(0.0, 0.98, 41)
+    shift = (np.arange(32) + 0.5) / 32
 
     def sums(step: float, starts: NDArray) -> NDArray:
         number = np.arange(-math.ceil(1.0 / step) - 1, math.ceil(1.0 / step) + 2)
@@ -338,11 +389,11 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
         return step * kernel.value(length, seen).sum(axis=-1)
 
     exact = sums(1.0 / 2000, np.zeros(1))
-    step, found = 1.0, np.inf
+    step = 1.0
     while True:
-        found = float(np.abs(sums(step, shift) - exact).max() / exact[0, 0])
-        if found <= error or step <= 1.0 / _FINEST:
-            return step * kernel.cutoff, found
+        error_met = float(np.abs(sums(step, shift) - exact).max() / exact[0, 0])
+        if error_met <= error or step <= 1.0 / _FINEST:
+            return step * kernel.cutoff, error_met
         step *= 0.93
 
 
@@ -358,8 +409,10 @@ def _part(radius: float, step: float, low: float, high: float) -> tuple[NDArray,
     most = min(step * _PANEL * 2.0 / math.pi / max(radius, 1e-300), 0.5 * math.pi)
     panels = math.ceil((high - low) / most)
     edges = np.linspace(low, high, panels + 1)
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    return (middle[:, None] + half[:, None] * x).ravel(), np.tile(w / (2.0 * panels), panels)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    half = 0.5 * np.diff(edges)
+    angles = (middle[:, None] + half[:, None] * x).ravel()
+    return angles, np.tile(w / (2.0 * panels), panels)
 
 
 def _blocks(
@@ -372,22 +425,25 @@ def _blocks(
     count: int,
 ) -> Iterator[RingBlock]:
     """Divide the nodes into blocks of not too many places: slabs, and shells of these where there are few heights."""
-    each, many = [rule for of_radius in rules for rule in of_radius], len(rules[0])
-    size = np.array([len(angles) for angles, _ in each])
+    of_rings = [rule for of_radius in rules for rule in of_radius]
+    rings_of_radius = len(rules[0])
+    size = np.array([len(angles) for angles, _ in of_rings])
     parts = math.ceil(count / min(BLOCK_NODES, count // (_BLOCKS * THREADS) + 1))
     slabs = np.array_split(np.arange(len(heights)), min(parts, len(heights)))
     ends = np.concatenate([[0], np.cumsum(size)])
-    cuts = np.unique(
-        np.searchsorted(ends, np.linspace(0, ends[-1], math.ceil(parts / len(slabs)) + 1))
-    )
+    shells = math.ceil(parts / len(slabs))
+    cuts = np.unique(np.searchsorted(ends, np.linspace(0, ends[-1], shells + 1)))
     for (first, last), slab in product(pairwise(cuts.tolist()), slabs):
-        ring, row = np.repeat(np.arange(first, last), len(slab)), np.tile(slab, last - first)
-        rows, height = ring * len(heights) + row, heights[row]
-        radius = radii[ring // many]
-        chosen = [each[k] for k in ring.tolist()]
+        ring = np.repeat(np.arange(first, last), len(slab))
+        row = np.tile(slab, last - first)
+        rows = ring * len(heights) + row
+        height = heights[row]
+        radius = radii[ring // rings_of_radius]
         start = np.concatenate([[0], np.cumsum(size[ring])])
-        angle, share = (np.concatenate(parts) for parts in zip(*chosen, strict=True))
-        r, z = np.repeat(radius, np.diff(start)), np.repeat(height, np.diff(start))
+        angle = np.concatenate([of_rings[k][0] for k in ring.tolist()])
+        share = np.concatenate([of_rings[k][1] for k in ring.tolist()])
+        r = np.repeat(radius, np.diff(start))
+        z = np.repeat(height, np.diff(start))
         points = (np.array([r * np.cos(angle), r * np.sin(angle), z]) - origin[:, None]) / cutoff
         inner = PointBlock.of(np.arange(len(angle), dtype="uint64"), points, cutoff)
         where = np.empty(len(angle), dtype=int)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -24,51 +24,72 @@ from xcg.scene.schema import VARIABLES, Frame
 
 
 def grains(step: StepRows) -> list[Pass]:
-    """Flow columns come first, then columns of constants that differ between grains, then the number of grains."""
-    spec, at, single, rest = step.spec, step.grains, dict[str, NDArray](), dict[str, Moment]()
-    moments, same, first = (
-        dict[str, tuple[NDArray, float | NDArray]](),
-        dict[str, float](),
-        spec.level,
-    )
+    """Prepare the pass over grains.
+
+    Flow columns come first, then columns of constants that differ between grains, then the number
+    of grains.
+    """
+    spec = step.spec
+    images = step.grains
+    moments: dict[str, tuple[NDArray, float | NDArray]] = {}
+    differing: dict[str, Moment] = {}
+    made: dict[str, NDArray] = {}
+    same: dict[str, float] = {}
+    width = spec.level
     for name, row in spec.of_grains.items():
         if row.level:
             power = CUTOFF_POWERS.get(name, 0)
-            moments[name] = (row.first + row.columns, spec.by_phase**power if power else 1.0)
+            factor = spec.by_phase**power if power else 1.0
+            moments[name] = (row.first + row.columns, factor)
             continue
         if row.width == 1:
-            single[name] = values = step.column(row, at)
-            # a column that is the same for all grains, as those of one size are, is a multiple of their number; most
-            # differ in their ends
-            if len(values) and values[0, 0] == values[-1, 0] and (values == values[0]).all():
-                same[name] = float(single.pop(name)[0, 0])
+            values = step.column(row, images)
+            if _is_constant(values):
+                same[name] = float(values[0, 0])
                 continue
-        moments[name], rest[name] = (first + row.columns, 1.0), row
-        first += row.width
-    number = first + MOMENTS["number"].columns
-    moments |= {name: (number, value) for name, value in same.items()}
-    layout = Layout(
-        spec.phases, -(-(first + bool(same)) // 4) * 4, moments, spec.level
-    )  # the loop adds four at a time
-    # what is wide is made when it is written beside the others
-    columns = (
-        single.pop(name) if name in single else step.column(row, at) for name, row in rest.items()
-    )
-    ones = [np.ones((len(at.position), 1))] if same else []
-    return [_pass(step, layout, at, *step.flow, step.phase[at.row], chain(columns, ones))]
+            made[name] = values
+        moments[name] = (width + row.columns, 1.0)
+        differing[name] = row
+        width += row.width
+    if same:
+        number = width + MOMENTS["number"].columns
+        moments |= {name: (number, value) for name, value in same.items()}
+        width += 1
+
+    def columns() -> Iterator[NDArray]:
+        """Yield columns of constants; what is wide is made when it is written beside the others."""
+        for name, row in differing.items():
+            yield made.pop(name) if name in made else step.column(row, images)
+        if same:
+            yield np.ones((len(images.position), 1))
+
+    layout = Layout(spec.phases, _in_fours(width), moments, spec.level)
+    return [_pass(step, layout, images, *step.flow, step.phase[images.row], columns())]
+
+
+def _is_constant(values: NDArray) -> bool:
+    """Return whether a column (n, 1) is the same for all grains, a multiple of their number."""
+    if not len(values) or values[0, 0] != values[-1, 0]:  # most differ in their ends
+        return False
+    return bool((values == values[0]).all())
+
+
+def _in_fours(width: int) -> int:
+    """Return the next multiple of four: the loop adds four columns at a time."""
+    return width + -width % 4
 
 
 def slopes(step: StepRows) -> list[Pass]:
     """Flow columns weighted by grad Psi."""
     spec = step.spec
-    moments = {
-        name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / spec.by_phase)
-        for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
-    }
+    images = step.grains
+    moments = {}
+    for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
+        columns = MOMENTS[flow].first + MOMENTS[flow].columns
+        moments[name] = (columns, -1 / spec.by_phase)
     layout = Layout(spec.phases, loops.LINEAR, moments, loops.LINEAR)
-    return [
-        _pass(step, layout, step.grains, *step.flow, step.phase[step.grains.row], by_gradient=True)
-    ]
+    phase = step.phase[images.row]
+    return [_pass(step, layout, images, *step.flow, phase, by_gradient=True)]
 
 
 def relative(step: StepRows) -> list[Pass]:
@@ -82,9 +103,11 @@ def relative(step: StepRows) -> list[Pass]:
             values = step.column(row, images, contact)
             values[:, 0] *= share
         else:
-            images, phase = step.grains, step.phase[step.grains.row]
+            images = step.grains
+            phase = step.phase[images.row]
             values = step.column(row, images)
-        weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
+        weight = np.ascontiguousarray(values[:, 0])
+        numbers = np.ascontiguousarray(values[:, 1:])
         moments = {name: (row.first + row.columns, 1.0)}
         layout = Layout(
             step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector
@@ -103,28 +126,33 @@ def at_contacts(step: StepRows) -> list[Pass]:
 
 def between_phases(step: StepRows) -> list[Pass]:
     """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
-    c = step.contacts
-    phase, others = (
-        np.append(step.phase, step.spec.phases),
-        step.spec.others,
-    )  # row -1 is that of a wall
-    sides = []
-    for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
+    contacts = step.contacts
+    others = step.spec.others
+    phase = np.append(step.phase, step.spec.phases)  # row -1 is that of a wall
+    points, pairs, forces = [], [], []
+    for row, partner, sign in (
+        (contacts.i, contacts.j, 1.0),
+        (contacts.j, contacts.i, -1.0),
+    ):
         # inside a phase both sides add up to nothing
         at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
-        sides.append(
-            (c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at])
-        )
-    point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
-    images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
-    return [_constants(step, moment, images, pair[images.row], [force[images.row]], others)]
+        points.append(contacts.point[at])
+        pairs.append(phase[row[at]] * others + phase[partner[at]])
+        forces.append(sign * contacts.force[at])
+    images = step.images(np.concatenate(points))
+    pair = np.concatenate(pairs)[images.row]
+    force = np.concatenate(forces)[images.row]
+    moment = {"pair_force": MOMENTS["pair_force"]}
+    return [_constants(step, moment, images, pair, [force], others)]
 
 
 def at_walls(step: StepRows) -> list[Pass]:
     """Sum the forces of walls, at the contact points."""
-    at, point, force = step.contacts.at_walls
-    images, moment = step.images(point), {"traction": MOMENTS["traction"]}
-    return [_constants(step, moment, images, step.phase[at][images.row], [force[images.row]])]
+    row, point, force = step.contacts.at_walls
+    images = step.images(point)
+    phase = step.phase[row][images.row]
+    moment = {"traction": MOMENTS["traction"]}
+    return [_constants(step, moment, images, phase, [force[images.row]])]
 
 
 def _constants(
@@ -136,18 +164,16 @@ def _constants(
     others: int = 1,
 ) -> Pass:
     """Prepare places with columns of constants alone, moment after moment."""
-    firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
-    moments = {
-        name: (first + row.columns, 1.0)
-        for first, (name, row) in zip(firsts, rows.items(), strict=False)
-    }
-    layout, count = (
-        Layout(step.spec.phases * others, -(-firsts[-1] // 4) * 4, moments),
-        len(images.position),
-    )
-    return _pass(
-        step, layout, images, np.zeros((count, 3)), np.zeros(count), phase, columns, others
-    )
+    moments = {}
+    width = 0
+    for name, row in rows.items():
+        moments[name] = (width + row.columns, 1.0)
+        width += row.width
+    layout = Layout(step.spec.phases * others, _in_fours(width), moments)
+    count = len(images.position)
+    at_rest = np.zeros((count, 3))
+    without_mass = np.zeros(count)
+    return _pass(step, layout, images, at_rest, without_mass, phase, columns, others)
 
 
 def _pass(
@@ -166,33 +192,40 @@ def _pass(
 
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
     """
-    spec, position, level = step.spec, images.position, layout.level
-    columns, first = np.zeros((len(position), layout.columns - level)), 0
+    spec = step.spec
+    position = images.position
+    level = layout.level
+    columns = np.zeros((len(position), layout.columns - level))
+    first = 0
     for values in constants:
         columns[:, first : first + values.shape[1]] = values
         first += values.shape[1]
         del values  # before the next are made
     beyond = step.lattice if step.lattice.vectors is None else Lattice(np.full(3, np.inf))
-    fill, squared = [], []
-    kept = {column for column in loops.SQUARES if column < level}
-    squares = any(
-        not kept.isdisjoint(columns.ravel().tolist()) for columns, _ in layout.moments.values()
-    )
-    for cutoff in spec.distinct if len(position) or squares else ():
-        rows, groups = images.order, None
+    of_squares = {column for column in loops.SQUARES if column < level}
+    of_moments = [numbers.ravel().tolist() for numbers, _ in layout.moments.values()]
+    squares = any(not of_squares.isdisjoint(numbers) for numbers in of_moments)
+    fill: list[partial[None]] = []
+    squared: list[Squared] = []
+    if not len(position) and not squares:
+        return Pass(layout, fill, squared)
+    for cutoff in spec.distinct:
+        rows = images.order
+        groups = np.arange(layout.groups)
         if len(spec.distinct) > 1:
-            groups = np.repeat(spec.by_phase == cutoff, others)
-            rows = rows[groups[phase[rows]]]
-        meet = step.translations(cutoff) if squares else None
+            of_cutoff = np.repeat(spec.by_phase == cutoff, others)
+            groups = np.flatnonzero(of_cutoff)
+            rows = rows[of_cutoff[phase[rows]]]
         batches = (batches_of(position, rows) - spec.origin) / cutoff
         grains = loops.Grains(
             rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff
         )
-        mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
-        fill.append(partial(_fill, grains, mesh, weights, (level, meet, by_gradient)))
+        mesh = step.meshes[cutoff]
+        weights = step.kernels[cutoff]
+        translations = step.translations(cutoff) if squares else None
+        fill.append(partial(_fill, grains, mesh, weights, (level, translations, by_gradient)))
         if squares:
-            of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
-            squared.append(Squared(grains, beyond, of, weights, spec.grid))
+            squared.append(Squared(grains, beyond, groups, weights, spec.grid))
     return Pass(layout, fill, squared)
 
 
@@ -200,7 +233,7 @@ def _fill(
     grains: loops.Grains,
     mesh: Mesh,
     weights: AnyKernel,
-    flags: tuple[int, NDArray | None, bool | None],
+    flags: tuple[int, NDArray | None, bool | None],  # level, translations, by_gradient
     block: NodeBlock,
     sums: NDArray,
     reference: NDArray,
@@ -231,21 +264,20 @@ class BlockSums:
         loop over nodes.
         """
         reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
-        found = {"reference": np.ascontiguousarray(reference.T).T}
-        nodes, phases = len(reference), self.of.spec.phases
-        turned = (
-            run.layout.turned(sums) for run, sums in zip(self.of.passes, self.filled, strict=True)
-        )
-        for name, part in chain.from_iterable(turned):
-            if part.shape[-2] > phases:  # by phase of the partner
-                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if self.of.spec.by is not None:
-                bulk = sum(
-                    part[..., [k], :] for k in range(phases)
-                )  # in this order whatever the number of nodes
-                part = np.concatenate([bulk, part], axis=-2)
-            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
-        return found
+        moments = {"reference": np.ascontiguousarray(reference.T).T}
+        nodes = len(reference)
+        phases = self.of.spec.phases
+        for run, sums in zip(self.of.passes, self.filled, strict=True):
+            for name, part in run.layout.turned(sums):
+                if part.shape[-2] > phases:  # by phase of the partner
+                    part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
+                if self.of.spec.by is not None:
+                    # in this order whatever the number of nodes
+                    bulk = sum(part[..., [k], :] for k in range(phases))
+                    part = np.concatenate([bulk, part], axis=-2)
+                inner = range(part.ndim - 2)
+                moments[name] = part.transpose(part.ndim - 2, part.ndim - 1, *inner)
+        return moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,14 +294,17 @@ class Sums:
         """Compute the sums at the nodes of a `Block`: they are filled, or averages of its `inner` nodes that are."""
         nodes: NodeBlock = block.inner or block
         velocity = np.full((nodes.count, 3), np.nan)
-        filled, references = [], []
+        filled: list[NDArray] = []
+        references: list[NDArray] = []
         for run in self.passes:
-            references.append(np.full_like(velocity, np.nan) if run.layout.apart else velocity)
-            filled.append(np.zeros((run.layout.groups, nodes.count, run.layout.columns)))
+            reference = np.full_like(velocity, np.nan) if run.layout.apart else velocity
+            sums = np.zeros((run.layout.groups, nodes.count, run.layout.columns))
             for fill in run.fill:
-                fill(nodes, filled[-1], references[-1])
-        found = BlockSums(self, filled, velocity, references)
-        return block.averages(found) if block.inner else found
+                fill(nodes, sums, reference)
+            filled.append(sums)
+            references.append(reference)
+        at_nodes = BlockSums(self, filled, velocity, references)
+        return block.averages(at_nodes) if block.inner else at_nodes
 
 
 def sums_of_frame(
@@ -293,17 +328,22 @@ def sums_of_frame(
         Threads that prepare passes.
     """
     step = StepRows(frame, spec, lattice, scale, source)
-    rows = spec.rows
-    for name in {name for row in rows.values() for name in row.variables} - VARIABLES.keys():
-        check_finite(name, step.frame, source)  # variables of scenes were checked with their frame
-    ways = [  # the calling thread begins with the last: contacts take more memory than grains
-        (grains, spec.of_grains),
-        (relative, {name for name, row in rows.items() if row.level and row.column}),
-        (at_contacts, {name for name, row in rows.items() if row.at_contacts and not row.level}),
-        (between_phases, rows.keys() & {"pair_force"}),
-        (along_branches, {name for name, row in rows.items() if row.along_branches}),
-        (slopes, rows.keys() & {"mass_slope", "momentum_slope"}),
-        (at_walls, rows.keys() & {"traction"}),
-    ]
-    prepared = for_each([way for way, moments in ways if moments], lambda way: way(step), threads)
-    return Sums(spec, [one for passes in prepared for one in passes])
+    moments = spec.rows.values()
+    names = spec.rows.keys()
+    # variables of scenes were checked with their frame
+    own = {name for row in moments for name in row.variables} - VARIABLES.keys()
+    for name in own:
+        check_finite(name, step.frame, source)
+    # the calling thread begins with the last: contacts take more memory than grains
+    needed = {
+        grains: bool(spec.of_grains),
+        relative: any(row.level and row.column for row in moments),
+        at_contacts: any(row.at_contacts and not row.level for row in moments),
+        between_phases: "pair_force" in names,
+        along_branches: any(row.along_branches for row in moments),
+        slopes: "mass_slope" in names or "momentum_slope" in names,
+        at_walls: "traction" in names,
+    }
+    prepare = [make for make, is_needed in needed.items() if is_needed]
+    prepared = for_each(prepare, lambda make: make(step), threads)
+    return Sums(spec, list(chain.from_iterable(prepared)))
