@@ -1,7 +1,8 @@
 """Coarse-graining of granular matter: from DEM output to continuum fields.
 
-`open_scene` and `datasets.open` return a scene, an xarray Dataset whose accessor ``ds.cg`` has the methods of xcg, such
-as ``ds.cg.coarse_grain(["velocity", "density"], axes="z")``. ``print(ds.cg)`` shows what a scene holds.
+`open_scene` and `datasets.open` return a scene, an xarray Dataset whose accessor ``ds.cg`` has the
+methods of xcg, such as ``ds.cg.coarse_grain(["velocity", "density"], axes="z")``. ``print(ds.cg)``
+shows what a scene holds.
 
 Names are loaded when they are first used, from the modules that ``__init__.pyi`` lists.
 """
@@ -25,8 +26,8 @@ def __dir__() -> list[str]:
 class _Accessor:
     """``ds.cg``, made anew at each use.
 
-    An accessor that xarray registers is kept by its Dataset, which it holds in turn: arrays of a Dataset that nobody
-    needs any more would stay until Python looks for such circles.
+    An accessor that xarray registers is kept by its Dataset, which it holds in turn: arrays of a
+    Dataset that nobody needs any more would stay until Python looks for such circles.
     """
 
     def __get__(self, ds: xr.Dataset | None, kind: type) -> Any:

@@ -2,8 +2,8 @@
 
 Functions import what a command does when it is done, so that help comes soon.
 
-Exit codes: 0 done, 1 the job or its data are at fault (`click.ClickException`), 2 the command line is
-(`click.BadParameter`), 130 stopped by Ctrl-C.
+Exit codes: 0 done, 1 the job or its data are at fault (`click.ClickException`), 2 the command line
+is (`click.BadParameter`), 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ last_words: list[Callable[[], str]] = []
 def stop(*_: object) -> None:
     """End the process at once.
 
-    An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
-    stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
+    An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and
+    not noted, then stops the run for ever), and threads that compute a step would be waited for.
+    All files can stand an end like this.
     """
     # while it is not loaded nothing is begun
     abandon = getattr(sys.modules.get("xcg.writers.files"), "abandon", None)
@@ -52,10 +53,12 @@ def stop(*_: object) -> None:
     os._exit(128 + signal.SIGINT)
 
 
-# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares them
+# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares
+# them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
-# matches missing='skip', overwrite=True, contacts=; not quoted input such as alpha=100.0 or on_error='x':
+# matches missing='skip', overwrite=True, contacts=; not quoted input such as alpha=100.0 or
+# on_error='x':
 _ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 
 # what messages say of calls in Python, and what helps here instead
@@ -242,8 +245,8 @@ def chains(
 ) -> None:
     """Find force chains in FILES and print their statistics.
 
-    For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv "chains_{step}.csv" --vtp
-    "chains_{step}.vtp"
+    For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv
+    "chains_{step}.csv" --vtp "chains_{step}.vtp"
     """
     from xcg.chains.search import force_chains
     from xcg.readers.open import open_scene
@@ -324,8 +327,8 @@ def convert(
 ) -> None:
     """Convert FILES of a DEM code to NetCDF or Zarr, which open at once.
 
-    FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant. For example:
-    xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
+    FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant.
+    For example: xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
     """
     from xcg.jobs.config import read_config
     from xcg.readers.open import open_scene

@@ -115,8 +115,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     Parameters
     ----------
     name : str
-        One of the `sample data <../api.html#sample-data-and-synthetic-scenes>`_, such as "chute": one step of 4398
-        spheres that flow down a rough plane.
+        One of the `sample data <../api.html#sample-data-and-synthetic-scenes>`_, such as "chute":
+        one step of 4398 spheres that flow down a rough plane.
     **options
         For `xcg.open_scene`.
 
@@ -194,8 +194,8 @@ def face_centred_cubic(
 ) -> xr.Dataset:
     """Periodic face-centred cubic packing with the same force in every bond.
 
-    Its volume fraction is ``pi / (3 sqrt 2) (diameter / bond)^3`` and its stress ``2 sqrt 2 force / bond^2`` times the
-    identity: 6 bonds a particle, tr(sigma) = 6 n f l with n = sqrt 2 / l^3.
+    Its volume fraction is ``pi / (3 sqrt 2) (diameter / bond)^3`` and its stress ``2 sqrt 2 force /
+    bond^2`` times the identity: 6 bonds a particle, tr(sigma) = 6 n f l with n = sqrt 2 / l^3.
 
     Parameters
     ----------
@@ -337,9 +337,10 @@ def dense_packing(
 ) -> xr.Dataset:
     """Dense packing of equal spheres in a box, of any number: a scene for benchmarks and error studies.
 
-    Spheres stand on the sites of a face-centred cubic lattice, a few left empty so that any number fits, each
-    displaced at random; the pairs that are nearest to each other are in contact, pushed apart by random forces with
-    some friction. The packing is not in balance, but its sums cost as much as a real one's.
+    Spheres stand on the sites of a face-centred cubic lattice, a few left empty so that any number
+    fits, each displaced at random; the pairs that are nearest to each other are in contact, pushed
+    apart by random forces with some friction. The packing is not in balance, but its sums cost as
+    much as a real one's.
 
     Parameters
     ----------

@@ -58,7 +58,8 @@ class StressRule:
     thickness : float or str or None
         Of discs (m), or the axis whose box extent it is; None for the scene's volumes.
     spheres : tuple of str
-        Variables that the branches of spheres follow from; empty where all follow from contact points.
+        Variables that the branches of spheres follow from; empty where all follow from contact
+        points.
     """
 
     periodic: str
@@ -163,23 +164,25 @@ def particle_stress(
     ds : xarray.Dataset
         A scene with contacts.
     symmetric : bool
-        Take the symmetric part of the tensor (default). Friction makes the stress of a single particle
-        asymmetric; with ``symmetric=False``, principal stresses are the real eigenvalues, NaN where two of them
-        are complex, and principal directions are the right eigenvectors, not perpendicular to each other.
+        Take the symmetric part of the tensor (default). Friction makes the stress of a single
+        particle asymmetric; with ``symmetric=False``, principal stresses are the real eigenvalues,
+        NaN where two of them are complex, and principal directions are the right eigenvectors, not
+        perpendicular to each other.
     volume : str
-        "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times the thickness of
-        the layer.
+        "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times
+        the thickness of the layer.
     on_error : {"raise", "skip"}
-        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
-        warn of it, and mark it in the coordinate ``skipped`` (time).
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
     xarray.Dataset
-        ``stress`` (time, particle, component, direction), in Pa with compression positive; ``principal_stress``
-        (time, particle, principal), most compressive first; ``principal_direction`` (time, particle, principal,
-        component), unit vectors; ``major_stress`` and ``major_direction``, the most compressive one and its
-        direction. A particle without contacts has stress zero and no direction (NaN), padding is NaN.
+        ``stress`` (time, particle, component, direction), in Pa with compression positive;
+        ``principal_stress`` (time, particle, principal), most compressive first;
+        ``principal_direction`` (time, particle, principal, component), unit vectors;
+        ``major_stress`` and ``major_direction``, the most compressive one and its direction. A
+        particle without contacts has stress zero and no direction (NaN), padding is NaN.
 
     Raises
     ------
@@ -190,11 +193,12 @@ def particle_stress(
 
     Notes
     -----
-    ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the force on the
-    particle, a the branch from the contact point to its centre (nearest image), V its volume. Where the scene holds
-    overlaps, branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions. The
-    first index (`component`) is that of the force, the second (`direction`) that of the branch. Sources: Ejtehadi et
-    al. (2024), where tension is positive; Goldhirsch (2010).
+    ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the
+    force on the particle, a the branch from the contact point to its centre (nearest image), V its
+    volume. Where the scene holds overlaps, branches of spheres are ``n (R - overlap/2)``: files
+    hold these with more digits than positions. The first index (`component`) is that of the force,
+    the second (`direction`) that of the branch. Sources: Ejtehadi et al. (2024), where tension is
+    positive; Goldhirsch (2010).
 
     Examples
     --------

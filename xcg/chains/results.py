@@ -98,7 +98,8 @@ def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -
     Raises
     ------
     SceneError
-        If it lacks ``chain_id`` or ``link_chain``, parts of it, or its attributes; the message says what to do.
+        If it lacks ``chain_id`` or ``link_chain``, parts of it, or its attributes; the message says
+        what to do.
     """
     missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
     if missing:
@@ -203,8 +204,8 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a chain and step: ``time``, ``step``, ``chain``, ``particles``, ``links``, ``branchings``, ``stress``
-        (Pa), ``orientation_x`` ... and ``normal_x`` ....
+        One row a chain and step: ``time``, ``step``, ``chain``, ``particles``, ``links``,
+        ``branchings``, ``stress`` (Pa), ``orientation_x`` ... and ``normal_x`` ....
 
     Raises
     ------
@@ -232,9 +233,9 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a link and step: ``time``, ``step``, ``chain``, ``contact`` (its row among the contacts of the step),
-        ``particle_i`` and ``particle_j`` (ids), ``force`` (magnitude, N) and ``stress`` (mean major stress of the two
-        particles, Pa).
+        One row a link and step: ``time``, ``step``, ``chain``, ``contact`` (its row among the
+        contacts of the step), ``particle_i`` and ``particle_j`` (ids), ``force`` (magnitude, N) and
+        ``stress`` (mean major stress of the two particles, Pa).
 
     Raises
     ------
@@ -430,7 +431,8 @@ def plot_rose(
     bins : int
         Petals, an even number.
     plane : str, optional
-        The two axes that directions are projected on; the axes of the layer by default, or "xz" in 3D.
+        The two axes that directions are projected on; the axes of the layer by default, or "xz" in
+        3D.
     ax : matplotlib.axes.Axes, optional
         Polar axes; a new figure by default.
 

@@ -35,8 +35,8 @@ from xcg.steps.labels import empty_results, format_call, label, provenance, resu
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
-# Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
-# than this share of it likewise: both are known to rounding only.
+# Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
+# threshold by less than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
 # what a loop finds of each chain, in the order of its arguments
@@ -103,51 +103,56 @@ def force_chains(
 ) -> xr.Dataset:
     """Find the force chains of each step of a scene.
 
-    A contact is a link where both of its particles are compressed (and reach the threshold), and the branch between
-    their centres is within `alpha` of the direction of the most compressive stress of both. A chain is what a
-    depth-first search reaches through links, with all branches and loops. Lazy where the scene is, one task for each
-    chunk of time.
+    A contact is a link where both of its particles are compressed (and reach the threshold), and
+    the branch between their centres is within `alpha` of the direction of the most compressive
+    stress of both. A chain is what a depth-first search reaches through links, with all branches
+    and loops. Lazy where the scene is, one task for each chunk of time.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene with contacts.
     alpha : float
-        Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where every contact of
-        two compressed particles is a link.
+        Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where
+        every contact of two compressed particles is a link.
     threshold : float or "mean", optional
-        Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step. By default any
-        compressed particle may be part of a chain.
+        Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step.
+        By default any compressed particle may be part of a chain.
     min_length : int
         Least number of particles of a chain, 2 or more.
     algorithm : str
-        "branching" (default), or "peters2005": chains without branches, from the particle of largest stress both
-        ways, each time through the contact nearest to the direction of travel.
+        "branching" (default), or "peters2005": chains without branches, from the particle of
+        largest stress both ways, each time through the contact nearest to the direction of travel.
     one_sided : bool
-        Go on from a particle only where the branch points along its direction, turned onward (both ways from the
-        seed). Chains then depend on the order of the ids. By default both ways count, and they do not.
+        Go on from a particle only where the branch points along its direction, turned onward (both
+        ways from the seed). Chains then depend on the order of the ids. By default both ways count,
+        and they do not.
     region : Region, optional
-        Particles whose centre is elsewhere take no part: `xcg.BoxRegion`, `xcg.Sphere`, at rest, moving or following a
-        particle, combined with ``&``, ``|`` and ``~``.
+        Particles whose centre is elsewhere take no part: `xcg.BoxRegion`, `xcg.Sphere`, at rest,
+        moving or following a particle, combined with ``&``, ``|`` and ``~``.
     symmetric, volume
-        How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes ``symmetric=False``.
+        How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes
+        ``symmetric=False``.
     on_error : {"raise", "skip"}
-        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
-        warn of it, and mark it in the coordinate ``skipped`` (time).
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
     xarray.Dataset
-        By particle: ``chain_id`` (-1 for none), ``parent_id`` (the particle that it was reached from, -1 for the
-        first of a chain), ``links``, ``branching`` (1 for more than two links), principal stresses (Pa) and
-        directions, ``major_direction`` turned onward along the chain. By contact: ``link_chain``, the chain that it
-        is a link of. By chain, row k for chain k: ``chain_particles``, ``chain_links``, ``chain_branchings``,
-        ``chain_stress`` (Pa), ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:
-        ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``, ``length_share``
-        (time, length). Positions, diameters, ids and forces are copied from the scene.
+        By particle: ``chain_id`` (-1 for none), ``parent_id`` (the particle that it was reached
+        from, -1 for the first of a chain), ``links``, ``branching`` (1 for more than two links),
+        principal stresses (Pa) and directions, ``major_direction`` turned onward along the chain.
+        By contact: ``link_chain``, the chain that it is a link of. By chain, row k for chain k:
+        ``chain_particles``, ``chain_links``, ``chain_branchings``, ``chain_stress`` (Pa),
+        ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:
+        ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``,
+        ``length_share`` (time, length). Positions, diameters, ids and forces are copied from the
+        scene.
 
-        The dimension ``chain`` has as many rows as there could be chains, particles // `min_length`, so that nothing
-        needs to be computed to know the shape; rows without a chain are padding (-1, NaN).
+        The dimension ``chain`` has as many rows as there could be chains, particles //
+        `min_length`, so that nothing needs to be computed to know the shape; rows without a chain
+        are padding (-1, NaN).
 
     Raises
     ------
@@ -158,9 +163,9 @@ def force_chains(
 
     Notes
     -----
-    With b the branch and n the direction of the major stress of each of the two particles, a link has
-    ``|b . n| >= |b| cos(alpha)``. Sources: Ejtehadi et al., Comput. Phys. Commun. 297 (2024) 109070; Peters et al.,
-    Phys. Rev. E 72 (2005) 041307.
+    With b the branch and n the direction of the major stress of each of the two particles, a link
+    has ``|b . n| >= |b| cos(alpha)``. Sources: Ejtehadi et al., Comput. Phys. Commun. 297 (2024)
+    109070; Peters et al., Phys. Rev. E 72 (2005) 041307.
 
     Examples
     --------
@@ -256,7 +261,8 @@ def find_chains(
 ) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
-    Threads share the stress and the test of contacts; the search itself, of links alone, is one thread's.
+    Threads share the stress and the test of contacts; the search itself, of links alone, is one
+    thread's.
     """
     contacts = rule.stress.contacts(frame, lattice, source, threads)
     stress = rule.stress.evaluate(frame, contacts, lattice, source)
@@ -320,18 +326,20 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     fc : xarray.Dataset
         A result of `force_chains`, with particles known by id in all steps.
     overlap : float
-        Least share of common particles, above 0 and up to 1: the number that two chains have in common over the
-        number in at least one of them (Jaccard index). Pairs of chains are taken from the largest share downward; each
-        chain continues one chain at most. Above 0.5 no chain has two candidates.
+        Least share of common particles, above 0 and up to 1: the number that two chains have in
+        common over the number in at least one of them (Jaccard index). Pairs of chains are taken
+        from the largest share downward; each chain continues one chain at most. Above 0.5 no chain
+        has two candidates.
 
     Returns
     -------
     xarray.Dataset
         ``track_id`` (time, chain), -1 for padding; ``births``, ``deaths`` and ``survivors`` (time):
-        chains that continue none of the step before, chains of the step before that none continues, and the others;
-        ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A track seen in one step has lifetime
-        zero. What there is in the first step counts as born there, and what there is in the last does not die, so
-        that lifetimes are lower bounds for these.
+        chains that continue none of the step before, chains of the step before that none continues,
+        and the others; ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A
+        track seen in one step has lifetime zero. What there is in the first step counts as born
+        there, and what there is in the last does not die, so that lifetimes are lower bounds for
+        these.
 
     Raises
     ------

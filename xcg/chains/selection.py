@@ -233,8 +233,8 @@ def select_chains(
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
-    Conditions combine: regions with ``&``, ``|`` and ``~``; one selection after the other; and region and stress of
-    one call hold for the same particle. Lazy where the result is.
+    Conditions combine: regions with ``&``, ``|`` and ``~``; one selection after the other; and
+    region and stress of one call hold for the same particle. Lazy where the result is.
 
     Parameters
     ----------
@@ -245,13 +245,14 @@ def select_chains(
     min_stress : float, optional
         Least major stress (Pa).
     of : str
-        "any" (default) keeps a chain if one of its particles fulfils the condition, "all" if all of them do.
+        "any" (default) keeps a chain if one of its particles fulfils the condition, "all" if all of
+        them do.
 
     Returns
     -------
     xarray.Dataset
-        The same variables. Chains keep their numbers, dropped ones leave padding; statistics cover the chains
-        that are left.
+        The same variables. Chains keep their numbers, dropped ones leave padding; statistics cover
+        the chains that are left.
 
     Raises
     ------

@@ -105,7 +105,8 @@ def extra(module: str, name: str, purpose: str) -> Any:
     module : str
         What to import, for example ``matplotlib.pyplot``.
     name : str
-        The extra of xcg that holds its package (``project.optional-dependencies`` in pyproject.toml).
+        The extra of xcg that holds its package (``project.optional-dependencies`` in
+        pyproject.toml).
     purpose : str
         What it is needed for, as the subject of a sentence.
 

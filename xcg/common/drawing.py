@@ -118,8 +118,8 @@ def colours_of(
 def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArray]:
     """Return the edges of the cells to draw, across and up, and the number in each of them.
 
-    A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the nodes that are
-    known; a cell is unknown where the nearest node is.
+    A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the
+    nodes that are known; a cell is unknown where the nearest node is.
     """
     up, across = (value[dim].to_numpy() for dim in value.dims)
     numbers = value.to_numpy()

@@ -20,7 +20,8 @@ _OF_NUMPY = re.compile(r"\bnp\.(?:float|u?int)\d+\(([^()]*)\)")
 def printable(text: str) -> str:
     """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
 
-    Messages quote files, and files may come from strangers. NumPy's numbers become plain: 0.1 for np.float64(0.1).
+    Messages quote files, and files may come from strangers. NumPy's numbers become plain: 0.1 for
+    np.float64(0.1).
     """
     text = _OF_NUMPY.sub(r"\1", text)
     return "".join(
@@ -91,8 +92,9 @@ _BETWEEN = {
 def warn_user(message: str | Warning) -> None:
     """Warn at the line of the user's program that made the call.
 
-    It is the first line outside this package and the libraries that run its tasks. A thread of dask's has no such line;
-    there it is the line of the main thread that waits for the result. Workers of ``distributed`` pass the warning on.
+    It is the first line outside this package and the libraries that run its tasks. A thread of
+    dask's has no such line; there it is the line of the main thread that waits for the result.
+    Workers of ``distributed`` pass the warning on.
 
     Parameters
     ----------

@@ -1,12 +1,14 @@
 """Every decision about compilation, in one place.
 
-Loops release the GIL, so that dask's threads run them side by side; they are serial, because a parallel loop
-under a threaded scheduler aborts the interpreter. Arithmetic is strict: the compiler may neither reorder nor contract
-it, so that results have the same bits in every process and at every number of threads.
+Loops release the GIL, so that dask's threads run them side by side; they are serial, because a
+parallel loop under a threaded scheduler aborts the interpreter. Arithmetic is strict: the compiler
+may neither reorder nor contract it, so that results have the same bits in every process and at
+every number of threads.
 
-Compiled code is kept on disk, so that a second process starts at once: in ``NUMBA_CACHE_DIR`` where that is set, else
-beside the sources, else in the user's cache, and nowhere if none of them can be written. ``XCG_JIT_CACHE=0`` turns
-that off, for example where machines of different kinds share an installation.
+Compiled code is kept on disk, so that a second process starts at once: in ``NUMBA_CACHE_DIR`` where
+that is set, else beside the sources, else in the user's cache, and nowhere if none of them can be
+written. ``XCG_JIT_CACHE=0`` turns that off, for example where machines of different kinds share an
+installation.
 """
 
 from __future__ import annotations
@@ -177,7 +179,8 @@ def threads_for(particles: int, threads: int) -> int:
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
     """Do something with each item, in turn or by several threads; return what it gave, raise an error of theirs.
 
-    The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/measurements.md.
+    The calling thread is one of them, from the last item on, as it has more memory at hand: see
+    docs/measurements.md.
     """
     if threads == 1 or len(items) < 2:
         return list(map(do, items))

@@ -29,7 +29,8 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
 def sort_by_key(key, start, order):
     """Write which thing comes first, second, ... (n,) by its key (n,), a whole number; those of one key stay in order.
 
-    `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key k.
+    `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key
+    k.
     """
     for n in range(key.size):
         start[key[n] + 1] += 1

@@ -1,10 +1,11 @@
 """Means of the kernel over cells from tables, and the cells that a grain or a segment reaches.
 
-The mean depends on the distance to the node along each axis alone, so where two or three axes have an extent, loops
-take it from a table, by Lagrange's polynomials of degree 5 along each axis. A cell is a whole number of intervals of
-the table, and the table is divided by its own sums over all cells, so that the means of a point over all cells add up
-to one. Means close to zero, which would lose their digits and their sign, are integrated (`xcg.compiled.lines`), and
-all are where the table is not accurate, as of kernels that jump.
+The mean depends on the distance to the node along each axis alone, so where two or three axes have
+an extent, loops take it from a table, by Lagrange's polynomials of degree 5 along each axis. A cell
+is a whole number of intervals of the table, and the table is divided by its own sums over all
+cells, so that the means of a point over all cells add up to one. Means close to zero, which would
+lose their digits and their sign, are integrated (`xcg.compiled.lines`), and all are where the table
+is not accurate, as of kernels that jump.
 
 Lengths are in units of the cutoff and relative to the first node.
 """
@@ -21,13 +22,15 @@ from xcg.compiled.reach import LISTS, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_r
 from xcg.compiled.smoothing import CellKernel
 
 _AXES = (X, Y, Z)
-# Of integrals, in units of the norm: kernels may have negative parts, and those that have none are zero at their rim.
+# Of integrals, in units of the norm: kernels may have negative parts, and those that have none are
+# zero at their rim.
 _ROUNDING = 1e-12
 TAPS, BEFORE = 6, 2  # places that a mean is interpolated from, and how many of them lie before it
 FINEST = 16  # places of a table for each cutoff, at least
 MOST_PLACES = 1 << 19  # of a table; smaller cells are integrated
 _PROBES = 1000  # places where the error of a table is measured
-# What is smaller than this share of the largest mean, or times the error, is integrated, and all beyond this error.
+# What is smaller than this share of the largest mean, or times the error, is integrated, and all
+# beyond this error.
 _SMALL, _IN_HAND, _WORST = 1e-6, 4.0, 1e-4
 _MOST_TABLES = 8
 LONGEST_LINE = 256  # places of a table along an axis, and numbers of scratch
@@ -62,9 +65,9 @@ def cell_means(
 ) -> CellMeans:
     """Tabulate the means of a kernel over a cell of half the extent `half`, in cutoffs.
 
-    `seen` is the number of axes along which distance counts, and `integral` that of the kernel without its norm.
-    `INTEGRATED` without a table: if one axis alone has an extent, an axis that is seen has none, cells are very small,
-    or the table would not be accurate.
+    `seen` is the number of axes along which distance counts, and `integral` that of the kernel
+    without its norm. `INTEGRATED` without a table: if one axis alone has an extent, an axis that is
+    seen has none, cells are very small, or the table would not be accurate.
     """
     if not 2 <= sum(h > 0.0 for h in half) == seen:
         return INTEGRATED
@@ -120,8 +123,8 @@ class _Axis(NamedTuple):
     place : (m,)
         Which of them each place of the table has.
     cells : (groups, n)
-        How many cells lie at each distance from a point; a row for each place of a point in its cell, of which
-        mirror images are one.
+        How many cells lie at each distance from a point; a row for each place of a point in its
+        cell, of which mirror images are one.
     group : (n,)
         Which of these rows each distance belongs to.
     """
@@ -298,8 +301,8 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
     kernel : CellKernel
         The smoothing function.
     lists : Lists
-        Written: numbers[NODE], the indices, values[X], values[Y] and values[Z], the point minus the node, and
-        values[WEIGHT], the means.
+        Written: numbers[NODE], the indices, values[X], values[Y] and values[Z], the point minus the
+        node, and values[WEIGHT], the means.
 
     Returns
     -------

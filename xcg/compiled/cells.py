@@ -1,13 +1,14 @@
 """Search for scattered points near a grain or branch: points are sorted into cells, and rows of cells are contiguous.
 
-The twins of `nodes_in_ball` and `nodes_around_segment` for points that form no mesh. Lengths are in units of the
-cutoff, as for a mesh. Cells are numbered ``(ix ny + iy) nz + iz``, and points are sorted by the cell that they are in,
-so that the points of neighbouring cells along z are one run. As for a mesh it is first computed how far each row of
-cells is reached, for all rows at once; then the points of the runs are looked at, as many at a time as a vector holds.
+The twins of `nodes_in_ball` and `nodes_around_segment` for points that form no mesh. Lengths are in
+units of the cutoff, as for a mesh. Cells are numbered ``(ix ny + iy) nz + iz``, and points are
+sorted by the cell that they are in, so that the points of neighbouring cells along z are one run.
+As for a mesh it is first computed how far each row of cells is reached, for all rows at once; then
+the points of the runs are looked at, as many at a time as a vector holds.
 
-What tests points against a place or a segment is written out as in `xcg.compiled.simd`: points are tested once, and all
-that lists hold of near points moves to the front of the vectors by one mask, so that nothing goes through
-memory in between.
+What tests points against a place or a segment is written out as in `xcg.compiled.simd`: points are
+tested once, and all that lists hold of near points moves to the front of the vectors by one mask,
+so that nothing goes through memory in between.
 """
 
 import math
@@ -138,8 +139,9 @@ def _list_near_place(typingctx, values, numbers, at, px, py, pz, first, left, x,
 def list_near_place(values, numbers, at, px, py, pz, first, left, x, y, z):
     """List the points among eight, from `first` on, that are closer than 1 to a place.
 
-    No more than `left` points are looked at. What `nodes_in_ball` writes of each is written from `at` on; returns how
-    many there are. Memory that follows them is overwritten, up to eight numbers from `at` on.
+    No more than `left` points are looked at. What `nodes_in_ball` writes of each is written from
+    `at` on; returns how many there are. Memory that follows them is overwritten, up to eight
+    numbers from `at` on.
     """
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
     a, b, c = x - px[n], y - py[n], z - pz[n]
@@ -193,8 +195,9 @@ def _list_near_segment(
 def list_near_segment(values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length):
     """List the points among eight, or sixteen in single precision, that are closer than 1 to a segment.
 
-    The segment begins at a place and runs along a unit vector e. Differences of places are taken in double precision,
-    the rest has the precision of the lists. Otherwise as `list_near_place`, with what `nodes_around_segment` writes.
+    The segment begins at a place and runs along a unit vector e. Differences of places are taken in
+    double precision, the rest has the precision of the lists. Otherwise as `list_near_place`, with
+    what `nodes_around_segment` writes.
     """
     real = values.dtype.type
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
@@ -256,7 +259,8 @@ def sort_by_cell(
     start : (cells + 2,)
         Zeros; written: the first point of each cell; the number of points in the last two places.
     cell, order, rank : (n,)
-        Written: the cell of each point, which point comes first, second, ..., and the place of each among all.
+        Written: the cell of each point, which point comes first, second, ..., and the place of each
+        among all.
     position, sorted_rows : (3, n or more), (n,)
         Written: the points and their numbers, sorted.
     """

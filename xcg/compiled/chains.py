@@ -1,7 +1,8 @@
 """Force chains: links between particles, depth-first search through them, and what a chain looks like.
 
-Particles are nodes of a graph in compressed rows: the contacts of particle p are ``contact[start[p]:start[p + 1]]``,
-in the order of the contacts. The searches keep their own stack, so that a chain may be as long as memory allows.
+Particles are nodes of a graph in compressed rows: the contacts of particle p are
+``contact[start[p]:start[p + 1]]``, in the order of the contacts. The searches keep their own stack,
+so that a chain may be as long as memory allows.
 """
 
 import math
@@ -16,9 +17,11 @@ from xcg.compiled.matrices import dot, principal
 from xcg.compiled.simd import prefetch
 
 UNSEEN, TOO_SHORT = -1, -2
-# A straight chain has no plane: its second extent is below this share of the first (variances, so 1e-5 in length).
+# A straight chain has no plane: its second extent is below this share of the first (variances, so
+# 1e-5 in length).
 _STRAIGHT = 1e-10
-# A branch with a smaller cosine to the direction of travel lies at right angles to it, neither ahead nor behind.
+# A branch with a smaller cosine to the direction of travel lies at right angles to it, neither
+# ahead nor behind.
 _SIDEWAYS = 1e-9
 
 
@@ -229,8 +232,8 @@ def linear_chains(
 ):
     """Search without branches: from each seed both ways, each time to the contact nearest to the direction of travel.
 
-    A seed's direction is a line: the first way is the one of the link nearest to it, so that the sign in which an
-    eigenvector comes makes no difference. Parameters as in `branching_chains`.
+    A seed's direction is a line: the first way is the one of the link nearest to it, so that the
+    sign in which an eigenvector comes makes no difference. Parameters as in `branching_chains`.
     """
     count, filled = 0, 0
     for seed in seeds:
@@ -312,8 +315,8 @@ def describe_chains(
     mean : (k,)
         Mean stress; set here.
     orientation, normal : (k, 3)
-        Axes of the largest and smallest extent, the largest component positive; the normal of a straight chain
-        is NaN. Set here.
+        Axes of the largest and smallest extent, the largest component positive; the normal of a
+        straight chain is NaN. Set here.
     """
     count = lengths.size
     spread, extent, axes = np.zeros((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))

@@ -43,7 +43,8 @@ def k_core(row_i, row_j, weight, least, degree, kept):
             if kept[i] and degree[i] < least:
                 kept[i] = False
                 again = True
-        # the degrees of the rows that stay are counted again from the pairs: that takes no lists of each row's partners
+        # the degrees of the rows that stay are counted again from the pairs: that takes no lists of
+        # each row's partners
         degree[:] = 0.0
         for n in range(row_i.size):
             i, j = row_i[n], row_j[n]
@@ -72,8 +73,8 @@ def _root(row, parent, moved):
 def join_clusters(row_i, row_j, crossed, parent, moved, winds):
     """Join rows that contacts connect into clusters, by union and find, with the periods between their images.
 
-    A contact between two rows of one cluster closes a loop. A loop that ends in another image of where it begins winds
-    around the box (Newman & Ziff 2001).
+    A contact between two rows of one cluster closes a loop. A loop that ends in another image of
+    where it begins winds around the box (Newman & Ziff 2001).
 
     Parameters
     ----------
@@ -221,9 +222,10 @@ _share_of_i = inlined(share_of_i)
 def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, out):
     """Write the points (n, 3) where spheres touch, up to the first pair that needs a closer look; return its number.
 
-    Such a pair lacks a sphere; or its centres coincide; or it touches in other images as well; or it has a side that is
-    half a period long, to a share `hair` of that. Where branches (n, 3) were `seen`, images are those nearest to them,
-    and a pair needs a closer look if its branch is off by more than a share `same` of its length.
+    Such a pair lacks a sphere; or its centres coincide; or it touches in other images as well; or
+    it has a side that is half a period long, to a share `hair` of that. Where branches (n, 3) were
+    `seen`, images are those nearest to them, and a pair needs a closer look if its branch is off by
+    more than a share `same` of its length.
     """
     for n in range(row_i.size):
         later = min(n + AHEAD, row_i.size - 1)

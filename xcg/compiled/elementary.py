@@ -1,7 +1,7 @@
 """exp, erf, angles and logarithms by arithmetic alone, in loops that become vector instructions, as none branches.
 
-Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every machine.
-`tests/compiled/test_elementary.py` measures the errors stated here.
+Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every
+machine. `tests/compiled/test_elementary.py` measures the errors stated here.
 """
 
 import math
@@ -132,8 +132,8 @@ def angle(y, x):
 def add_logarithms(ratio, bits, exponent, factor, room, out):
     """Add ``factor * log(ratio)``, for ratios from 1 on, to the first `room` numbers of an array.
 
-    Logarithms are right to 2e-16 + 3 ulp.
-    `bits` is the memory of `ratio` as integers, which are overwritten, and `exponent` is scratch (integers).
+    Logarithms are right to 2e-16 + 3 ulp. `bits` is the memory of `ratio` as integers, which are
+    overwritten, and `exponent` is scratch (integers).
     """
     # floats and integers of one memory in separate loops, or none of them vectorises
     for k in range(room):

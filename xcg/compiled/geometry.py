@@ -1,8 +1,9 @@
 """Exact geometry: volumes that spheres or discs share with cells, the nearest triangle, and where rays cross triangles.
 
-With U(a, b, c) the volume of the unit ball beyond three planes, x > a, y > b and z > c, a box takes the sum of U at its
-eight corners with the signs of inclusion and exclusion. U is the integral over z of the circle's part beyond two lines,
-in closed form (below), so that shares are right to rounding of the whole ball.
+With U(a, b, c) the volume of the unit ball beyond three planes, x > a, y > b and z > c, a box takes
+the sum of U at its eight corners with the signs of inclusion and exclusion. U is the integral over
+z of the circle's part beyond two lines, in closed form (below), so that shares are right to
+rounding of the whole ball.
 """
 
 import math
@@ -23,7 +24,8 @@ _TIE = 1e-9
 def _primitive(z, a, root):
     """Integral over z of (1 - z^2) asin(a / sqrt(1 - z^2)) / 2 + a sqrt(1 - a^2 - z^2) / 2, for 0 <= a.
 
-    All angles are taken from one `root` of 1 - a^2 - z^2: its error then has no effect to first order.
+    All angles are taken from one `root` of 1 - a^2 - z^2: its error then has no effect to first
+    order.
     """
     return (
         0.5 * (z - z * z * z / 3.0) * math.atan2(a, root)
@@ -239,15 +241,16 @@ def _place(point, corner, place):
 def nearest(points, corners, normals, centre, radius, place, distance, triangle):
     """Find the nearest triangle to each point, and the signed distance from it.
 
-    Of triangles that are equally near, which meet at an edge or a corner, the one that faces the point most decides its
-    side.
+    Of triangles that are equally near, which meet at an edge or a corner, the one that faces the
+    point most decides its side.
 
     Parameters
     ----------
     points : (n, 3)
         Points.
     corners, normals, centre, radius : (m, 3, 3), (m, 3), (m, 3), (m,)
-        Triangles: corners, unit normals, centres, and distance of the farthest corner from the centre.
+        Triangles: corners, unit normals, centres, and distance of the farthest corner from the
+        centre.
     place : (3,)
         Scratch.
     distance, triangle : (n,)
@@ -350,7 +353,8 @@ def line_crossings(lines, corners, facing, count, place, is_open_below):
     count : (n,)
         Number of crossings of each line, zero on entry; set here.
     place : (n, k)
-        Coordinates of the crossings along the lines, infinite (on entry) without one; further ones are only counted.
+        Coordinates of the crossings along the lines, infinite (on entry) without one; further ones
+        are only counted.
     is_open_below : (n,)
         Whether each line is on the side of the normals before its first crossing; set here.
     """

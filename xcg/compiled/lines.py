@@ -1,7 +1,8 @@
 """Integrals of kernels along lines, at one node and at many, and means over the cells of a mesh.
 
-A segment at distance h from a point, running from t0 to t1 along its own line, contributes the integral of the value at
-sqrt(h^2 + t^2) over t. Kinds, spreads and tables as in `xcg.compiled.smoothing`.
+A segment at distance h from a point, running from t0 to t1 along its own line, contributes the
+integral of the value at sqrt(h^2 + t^2) over t. Kinds, spreads and tables as in
+`xcg.compiled.smoothing`.
 """
 
 import math
@@ -44,7 +45,8 @@ from xcg.compiled.smoothing import (
     value,
 )
 
-# Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
+# Below this length (in cutoffs) the closed form loses more digits in its difference than four
+# points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
 # points of a line integral on one side of a node, for short branches and others
@@ -87,8 +89,8 @@ def _antiderivative(kind, spread, table, h2, t):
 def _parts_of_line(kind, spread, table):
     """Factors of the Gaussian, of 1 and of 3 t^2 in the value along a line at distance t from its foot.
 
-    For a Gaussian or Heaviside of codimension 0, or of codimension 2, which is seen in one dimension, where every line
-    runs through the point.
+    For a Gaussian or Heaviside of codimension 0, or of codimension 2, which is seen in one
+    dimension, where every line runs through the point.
     """
     s2 = spread * spread
     edge = exp(-0.5 / s2)
@@ -155,8 +157,8 @@ def segment(kind, spread, table, h2, t0, t1):
 def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent, rows):
     """Write the mean of the value over segments, in closed form, seen from `count` nodes.
 
-    `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent` (integers), and `rows`, see
-    `xcg.compiled.polynomials`.
+    `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent`
+    (integers), and `rows`, see `xcg.compiled.polynomials`.
     """
     if kind is LUCY_FULL:
         fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
@@ -199,7 +201,8 @@ def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
 def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
     """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
 
-    Differences of error functions are computed from their complements, which keep their digits far out.
+    Differences of error functions are computed from their complements, which keep their digits far
+    out.
     """
     bell, flat, cube = _parts_of_line(kind, spread, table)
     per_2s2 = 0.5 / (spread * spread)
@@ -227,8 +230,9 @@ def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out)
 def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, out, last):
     """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node in loops that vectorise.
 
-    `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the node, where a kernel may
-    have a cusp, on either side of it; a Gaussian on a short branch takes one side from end to end.
+    `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the
+    node, where a kernel may have a cusp, on either side of it; a Gaussian on a short branch takes
+    one side from end to end.
     """
     if spread is TABULATED:
         short, first, end = length <= 0.7, 1, 3
@@ -270,7 +274,8 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
 def _crossing(first, last, h2, x, side):
     """Return the squared distance, half chord and weight of a line at the share x of its length.
 
-    The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away from the foot.
+    The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away
+    from the foot.
     """
     if side == 1:
         first, last = max(0.0, first), max(0.0, last)
@@ -338,7 +343,8 @@ def largest_error(
 ) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 
-    Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).
+    Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0,
+    sees one dimension).
     """
     columns = 4 * max(rows, 32)
     along = np.tile(-1.0 + (length + 2.0) * np.arange(columns + 1) / columns, rows)
@@ -350,17 +356,20 @@ def largest_error(
 
 # --- means over cells ------------------------------------------------------------------------------------
 #
-# A cell is a box about its node. The mean of the kernel over it, ``(1 / V) int Psi(x - o) do``, is a kernel of its own,
-# so that sums with it work as for any kernel, counts and squares of weights included.
+# A cell is a box about its node. The mean of the kernel over it, ``(1 / V) int Psi(x - o) do``, is
+# a kernel of its own, so that sums with it work as for any kernel, counts and squares of weights
+# included.
 #
-# Along the last of the axes that have an extent the integral is the closed form of a line. Along the others it is by
-# Gauss-Legendre points within the part of the cell that the support reaches: over the angle along the chord, which
-# takes the root at its end out of the integrand, and on either side of the grain's centre, where the kernel may have a
-# cusp. Kernels that are not smooth at radii within the support, their *rims*, take points between each two of them.
-# Weights of these points are positive. Lengths are in units of the cutoff and relative to the first node.
+# Along the last of the axes that have an extent the integral is the closed form of a line. Along
+# the others it is by Gauss-Legendre points within the part of the cell that the support reaches:
+# over the angle along the chord, which takes the root at its end out of the integrand, and on
+# either side of the grain's centre, where the kernel may have a cusp. Kernels that are not smooth
+# at radii within the support, their *rims*, take points between each two of them. Weights of these
+# points are positive. Lengths are in units of the cutoff and relative to the first node.
 
 
-# Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in docs/evaluation.md
+# Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in
+# docs/evaluation.md
 FEWEST, PER_RIM = 3, 5
 _CELL_POINTS, _CELL_WEIGHTS = gauss_rules(*range(1, FEWEST + PER_RIM + 1))
 
@@ -387,8 +396,9 @@ class Volumes(NamedTuple):
 def _list_points(place, half, inner2, outer2, apart, values, at, weight):
     """Write points, and weights, of the integral over an interval about a place, between two squared distances from 0.
 
-    The number of points rises with the length, over the root of how far apart two rims are, as there is less to follow
-    between close ones. An interval without an extent is one point. Returns the number of points.
+    The number of points rises with the length, over the root of how far apart two rims are, as
+    there is less to follow between close ones. An interval without an extent is one point. Returns
+    the number of points.
     """
     if half == 0.0:
         values[at, 0], values[weight, 0] = place, 1.0
@@ -472,8 +482,9 @@ def _add_columns(
 def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, first):
     """Add a share of the mean of the kernel over the cells of `many` nodes of a row along the last axis.
 
-    A point minus the first of them, number `node` along that axis, is (da, db, dc - node x step), in the order of the
-    axes. Where cells cover the whole support along an axis, the marginal takes the place of points there.
+    A point minus the first of them, number `node` along that axis, is (da, db, dc - node x step),
+    in the order of the axes. Where cells cover the whole support along an axis, the marginal takes
+    the place of points there.
     """
     kind, spread, table, norm, rims, once, twice, _ = kernel
     norm *= share

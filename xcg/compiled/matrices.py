@@ -15,15 +15,18 @@ _IMAGINARY = 1e-14
 _DIAGONAL = 1e-40
 _MOST_SWEEPS = 12  # a handful are taken
 _MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
-# Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
+# Above this share of the largest possible determinant the explicit inverse is exact to a few
+# hundred ulp.
 _WELL_CONDITIONED = 1e-3
-# The same for the sum of the principal minors and the inverse within a plane; what is below the other two, shares of
-# those of well-spread grains, is nothing but rounding: the grains lie on one line, or in one plane.
+# The same for the sum of the principal minors and the inverse within a plane; what is below the
+# other two, shares of those of well-spread grains, is nothing but rounding: the grains lie on one
+# line, or in one plane.
 _WELL_SPREAD = 1e-4
 _ONE_LINE = 1e-13
 _ONE_PLANE = 1e-11
-# Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
-# 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
+# Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single
+# precision give 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives
+# 1e-8.
 _RANK_THRESHOLD = 1e-9
 _ROUNDING = 1e-13  # what centring one grain, or several in one place, leaves, of what is subtracted: a few 1e-16
 # A derivative is determined where the grains span no less of its axis.
@@ -238,8 +241,9 @@ def _reflect(vector, matrix, reflection, product):
 def principal_of_any(tensor, values, vectors):
     """Real eigenvalues, largest first, and right eigenvectors of matrices that need not be symmetric.
 
-    A matrix without its mean diagonal has a real eigenvalue that is at least as far from the others as from zero. Its
-    eigenvector is well defined; in axes that begin with it, the rest is a 2x2 matrix.
+    A matrix without its mean diagonal has a real eigenvalue that is at least as far from the others
+    as from zero. Its eigenvector is well defined; in axes that begin with it, the rest is a 2x2
+    matrix.
 
     Parameters
     ----------
@@ -322,8 +326,8 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
     Parameters
     ----------
     sums : (SUMS, n)
-        Number of grains, and sums of m Psi, m Psi u (3), m Psi x (3), m Psi u x (9) and m Psi x x (xx xy xz yy yz zz),
-        u and x relative to the same velocity and point.
+        Number of grains, and sums of m Psi, m Psi u (3), m Psi x (3), m Psi u x (9) and m Psi x x
+        (xx xy xz yy yz zz), u and x relative to the same velocity and point.
     active : (3,)
         Axes along which grains have offsets at all.
     about_node : bool
@@ -332,11 +336,11 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
     Returns
     -------
     array (FOUND, n)
-        G (9) with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar: zero along directions
-        that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit explains:
-        NaN where it goes through all grains, so that the fluctuation is unknown. 1 (3) where the derivative along
-        each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
-        M^+ (6).
+        G (9) with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar: zero
+        along directions that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u
+        - u_bar) that the fit explains: NaN where it goes through all grains, so that the
+        fluctuation is unknown. 1 (3) where the derivative along each axis follows from the grains,
+        or the axis is not active, else NaN. x_bar (3), zero where no grains are. M^+ (6).
     """
     rows = np.empty((SUMS + FOUND, sums.shape[1]))
     rows[:SUMS] = sums
@@ -401,9 +405,10 @@ def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
 def fit_rows(rows, first, found, many, flags):
     """Fit at each node, as `fit_gradient` says.
 
-    The pseudo-inverse of M is adj M / det M where grains clearly span all active axes, with adj M the matrix of
-    cofactors; M / (tr M)^2 on a line; and (tr M (1 - N) - M) / tr adj M in a plane of normal n, where
-    N = n n = adj M / tr adj M. Where they span none of these clearly it follows from eigenvectors.
+    The pseudo-inverse of M is adj M / det M where grains clearly span all active axes, with adj M
+    the matrix of cofactors; M / (tr M)^2 on a line; and (tr M (1 - N) - M) / tr adj M in a plane of
+    normal n, where N = n n = adj M / tr adj M. Where they span none of these clearly it follows
+    from eigenvectors.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
 """Pairs of near spheres: particles sorted by cell into levels of size, and the search through the levels.
 
-Every level has its own cells, at least as wide as its largest particle's reach. Particles are kept as records
-(x, y, z, radius), sorted by level and cell, so that the cells along z that a particle can reach are one run of
-records. A particle looks for partners in its own level and in levels of larger particles, never of smaller
-ones: forward cells in its own level (each pair once), all near cells in the others.
+Every level has its own cells, at least as wide as its largest particle's reach. Particles are kept
+as records (x, y, z, radius), sorted by level and cell, so that the cells along z that a particle
+can reach are one run of records. A particle looks for partners in its own level and in levels of
+larger particles, never of smaller ones: forward cells in its own level (each pair once), all near
+cells in the others.
 
 A level is a row of three arrays:
 
@@ -131,7 +132,8 @@ def find(
     period : (3,)
         Period of each axis, infinite without one.
     fold : (levels, 3)
-        The period along axes where a level has one cell, so that each distance is wrapped by itself; else infinity.
+        The period along axes where a level has one cell, so that each distance is wrapped by
+        itself; else infinity.
     skin : float
         Pairs closer than the sum of their radii and this are found.
     slack : float

@@ -1,12 +1,12 @@
 """Sums over points: every grain adds its columns, smeared by the kernel, to the nodes that it reaches.
 
-Lengths are in units of the cutoff and relative to the first node. A node's record holds the *flow* columns first,
-then columns of constants. Flow columns are relative to the node: offsets x = r_i - r, and velocities u = v_i - U with
-U the velocity of the first grain that reached the node. Nothing large is ever subtracted from something equally
-large, however fast the frame or far the origin.
+Lengths are in units of the cutoff and relative to the first node. A node's record holds the *flow*
+columns first, then columns of constants. Flow columns are relative to the node: offsets x = r_i -
+r, and velocities u = v_i - U with U the velocity of the first grain that reached the node. Nothing
+large is ever subtracted from something equally large, however fast the frame or far the origin.
 
-For each grain the nodes within its support are listed, their weights computed in one vectorised loop, and their
-records updated, four neighbouring columns in one instruction.
+For each grain the nodes within its support are listed, their weights computed in one vectorised
+loop, and their records updated, four neighbouring columns in one instruction.
 """
 
 import math
@@ -39,7 +39,8 @@ from xcg.compiled.smoothing import fill_values
 def reference_deposit(place, velocity, mass, constants, node, value):
     """Sum grains (n, ...) at one node (3,) as `deposit` does at many: flow columns up to SQUARED, and constants.
 
-    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,) below 1.
+    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,)
+    below 1.
     """
     seen = ((place - node) ** 2).sum(axis=1) < 1.0
     x, u, six = (place - node)[seen], (velocity - velocity[seen][:1])[seen], np.triu_indices(3)
@@ -79,7 +80,8 @@ SQUARES = (SQUARE, *range(SQUARE_OFFSET, SQUARE_SPREAD + 6))
 # what a grain's record holds
 PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
 
-# how many flow columns each level of detail takes; some are spare, so that all start at a multiple of four
+# how many flow columns each level of detail takes; some are spare, so that all start at a multiple
+# of four
 NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR, SQUARED = 0, 8, 12, 16, 32, 40
 _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
@@ -92,18 +94,20 @@ class Grains(NamedTuple):
     order : (k,)
         Rows of the grains, one after the other.
     batches : (r, 2, 3)
-        Bounds of each batch of them, in cutoffs from the first node, see `batches_of`: those out of reach are passed
-        over.
+        Bounds of each batch of them, in cutoffs from the first node, see `batches_of`: those out of
+        reach are passed over.
     position : (n, 3)
         Centres.
     velocity, mass : (n, 3), (n,)
         Velocities and masses; of no account at level NONE.
     constants : (n, q)
-        Columns that are the same for all nodes; q is a multiple of four, as they are added four at a time.
+        Columns that are the same for all nodes; q is a multiple of four, as they are added four at
+        a time.
     phase : (n,)
         Which group each grain belongs to.
     origin, cutoff : tuple, float
-        Place of the first node, and radius of the support, in the unit of `position`. All other lengths are in cutoffs.
+        Place of the first node, and radius of the support, in the unit of `position`. All other
+        lengths are in cutoffs.
     """
 
     order: NDArray
@@ -142,9 +146,9 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     level : int
         NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
     meet : (m, 3) or None
-        Translations (cutoffs) from an image of a grain to all others that may reach the same node. They share what
-        their velocities are beyond that of the flow: in the squares of weights they count as one grain. None leaves
-        code out when the loop is compiled, here and below.
+        Translations (cutoffs) from an image of a grain to all others that may reach the same node.
+        They share what their velocities are beyond that of the flow: in the squares of weights they
+        count as one grain. None leaves code out when the loop is compiled, here and below.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
     scratch : Scratch

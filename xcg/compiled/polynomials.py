@@ -1,19 +1,22 @@
 """Line integrals of kernels that are polynomials of the distance: shells in general, Lucy's kernel by its own forms.
 
-A *shell* is a polynomial ``sum_n a_n q^n`` for q below a radius, and zero beyond; a kernel is the sum of its shells.
-With r^2 = h^2 + t^2, integrals ``I_n`` of r^n over 0 < s < t along a line at distance h follow from each other,
+A *shell* is a polynomial ``sum_n a_n q^n`` for q below a radius, and zero beyond; a kernel is the
+sum of its shells. With r^2 = h^2 + t^2, integrals ``I_n`` of r^n over 0 < s < t along a line at
+distance h follow from each other,
 
     (n + 1) I_n = t r^n + n h^2 I_(n-2),    I_(-1) = asinh(t / h),
 
-so that their sum is ``t E(r) + h^2 e_1 asinh(t / h)``. The coefficients e_n of the polynomial E depend on h alone:
+so that their sum is ``t E(r) + h^2 e_1 asinh(t / h)``. The coefficients e_n of the polynomial E
+depend on h alone:
 
     (n + 1) e_n = a_n + (n + 2) h^2 e_(n+2).
 
-Between two ends of a line, t0 and t1, the difference is taken term by term, ``(t1 - t0) E(r1) + t0 (E(r1) - E(r0))``,
-the last by the divided difference of E: short segments lose no digits.
+Between two ends of a line, t0 and t1, the difference is taken term by term, ``(t1 - t0) E(r1) + t0
+(E(r1) - E(r0))``, the last by the divided difference of E: short segments lose no digits.
 
-Lucy's kernel is ``P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q)``, q being the distance over the cutoff; L1 and
-L2 are its integrals over a line and a plane at distance q, as in `xcg.compiled.smoothing`.
+Lucy's kernel is ``P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q)``, q being the distance over
+the cutoff; L1 and L2 are its integrals over a line and a plane at distance q, as in
+`xcg.compiled.smoothing`.
 """
 
 import math
@@ -24,14 +27,15 @@ from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.elementary import add_logarithms, angle
 from xcg.compiled.reach import padded
 
-# What stands in `shells` (rows, shells), column by column: radius, zero where there is no shell, number of powers,
-# a multiple of AT_ONCE, and the coefficient a_n / (n + 1) of each power.
+# What stands in `shells` (rows, shells), column by column: radius, zero where there is no shell,
+# number of powers, a multiple of AT_ONCE, and the coefficient a_n / (n + 1) of each power.
 RADIUS, POWERS, FIRST = 0, 1, 2
 AT_ONCE = 4
 # rows of scratch
 _H2, _R0, _R1, _LEVER, _APART, _EVEN, _ODD, _END, _SLOPE = (np.uint64(k) for k in range(9))
 SCRATCH = 9
-# keeps quotients finite where both ends are at the node, and logarithms on the segment, where their factor is zero
+# keeps quotients finite where both ends are at the node, and logarithms on the segment, where their
+# factor is zero
 TINY = 1e-290
 
 
@@ -142,11 +146,12 @@ def along_marginal(shells, h2, t0, t1):
 def _marginal_to(shells, j, h2, t):
     """Integral of the marginal of one shell over 0 < s < t, an odd function of t.
 
-    In polar coordinates about the foot of the perpendicular, integrating by parts over the radius leaves
-    ``pi w(h) - 2 t int_0^u w(r) / (z^2 + t^2) dz`` for t > 0, with r^2 = h^2 + t^2 + z^2 and u the half chord of the
-    disc at t. Powers of r follow from each other: ``r^m / (z^2 + t^2) = r^(m-2) + h^2 r^(m-2) / (z^2 + t^2)``, which
-    leaves integrals I_n at distance a, a^2 = h^2 + t^2, and two angles, of even and of odd powers of r. The even and
-    odd parts of w(h) are their factors: ``pi w(h)`` is taken into the angles, and small t lose no digits.
+    In polar coordinates about the foot of the perpendicular, integrating by parts over the radius
+    leaves ``pi w(h) - 2 t int_0^u w(r) / (z^2 + t^2) dz`` for t > 0, with r^2 = h^2 + t^2 + z^2 and
+    u the half chord of the disc at t. Powers of r follow from each other: ``r^m / (z^2 + t^2) =
+    r^(m-2) + h^2 r^(m-2) / (z^2 + t^2)``, which leaves integrals I_n at distance a, a^2 = h^2 +
+    t^2, and two angles, of even and of odd powers of r. The even and odd parts of w(h) are their
+    factors: ``pi w(h)`` is taken into the angles, and small t lose no digits.
     """
     radius, a2 = shells[RADIUS, j], h2 + t * t
     u, h = math.sqrt(max(0.0, radius * radius - a2)), math.sqrt(h2)
@@ -183,8 +188,8 @@ def lucy_line(h2, t):
     return t * (1.0 - 6.0 * h2 - 2.0 * t2 - 3.0 * h2 * h2 - 2.0 * h2 * t2 - 0.6 * t2 * t2) + cubic
 
 
-# Beyond this squared distance the closed form of L1 cancels to its rounding; the quadrature keeps every digit of
-# the small weights at the rim, where a node may see nothing else.
+# Beyond this squared distance the closed form of L1 cancels to its rounding; the quadrature keeps
+# every digit of the small weights at the rim, where a node may see nothing else.
 _RIM = 0.5
 _RIM_NODES, _RIM_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -221,8 +226,9 @@ def lucy_plane_value(q2):
 def lucy_plane(h2, t):
     """Integral of L1(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1.
 
-    In polar coordinates about the foot of the perpendicular, integrating by parts over the radius leaves
-    pi w(h) - 2 t int_0^u w(r) / (z^2 + t^2) dz with w = L2 / 2 pi and u the half chord of the disc at t.
+    In polar coordinates about the foot of the perpendicular, integrating by parts over the radius
+    leaves pi w(h) - 2 t int_0^u w(r) / (z^2 + t^2) dz with w = L2 / 2 pi and u the half chord of
+    the disc at t.
     """
     a2 = h2 + t * t
     if t <= 0.0:
@@ -254,8 +260,8 @@ def clipped(q2, along, length):
 def fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exponent):
     """As `lucy_line` at both ends of the clipped segment, in loops that vectorise.
 
-    The two logarithms are one: for ends at distances r0, r1 from the node and l from each other, asinh(t1 / h) -
-    asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
+    The two logarithms are one: for ends at distances r0, r1 from the node and l from each other,
+    asinh(t1 / h) - asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
     """
     room = padded(count)
     for k in range(room):

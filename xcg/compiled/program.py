@@ -18,8 +18,8 @@ from xcg.compiled.simd import (
     transpose8x8,
 )
 
-# The operations of a step (operation, result, a, b). Results and operands are rows of the scratch, but for a load and a
-# store, which say what to load or store.
+# The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,
+# but for a load and a store, which say what to load or store.
 (
     CONSTANT, LOAD, STORE, ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE_ROOT, WHERE_POSITIVE, AT_LEAST_ZERO,
     ZERO_IF_UNKNOWN, FIT, PART,
@@ -67,20 +67,23 @@ def run(steps, records, source, fields, target, place, order, tile, scratch):
     steps : (n, 4)
         Operation, result and operands.
     records : (arrays, 3)
-        Address of each array of sums (nodes, width), its width, and the row of the scratch where its columns begin.
+        Address of each array of sums (nodes, width), its width, and the row of the scratch where
+        its columns begin.
     source : (loads, 2)
         Row of the column of each load, and the row of a factor.
     fields : (stores, 3)
-        Address of the first component of each store, the numbers that the field holds for a place, and how many
-        components are stored: 1, 3 or 9.
+        Address of the first component of each store, the numbers that the field holds for a place,
+        and how many components are stored: 1, 3 or 9.
     target : (stores, 9)
         Rows of the components.
     place : (nodes,)
         Place of each node in the fields, in the order in which nodes are taken.
     order : (nodes,) or None
-        Which record is that of each node; None where records are in that order, which leaves code out.
+        Which record is that of each node; None where records are in that order, which leaves code
+        out.
     tile : int
-        Address of scratch for as many records as a tile has nodes, and eight numbers more, of the largest width.
+        Address of scratch for as many records as a tile has nodes, and eight numbers more, of the
+        largest width.
     scratch : (rows, TILE)
         Holds constants and factors.
     """

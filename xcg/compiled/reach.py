@@ -1,12 +1,13 @@
 """Search for the nodes that a grain or branch reaches: periodic images, rows of nodes, spatial order.
 
-Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy) nz + iz``
-within the box of nodes that is being filled.
+Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy)
+nz + iz`` within the box of nodes that is being filled.
 
-Nodes are listed row by row along z, in loops that the compiler turns into vector instructions. Tables hold what the
-rows of a plane and the nodes of a row have in common; then it is computed how far each row is reached, for all rows at
-once, and last come the nodes of a row, eight at a time. What a row writes beyond its end is overwritten by the next.
-Indices are unsigned, as signed ones are looked at for counting from the end.
+Nodes are listed row by row along z, in loops that the compiler turns into vector instructions.
+Tables hold what the rows of a plane and the nodes of a row have in common; then it is computed how
+far each row is reached, for all rows at once, and last come the nodes of a row, eight at a time.
+What a row writes beyond its end is overwritten by the next. Indices are unsigned, as signed ones
+are looked at for counting from the end.
 """
 
 import math
@@ -24,7 +25,8 @@ PAD = 16  # loops over lists run to a multiple of this: what is left over would 
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
 BATCH = 256  # grains or branches, neighbours in space, that are passed over together
 
-# What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
+# What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of
+# lists,
 OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
 # rows of nodes and nodes, as numbers,
 ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (
@@ -51,8 +53,8 @@ class Nodes(NamedTuple):
     period : tuple of float
         Period, infinite without one.
     rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
-        The nodes themselves: of a mesh, points anywhere, or cells of a mesh. None leaves code out when a loop is
-        compiled.
+        The nodes themselves: of a mesh, points anywhere, or cells of a mesh. None leaves code out
+        when a loop is compiled.
     """
 
     begin: tuple[float, float, float]
@@ -70,7 +72,8 @@ class Rows(NamedTuple):
     Attributes
     ----------
     low, high : tuple of int
-        The block low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the same time.
+        The block low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the
+        same time.
     steps, per_steps : tuple of float
         Spacing, and nodes per length.
     """
@@ -119,8 +122,8 @@ def lists_for(
 ) -> Lists:
     """Make lists for anything that reaches this far, from end to end, along the active axes of a mesh.
 
-    They have room for `least` nodes or more. The integers come with tables of the indices of the nodes of a row and of
-    the rows of a plane.
+    They have room for `least` nodes or more. The integers come with tables of the indices of the
+    nodes of a row and of the rows of a plane.
     """
     low, high, steps, _ = rows
     most = 1
@@ -145,8 +148,8 @@ def nodes_in_ball(x, y, z, rows, lists):
     rows : Rows
         Indices are counted within this block.
     lists : Lists
-        Written: numbers[NODE], the indices, and values[Q2], squared distances, and values[X], values[Y] and values[Z],
-        the point minus the node.
+        Written: numbers[NODE], the indices, and values[Q2], squared distances, and values[X],
+        values[Y] and values[Z], the point minus the node.
 
     Returns
     -------
@@ -207,8 +210,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
 
     Numbers are in the precision of the lists.
 
-    Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
-    seen along z, is largest for 0 <= u <= 1.
+    Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz +
+    sqrt(1 - |d - u b|^2)``, seen along z, is largest for 0 <= u <= 1.
 
     Parameters
     ----------
@@ -219,8 +222,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     rows : Rows
         As in `nodes_in_ball`.
     lists : Lists
-        Written: numbers[NODE], the indices, values[Q2], squared distances to the start, and values[ALONG], the foot of
-        the node on the segment's line, from the start.
+        Written: numbers[NODE], the indices, values[Q2], squared distances to the start, and
+        values[ALONG], the foot of the node on the segment's line, from the start.
 
     Returns
     -------
@@ -251,7 +254,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         )
     real = values.dtype.type
     zero, one, two = real(0.0), real(1.0), real(2.0)
-    # nodes are counted from the one below the start, so that few digits are enough, and the same whatever the box
+    # nodes are counted from the one below the start, so that few digits are enough, and the same
+    # whatever the box
     base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
     y, step_y, by = real(y - base_y * steps[1]), real(steps[1]), real(by)
     z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
@@ -375,8 +379,8 @@ def spatial_order(
 ) -> NDArray:
     """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
-    `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which stay in cache. The
-    order is stable, so that sums have one order only.
+    `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which
+    stay in cache. The order is stable, so that sums have one order only.
     """
     count, sizes = len(position), [size, size, size]
     extent = [

@@ -60,7 +60,8 @@ def ring_references(given, rings, turns, mean, difference):
     turns : bool
         Whether their components are turned into (r, theta, z).
     mean, difference : array (m, 3), (a, 3)
-        Filled with the averages, NaN where there is nothing, and with what each angle's differs by, or zero.
+        Filled with the averages, NaN where there is nothing, and with what each angle's differs by,
+        or zero.
     """
     for n in range(mean.shape[0]):
         total = x = y = z = 0.0
@@ -172,9 +173,9 @@ def ring_means(sums, rings, difference, tensors, level, flow, record, tensor, ou
 def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums, out):
     """Add the squares of the weights of grains in the fits of rings to `out`.
 
-    A grain's velocity has the same error at each angle of a ring, seen in the axes R_k that are there. With w_k the
-    weight at an angle and phi = (1, x) in these axes, a fit over the ring takes ``Q = m^2 |sum_k w_k R_k phi|^2 / D``
-    of it, the square over the components of R.
+    A grain's velocity has the same error at each angle of a ring, seen in the axes R_k that are
+    there. With w_k the weight at an angle and phi = (1, x) in these axes, a fit over the ring takes
+    ``Q = m^2 |sum_k w_k R_k phi|^2 / D`` of it, the square over the components of R.
 
     Parameters
     ----------

@@ -2,10 +2,10 @@
 
 Any other vector of a contact's sides may take the place of the force.
 
-Lengths are in units of the cutoff and relative to the first node. The weight of a node is the mean of the kernel
-over the segment, ``S = int_0^1 Psi(r - start + u a) du`` with the segment running from `start` to ``start - a``. It
-comes from the closed form, or from the fewest Gauss-Legendre points that meet the asked accuracy for a branch of
-that length.
+Lengths are in units of the cutoff and relative to the first node. The weight of a node is the mean
+of the kernel over the segment, ``S = int_0^1 Psi(r - start + u a) du`` with the segment running
+from `start` to ``start - a``. It comes from the closed form, or from the fewest Gauss-Legendre
+points that meet the asked accuracy for a branch of that length.
 """
 
 import math
@@ -37,7 +37,8 @@ from xcg.compiled.smoothing import fill_gauss
 def reference_deposit_segments(start, branch, force, node, active, value):
     """Sum segments (n, 3) at one node (3,) as `deposit_segments` does at many: force x branch, (3, 3).
 
-    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at distances below 1.
+    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at
+    distances below 1.
     """
     total, (x, weights) = np.zeros((3, 3)), (rule[48] for rule in gauss_rules(48))
     for begin, along, carried in zip(start, branch, force, strict=True):
@@ -66,12 +67,14 @@ def reference_deposit_segments(start, branch, force, node, active, value):
     return total
 
 
-# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
+# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the
+# next even one.
 RULES = (2, 4, 6, 8, 10, 12)
-# Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
-# contact point is then off that line by no more than the rounding of its coordinates.
+# Branches closer to one line than this (sine of their angle) share one segment from centre to
+# centre; the contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
-# Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each cutoff of its length.
+# Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each
+# cutoff of its length.
 IN_CELL = 6
 # Contacts so many places ahead are prefetched, and the particles of those that are nearer.
 FAR_AHEAD, AHEAD = 24, 8
@@ -131,10 +134,12 @@ def list_segments(
 ):
     """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
 
-    Without `segments` they are only measured. None leaves code out when the loop is compiled, here and below.
+    Without `segments` they are only measured. None leaves code out when the loop is compiled, here
+    and below.
 
-    Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
-    first, where they carry opposite vectors, lie on one line, on opposite sides of the point, and in one phase.
+    Each side of a contact runs from its particle's centre to the contact point. Both sides are one
+    segment, of the first, where they carry opposite vectors, lie on one line, on opposite sides of
+    the point, and in one phase.
 
     Parameters
     ----------
@@ -145,8 +150,8 @@ def list_segments(
     second : bool
         Whether the segments of the partners are wanted.
     others : int
-        0, or the number of phases of partners, the last one for partners that are no row: groups are then phases by
-        phases of the partner.
+        0, or the number of phases of partners, the last one for partners that are no row: groups
+        are then phases by phases of the partner.
     cutoffs : (phases,)
         Cutoff of the sides of each phase.
     cutoff : float
@@ -156,8 +161,9 @@ def list_segments(
     rows : (k,)
         Which contacts, in the order of the list.
     segments : (k, SEGMENT) or None
-        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or what the side carries
-        in its place) times the cutoff, three each, and GROUP, or -1 as GROUP alone without a segment.
+        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or
+        what the side carries in its place) times the cutoff, three each, and GROUP, or -1 as GROUP
+        alone without a segment.
     bounds : (runs, 2, 3) or None
         Widened to hold the segments of each run, see `bounds_of_segments`.
     longest : (4,)
@@ -296,9 +302,11 @@ class Segments(NamedTuple):
     records : (n, SEGMENT)
         As from `list_segments`; lengths in cutoffs, starts relative to the first node.
     limits : (k,)
-        Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
+        Longest branch for which each of the first k `RULES` is accurate enough; empty for the
+        closed form.
     bounds : (r, 2, 3)
-        Bounds of each run of segments, see `bounds_of_segments`: those out of reach are passed over.
+        Bounds of each run of segments, see `bounds_of_segments`: those out of reach are passed
+        over.
     """
 
     records: NDArray
@@ -319,10 +327,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     lists : Lists
-        Scratch: in single precision where that is enough for distances and weights; sums are in double.
+        Scratch: in single precision where that is enough for distances and weights; sums are in
+        double.
     closed : tuple or None
-        Scratch for the closed form, see `closed_for` in `lines`; None leaves out segments that need it, and code when
-        the loop is compiled.
+        Scratch for the closed form, see `closed_for` in `lines`; None leaves out segments that need
+        it, and code when the loop is compiled.
     rest : bool
         Leave out all other segments.
     moments : (groups, nodes of the block, 9)

@@ -1,12 +1,14 @@
 """Several neighbouring numbers of an array in one instruction, written out for LLVM.
 
-Numba compiles a Python loop over four or eight numbers one number at a time, and LLVM merges them afterwards only
-sometimes. So each function here has two forms: the Python function says what it does, and runs where nothing is
-compiled (``NUMBA_DISABLE_JIT=1``, to step through a loop in a debugger); the function in front of it, of the same name
-with an underscore, writes the instructions that compiled code has in its place. Both give the same bits.
+Numba compiles a Python loop over four or eight numbers one number at a time, and LLVM merges them
+afterwards only sometimes. So each function here has two forms: the Python function says what it
+does, and runs where nothing is compiled (``NUMBA_DISABLE_JIT=1``, to step through a loop in a
+debugger); the function in front of it, of the same name with an underscore, writes the instructions
+that compiled code has in its place. Both give the same bits.
 
-Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never addresses or what `prefetch` is asked
-for: places must lie within the array, and addresses belong to arrays that still exist.
+Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never addresses or what
+`prefetch` is asked for: places must lie within the array, and addresses belong to arrays that still
+exist.
 """
 
 import ctypes
@@ -26,8 +28,9 @@ TILE = 64  # nodes that the algebra is done for at a time
 def compiled_as(emit: Callable) -> Callable:
     """Pair a Python function with the instructions that compiled code has in its place.
 
-    `emit` is what `numba.extending.intrinsic` takes: from the types of the arguments to a signature and a function that
-    writes instructions. As of a compiled loop, the Python function is the attribute ``py_func``.
+    `emit` is what `numba.extending.intrinsic` takes: from the types of the arguments to a signature
+    and a function that writes instructions. As of a compiled loop, the Python function is the
+    attribute ``py_func``.
     """
 
     def pair(function: Callable) -> Any:
@@ -269,7 +272,8 @@ def _store_nontemporal(typingctx, address, index, value):
 def store_nontemporal(address, index, value):
     """Write a float64 to the place that is `index` numbers from an address, past the caches.
 
-    What is written in order, without gaps, goes to memory line by line, and nothing is read for it before.
+    What is written in order, without gaps, goes to memory line by line, and nothing is read for it
+    before.
     """
     _number(address, index).value = value
 

@@ -1,7 +1,7 @@
 """Radial smoothing functions of a unit cutoff: value and gradient.
 
-A kernel in k dimensions that is seen in m of them has codimension n = k - m: it is integrated over n axes. With
-P(q) the profile (q = r / cutoff, zero for q >= 1),
+A kernel in k dimensions that is seen in m of them has codimension n = k - m: it is integrated over
+n axes. With P(q) the profile (q = r / cutoff, zero for q >= 1),
 
     n = 0   P(q)
     n = 1   L1(q) = integral of P over a line at distance q
@@ -9,12 +9,13 @@ P(q) the profile (q = r / cutoff, zero for q >= 1),
 
 and the same three hold for kernels of any k. Integrals along segments are in `xcg.compiled.lines`.
 
-A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in codimension 0, is
-`LUCY_FULL`, which is None: the compiler knows None by its type, and leaves all other kernels out of the
-loops that most scenes take, which then compile in half the time. In the same way the table of most kernels is `PLAIN`,
-which is None: nothing is compiled for them of a Gaussian whose value at the cutoff is taken off, which has any array
-for a table, nor of registered kernels, whose spread is `TABULATED`, also None. (The compiler leaves out what follows a
-test for None only where an argument is None: so functions for tables begin with that test.)
+A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in
+codimension 0, is `LUCY_FULL`, which is None: the compiler knows None by its type, and leaves all
+other kernels out of the loops that most scenes take, which then compile in half the time. In the
+same way the table of most kernels is `PLAIN`, which is None: nothing is compiled for them of a
+Gaussian whose value at the cutoff is taken off, which has any array for a table, nor of registered
+kernels, whose spread is `TABULATED`, also None. (The compiler leaves out what follows a test for
+None only where an argument is None: so functions for tables begin with that test.)
 """
 
 import math
@@ -45,8 +46,8 @@ class KernelCode(NamedTuple):
     spread : float or None
         Width over cutoff, which a Gaussian needs; `TABULATED` for a `TABLE`.
     table : (3, intervals, PIECE), or None
-        Polynomials of a `TABLE`, see `tabulated`, and its `SHELLS`; any array for a shifted Gaussian; `PLAIN` for
-        other kinds.
+        Polynomials of a `TABLE`, see `tabulated`, and its `SHELLS`; any array for a shifted
+        Gaussian; `PLAIN` for other kinds.
     norm : float
         Factor to the values.
     """
@@ -60,9 +61,9 @@ class KernelCode(NamedTuple):
 class CellKernel(NamedTuple):
     """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
 
-    `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
-    which it is not smooth; the last is that of its support. `means` is a table for cells of one size, see
-    `xcg.compiled.cell_means`.
+    `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over
+    the cutoff, rising, at which it is not smooth; the last is that of its support. `means` is a
+    table for cells of one size, see `xcg.compiled.cell_means`.
     """
 
     kind: int | None
@@ -76,8 +77,8 @@ class CellKernel(NamedTuple):
 
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache
-# Of a table: shells of the value, or in codimension 1 those that its marginal takes (`xcg.compiled.polynomials`).
-# Without any, lines are left to quadrature.
+# Of a table: shells of the value, or in codimension 1 those that its marginal takes
+# (`xcg.compiled.polynomials`). Without any, lines are left to quadrature.
 SHELLS = 2
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
 SQRT2 = math.sqrt(2.0)
@@ -173,7 +174,8 @@ def value(kind, spread, table, q2):
 def gradient(kind, spread, table, q2):
     """Return the derivative of the value by q, divided by q; the gradient is this times the vector r / c.
 
-    Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a Gaussian.
+    Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a
+    Gaussian.
     """
     if kind is LUCY_FULL:
         p = 1.0 - math.sqrt(q2)
@@ -229,7 +231,8 @@ def interpolate(table, row, q2):
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise.
 
-    At the rim rounding may leave a squared distance above 1, where the roots of chords are not numbers.
+    At the rim rounding may leave a squared distance above 1, where the roots of chords are not
+    numbers.
     """
     if by_gradient is not None:
         for k in range(count):
@@ -270,8 +273,8 @@ def _at(kind, spread, table, r2):
 def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, count, out):
     """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
 
-    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there. The
-    precision is that of the arrays. Points lie in pairs of one weight about the middle.
+    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from
+    there. The precision is that of the arrays. Points lie in pairs of one weight about the middle.
     """
     real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
     room = padded(count) if kind is LUCY_FULL else count
@@ -317,8 +320,8 @@ def sample(kind, spread, table, q, derivative):
 def weighted_means(kind, spread, table, values, place, radius):
     """Means of values (m, k) of cells, weighted by the kernel about places (n, 2).
 
-    Places are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of only one row have one
-    axis, and places are at zero on the other.
+    Places are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of
+    only one row have one axis, and places are at zero on the other.
     """
     out = np.zeros(len(place))
     for n in range(len(place)):

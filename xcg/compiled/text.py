@@ -2,14 +2,16 @@
 
 Words are found 64 bytes at a time, and words of other columns are skipped.
 
-Digits are read eight at a time, and a word of up to eight characters, point and all, at once. A number of up to 19
-digits is a whole number m times a power of ten. Where both are exact in float64, one product or quotient gives the
-nearest number; else 128 bits of the product of m and a power of five do, by the algorithm of Eisel and Lemire (D.
-Lemire, Number parsing at a gigabyte per second, Software: Practice and Experience 51, 1700, 2021). What this does not
-decide is left to the caller: subnormal numbers, numbers halfway between two, infinities, longer numbers whose further
-digits matter, and words that are no numbers.
+Digits are read eight at a time, and a word of up to eight characters, point and all, at once. A
+number of up to 19 digits is a whole number m times a power of ten. Where both are exact in float64,
+one product or quotient gives the nearest number; else 128 bits of the product of m and a power of
+five do, by the algorithm of Eisel and Lemire (D. Lemire, Number parsing at a gigabyte per second,
+Software: Practice and Experience 51, 1700, 2021). What this does not decide is left to the caller:
+subnormal numbers, numbers halfway between two, infinities, longer numbers whose further digits
+matter, and words that are no numbers.
 
-Whole numbers whose bits are shifted are typed (`np.uint64`), because a signed one beside them makes both float64.
+Whole numbers whose bits are shifted are typed (`np.uint64`), because a signed one beside them makes
+both float64.
 """
 
 import numpy as np
@@ -243,7 +245,8 @@ def _short(text, at, count):
 def _usual(text, at, end):
     """Read digits with a point and an exponent of two digits as m 10^power; return whether they have that form.
 
-    There are up to 8 digits before the point, or where no point is, and 19 in all without zeros at the front.
+    There are up to 8 digits before the point, or where no point is, and 19 in all without zeros at
+    the front.
     """
     power = np.int64(0)
     if end - at > 4:
@@ -412,8 +415,9 @@ def read_rows(text, size, columns, wanted, out, row, edges, lines, rest):
     Returns
     -------
     rows, done, left : int
-        Rows that were read, bytes that are done with, and words in `rest`. Reading stops before a line with more or
-        fewer words, one beyond the rows of `out`, and one for which `rest` may have no room.
+        Rows that were read, bytes that are done with, and words in `rest`. Reading stops before a
+        line with more or fewer words, one beyond the rows of `out`, and one for which `rest` may
+        have no room.
     """
     words, count = find_words(text, size, edges, lines)
     for edge in range(2 * words, 2 * (words + columns) + 1):

@@ -1,9 +1,9 @@
 """The share of the kernel that lies on the accessible side of walls, and fields per accessible volume.
 
-``chi(r) = int Psi(r - r') dr'`` over the accessible side. Near a single plane it is the integral of the kernel's
-marginal. Elsewhere the kernel is integrated exactly along rays from the node, between their crossings of the walls, and
-over the directions of the rays by Gauss's rule about the normal of the nearest wall. Averages along axes on which
-walls vary come from `xcg.fields.grids.sections`.
+``chi(r) = int Psi(r - r') dr'`` over the accessible side. Near a single plane it is the integral of
+the kernel's marginal. Elsewhere the kernel is integrated exactly along rays from the node, between
+their crossings of the walls, and over the directions of the rays by Gauss's rule about the normal
+of the nearest wall. Averages along axes on which walls vary come from `xcg.fields.grids.sections`.
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Acce
     Raises
     ------
     ValueError
-        If the kernel is not of the scene's dimension, groups have different widths, walls do not bound an averaged
-        axis, or they vary across the layer of a two-dimensional scene.
+        If the kernel is not of the scene's dimension, groups have different widths, walls do not
+        bound an averaged axis, or they vary across the layer of a two-dimensional scene.
     """
     kernel, plane = plan.kernel, plan.setup.plane
     if len(plan.widths) > 1:
@@ -192,7 +192,8 @@ def _points_of(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Return points (n, 3), their shares of the averages at nodes (n,), and the first point of each node (nodes,).
 
-    Nodes of a cylinder have a point at each of their angles, or one where walls are the same at all angles.
+    Nodes of a cylinder have a point at each of their angles, or one where walls are the same at all
+    angles.
     """
     grid = plan.deposit.grid
     if not cylindrical:
@@ -319,8 +320,9 @@ def fraction_at(
 
     `advance` is called with the number of points that are finished.
 
-    Exact for a single plane within reach. Elsewhere the error is that of the rule for directions: root mean square
-    up to 1e-3 and largest up to 5e-3, where curves, corners and the node are within a support of each other.
+    Exact for a single plane within reach. Elsewhere the error is that of the rule for directions:
+    root mean square up to 1e-3 and largest up to 5e-3, where curves, corners and the node are
+    within a support of each other.
     """
     cutoff = kernel.cutoff
     distance = np.stack([wall.distance(points) for wall in walls])
@@ -418,8 +420,9 @@ def _along_rays(
 def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArray]:
     """Choose unit vectors (n, m, 3) and weights (n, m) that sum to one.
 
-    The rule is about the direction to the nearest wall, split where rays begin to reach it if it is flat: at the
-    cosine `depth` (n,), the distance in cutoffs. Rays are denser near that cosine, where what they see changes quickly.
+    The rule is about the direction to the nearest wall, split where rays begin to reach it if it is
+    flat: at the cosine `depth` (n,), the distance in cutoffs. Rays are denser near that cosine,
+    where what they see changes quickly.
     """
     x, w = leggauss(_POLAR)
     t, w = (x + 1) / 2, w / 2

@@ -39,7 +39,8 @@ from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
-# names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
+# names of other programs: from a request in them to one in names of xcg, and what turns its answer
+# into theirs
 PRESETS: dict[
     Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]
 ] = {
@@ -53,7 +54,8 @@ Asked = TypeVar("Asked", bound=SharedOptions)
 def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
-    Lazy where the scene is: nothing is read or computed until a result is, one task for each chunk of time.
+    Lazy where the scene is: nothing is read or computed until a result is, one task for each chunk
+    of time.
 
     Parameters
     ----------
@@ -64,8 +66,9 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Fields with dimensions (time, x, y, z, phase, component, direction), as far as they apply. Sums are zero where
-        nothing reaches; ratios are NaN there, and ``sample_count`` says how many particles each node saw.
+        Fields with dimensions (time, x, y, z, phase, component, direction), as far as they apply.
+        Sums are zero where nothing reaches; ratios are NaN there, and ``sample_count`` says how
+        many particles each node saw.
 
     Raises
     ------
@@ -76,8 +79,9 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
 
     Notes
     -----
-    A field is ``sum_i q_i Psi(r - r_i)`` over particles or, for contact stress, ``sum f_ij a_ij int_0^1
-    Psi(r - r_i + s a_ij) ds`` over both sides of every contact. Sources: Goldhirsch (2010); Weinhart et al. (2012).
+    A field is ``sum_i q_i Psi(r - r_i)`` over particles or, for contact stress, ``sum f_ij a_ij
+    int_0^1 Psi(r - r_i + s a_ij) ds`` over both sides of every contact. Sources: Goldhirsch (2010);
+    Weinhart et al. (2012).
 
     Examples
     --------
@@ -120,8 +124,8 @@ answer: Callable[[xr.Dataset, Request], xr.Dataset] = unwrap(coarse_grain)
 def explain(ds: xr.Dataset, request: Request) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
 
-    With ``by_body``, spheres in memory are grouped first, as the plan is that of the bodies; with ``preset="lammps"``,
-    the plan is that of the fields which the preset's are made of.
+    With ``by_body``, spheres in memory are grouped first, as the plan is that of the bodies; with
+    ``preset="lammps"``, the plan is that of the fields which the preset's are made of.
 
     Parameters
     ----------
@@ -132,8 +136,9 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     Returns
     -------
     Plan
-        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, memory, the noise
-        of velocity and temperature that a dense packing would have, and the time for the accessible fraction.
+        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts,
+        memory, the noise of velocity and temperature that a dense packing would have, and the time
+        for the accessible fraction.
 
     Raises
     ------
@@ -222,8 +227,9 @@ def _take_memory(numbers: NDArray) -> None:
     numbers[::_PAGE] = 0.0
 
 
-# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they
-# gain. What is done once for each grain or contact, or for each node, takes as long as `_ONCE` visits.
+# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost
+# more than they gain. What is done once for each grain or contact, or for each node, takes as long
+# as `_ONCE` visits.
 WORTH_SHARING = 1_500_000
 _ONCE = 30
 

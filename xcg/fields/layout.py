@@ -176,7 +176,8 @@ def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
     """Warn of fixed coordinates that lie outside a periodic box."""
     for a in scene.periods:
         low, high = scene.edges[a]
-        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up to a period
+        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up
+        # to a period
         room = high - low + reach
         beyond = [x for x in grid.cuts.get(a, ()) if not low - room <= x <= high + room]
         if beyond:
@@ -215,7 +216,8 @@ def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> 
     Raises
     ------
     ValueError
-        If the fields of one chunk do not fit into memory; particles that are far from the others are named.
+        If the fields of one chunk do not fit into memory; particles that are far from the others
+        are named.
     """
     if not grid.fitted or grid.count < _LARGE:
         return

@@ -54,7 +54,8 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
-        What is computed: what was asked for, and what averages of it need where they are to be taken.
+        What is computed: what was asked for, and what averages of it need where they are to be
+        taken.
     asked : tuple of str
         What was asked for.
     variables : tuple of str
@@ -74,14 +75,15 @@ class Plan:
     rtol : float
         Promise for the contact stress.
     effective_count : float, optional
-        Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction `DENSE`; None where
-        d43 or the box is not known. Estimated by `explain` alone.
+        Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction
+        `DENSE`; None where d43 or the box is not known. Estimated by `explain` alone.
     walls : str, optional
         What the accessible fraction takes. Measured by `explain` alone.
 
-    Other attributes follow from these: `dims`, of the nodes, and phase where there are several; `phases`, their number,
-    the bulk included; `widths`, of each group or one for all (m); `shapes`, of one step of each field in the result;
-    `reached`, the number of nodes in the box around the support of a grain; `block_nodes`, of those computed at a time.
+    Other attributes follow from these: `dims`, of the nodes, and phase where there are several;
+    `phases`, their number, the bulk included; `widths`, of each group or one for all (m); `shapes`,
+    of one step of each field in the result; `reached`, the number of nodes in the box around the
+    support of a grain; `block_nodes`, of those computed at a time.
     """
 
     fields: tuple[str, ...]
@@ -179,7 +181,8 @@ class Plan:
 def effective_count(scene: Description, plan: Plan) -> float | None:
     """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
 
-    None for rings, averages over cells and widths by group, whose weights are not those of one kernel.
+    None for rings, averages over cells and widths by group, whose weights are not those of one
+    kernel.
     """
     lengths = [
         length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()

@@ -1,7 +1,7 @@
 """Arguments of `coarse_grain` and of its callers: each once, with its type, default and meaning.
 
-Functions take a request as one object. The decorator `takes` gives them its arguments instead, with the documentation,
-so that users see plain functions.
+Functions take a request as one object. The decorator `takes` gives them its arguments instead, with
+the documentation, so that users see plain functions.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call
 
-# what arguments are, where another form would be taken for something else, or end in an error about arrays
+# what arguments are, where another form would be taken for something else, or end in an error about
+# arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
         lambda value: (
@@ -92,69 +93,85 @@ class SharedOptions:
     Parameters
     ----------
     kernel : str or Kernel
-        "lucy" (default), "gaussian", "shifted gaussian", "heaviside", a registered name, or an object such as
-        ``xcg.Lucy(cutoff=0.01)``.
-        Only kernels as smooth as Lucy give fields that satisfy the differential balance laws.
+        "lucy" (default), "gaussian", "shifted gaussian", "heaviside", a registered name, or an
+        object such as ``xcg.Lucy(cutoff=0.01)``. Only kernels as smooth as Lucy give fields that
+        satisfy the differential balance laws.
     spacing : float or mapping, optional
-        Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without bounds take the
-        nearest spacing that divides the period.
+        Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without
+        bounds take the nearest spacing that divides the period.
     axes : str, optional
-        Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are averaged: the
-        exact integral over them (through the kernel's marginal), divided by their extent.
+        Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are
+        averaged: the exact integral over them (through the kernel's marginal), divided by their
+        extent.
     bounds : mapping, optional
-        First and last node of resolved axes (m); the last one lies before its bound where the spacing does not divide
-        the range. By default the box along periodic axes, and the extent of the particles with their supports along the
-        others.
+        First and last node of resolved axes (m); the last one lies before its bound where the
+        spacing does not divide the range. By default the box along periodic axes, and the extent of
+        the particles with their supports along the others.
     sampling : {"node", "cell"}
-        "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each node, which extends half
-        a spacing to every side along resolved axes: for meshes that are coarser than the kernel, as cells side by side
-        count all mass, however large they are. Ratios are ratios of averages, as with a wider kernel.
+        "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each
+        node, which extends half a spacing to every side along resolved axes: for meshes that are
+        coarser than the kernel, as cells side by side count all mass, however large they are.
+        Ratios are ratios of averages, as with a wider kernel.
     by : str, optional
-        An integer variable of the particles, for example "species": adds the dimension ``phase`` with "bulk" first.
-        Fluctuations of each phase are about the bulk velocity; contact stress is split at the contact point.
+        An integer variable of the particles, for example "species": adds the dimension ``phase``
+        with "bulk" first. Fluctuations of each phase are about the bulk velocity; contact stress is
+        split at the contact point.
     groups : list of int, optional
         All values of `by`, where they are not known without reading.
     extent : mapping, optional
-        Length that the integral over an averaged axis is divided by (m); by default that of the box of each step.
+        Length that the integral over an averaged axis is divided by (m); by default that of the box
+        of each step.
     gradient : str
-        The way to the velocity gradient, and with it to the granular temperature: "least_squares" (default), exact
-        in linear flow; "kernel", the exact derivative of the field V(r); "finite_difference" between the nodes
-        (resolved axes only); "paper", least squares about the node instead of the grains' centre of mass.
+        The way to the velocity gradient, and with it to the granular temperature: "least_squares"
+        (default), exact in linear flow; "kernel", the exact derivative of the field V(r);
+        "finite_difference" between the nodes (resolved axes only); "paper", least squares about the
+        node instead of the grains' centre of mass.
     pressure_dims : str, optional
-        Axes whose normal stresses make the pressure: "z", "xy", ... (all axes of the scene by default).
+        Axes whose normal stresses make the pressure: "z", "xy", ... (all axes of the scene by
+        default).
     shear_dims : str, optional
-        Axes that deviatoric stress, shear stress and shear rate are restricted to, for example "xz".
+        Axes that deviatoric stress, shear stress and shear rate are restricted to, for example
+        "xz".
     deviatoric : str
-        Magnitudes computed from deviators: of the "stress" (default), the "rate", "both" or "neither".
+        Magnitudes computed from deviators: of the "stress" (default), the "rate", "both" or
+        "neither".
     size : str
-        Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
+        Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of
+        the scene.
     fluid_viscosity : float, optional
-        Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
+        Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and
+        ``effective_viscosity``.
     friction : float, optional
-        Coefficient of friction between the grains, for ``redundancy_number``: contacts at Coulomb's limit slide.
+        Coefficient of friction between the grains, for ``redundancy_number``: contacts at Coulomb's
+        limit slide.
     by_pair : bool
-        Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
-        ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
+        Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the
+        dimension ``other_phase``, the phases and then "wall". Its sum over them is the contact
+        stress of the phase.
     temperature : str
-        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less the degrees of
-        freedom of the fit (``fluctuation_density``); "biased" by the density alone, which gives less than half of the
-        temperature of a dense packing at the default width, and a tenth of that of a gas.
+        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less
+        the degrees of freedom of the fit (``fluctuation_density``); "biased" by the density alone,
+        which gives less than half of the temperature of a dense packing at the default width, and a
+        tenth of that of a gas.
     by_body : str, optional
-        An integer variable of the particles that says which body each component sphere belongs to, for example
-        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`. Sizes and extent of the bodies
-        of a lazy scene are not known: `width` and `bounds` have to be given then.
+        An integer variable of the particles that says which body each component sphere belongs to,
+        for example "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
+        Sizes and extent of the bodies of a lazy scene are not known: `width` and `bounds` have to
+        be given then.
     frame : Rotated or Cylindrical, optional
         Axes chosen by the user; everything else in the request and the result refers to them.
     rtol : float
-        Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
-        keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
+        Promise for the contact stress of every segment, relative to its largest value: the cheapest
+        quadrature that keeps it is taken, from 1e-4 on with weights in single precision. 0
+        (default) takes the closed form.
     preset : {"pysammos", "lammps"}, optional
-        Names and variants of another program; `fields` are then its names. For "pysammos", `shear_dims` is its plane
-        ("xy" by default), see `xcg.fields.presets.pysammos`; "lammps" is ``compute continuum/chunk``, see
-        `xcg.fields.presets.lammps`.
+        Names and variants of another program; `fields` are then its names. For "pysammos",
+        `shear_dims` is its plane ("xy" by default), see `xcg.fields.presets.pysammos`; "lammps" is
+        ``compute continuum/chunk``, see `xcg.fields.presets.lammps`.
     on_error : {"raise", "skip"}
-        What to do about a step that cannot be read or computed: stop with its error (default), or leave it NaN, warn
-        of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).
+        What to do about a step that cannot be read or computed: stop with its error (default), or
+        leave it NaN, warn of it by file and cause when it is computed, and mark it in the
+        coordinate ``skipped`` (time).
     """
 
     kernel: KernelName | str | Kernel = "lucy"
@@ -213,32 +230,37 @@ class Request(SharedOptions):
     Parameters
     ----------
     fields : str, quantity, or list of these, optional
-        Names of fields, see `xcg.FIELDS` (names with an underscore first are parts of others), by default all that
-        the scene's variables allow; names of other variables of the scene, for their means; and `xcg.Mean`, `xcg.Sum`,
-        `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of any variable. Only what these need is read and summed.
+        Names of fields, see `xcg.FIELDS` (names with an underscore first are parts of others), by
+        default all that the scene's variables allow; names of other variables of the scene, for
+        their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of
+        any variable. Only what these need is read and summed.
     width : float, str or mapping, optional
-        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
-        gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
-        side of its contacts, is then smeared by the width of its group.
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
+        With `by`, a mapping gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2:
+        "0.75 d43"}``. Every grain, and its side of its contacts, is then smeared by the width of
+        its group.
     at : mapping, optional
-        Coordinate of fixed axes, for example ``{"y": 0.0}`` (m). DataArrays name points, as in xarray's pointwise
-        indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share dimensions, or broadcast against each other;
-        results have these dimensions and coordinates, and axes without an array are averaged.
+        Coordinate of fixed axes, for example ``{"y": 0.0}`` (m). DataArrays name points, as in
+        xarray's pointwise indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share
+        dimensions, or broadcast against each other; results have these dimensions and coordinates,
+        and axes without an array are averaged.
     walls : list of Plane, Cylinder and Surface, optional
-        Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the share of the kernel
-        that lies on their accessible side, averaged axes included. A `frame` turns them with the scene.
+        Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the
+        share of the kernel that lies on their accessible side, averaged axes included. A `frame`
+        turns them with the scene.
     per : {"accessible"}, optional
-        Divide sums by the accessible fraction, so that fields near walls are per volume that grains can reach. Ratios
-        of sums stay, other fields follow from the sums. NaN where the fraction is below 0.01. Balance laws hold for
-        fields per volume, without it.
+        Divide sums by the accessible fraction, so that fields near walls are per volume that grains
+        can reach. Ratios of sums stay, other fields follow from the sums. NaN where the fraction is
+        below 0.01. Balance laws hold for fields per volume, without it.
     errors : bool
-        Add ``<field>_error``, one standard deviation in one step, of velocity, its gradient and what is made of it,
-        temperature, kinetic stress, spin, and means of variables of particles: as of independent fluctuations of the
-        grains, see `xcg.fields.formulas.rows.errors`. Densities and contact stress have none, as neighbours are not
-        independent: their errors come from several steps (`time_average`).
+        Add ``<field>_error``, one standard deviation in one step, of velocity, its gradient and
+        what is made of it, temperature, kinetic stress, spin, and means of variables of particles:
+        as of independent fluctuations of the grains, see `xcg.fields.formulas.rows.errors`.
+        Densities and contact stress have none, as neighbours are not independent: their errors come
+        from several steps (`time_average`).
     for_averages : bool
-        Also compute the sums that `time_average` and `profile` of the fields need beside them, such as the density
-        beside a velocity.
+        Also compute the sums that `time_average` and `profile` of the fields need beside them, such
+        as the density beside a velocity.
     """
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
@@ -272,8 +294,8 @@ def takes(
 ) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
-    It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations come from the
-    arguments, and ``{arguments}`` in the docstring is replaced by their descriptions.
+    It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations
+    come from the arguments, and ``{arguments}`` in the docstring is replaced by their descriptions.
     """
 
     def decorate(function: Callable[[xr.Dataset, A], R]) -> Callable[Concatenate[xr.Dataset, P], R]:

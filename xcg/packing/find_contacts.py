@@ -27,8 +27,9 @@ READ = ("particle_id", "position", "diameter")
 OPTIONAL = ("frozen", "body_id")
 FOUND = ("contact_i", "contact_j", "contact_point", "contact_normal", "overlap")
 
-# Contacts a particle that spheres without overlap can have on average, of any sizes: half the average kissing number,
-# at most 13.955 for spheres (Glazyrin 2020), and 6 in a plane (contact graphs of discs are planar).
+# Contacts a particle that spheres without overlap can have on average, of any sizes: half the
+# average kissing number, at most 13.955 for spheres (Glazyrin 2020), and 6 in a plane (contact
+# graphs of discs are planar).
 MOST_CONTACTS = {3: 7, 2: 3}
 
 
@@ -41,8 +42,9 @@ class Stiffness:
     k_n : float or None
         Linear spring (N m-1): ``f = k_n overlap``.
     E, nu : float or None
-        Young's modulus (Pa) and Poisson's ratio of both spheres, Hertz: ``f = 4/3 E* sqrt(R*) overlap^(3/2)`` with
-        ``E* = E / (2 (1 - nu^2))`` and ``R* = R_i R_j / (R_i + R_j)`` (Johnson 1985, eq. 4.22).
+        Young's modulus (Pa) and Poisson's ratio of both spheres, Hertz: ``f = 4/3 E* sqrt(R*)
+        overlap^(3/2)`` with ``E* = E / (2 (1 - nu^2))`` and ``R* = R_i R_j / (R_i + R_j)`` (Johnson
+        1985, eq. 4.22).
     """
 
     k_n: float | None = None
@@ -185,10 +187,10 @@ def find_contacts(
 ) -> xr.Dataset:
     """Find the contacts of a scene from positions and diameters, and their normal forces from a stiffness.
 
-    All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j (see
-    `xcg.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts.
-    Pairs of two frozen grains and pairs within one body are left out. Walls that are not made of grains leave no
-    trace in positions: their contacts are not found.
+    All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j
+    (see `xcg.find_pairs`); in a box so small that two grains touch on several sides, each of these
+    contacts. Pairs of two frozen grains and pairs within one body are left out. Walls that are not
+    made of grains leave no trace in positions: their contacts are not found.
 
     Parameters
     ----------
@@ -199,37 +201,41 @@ def find_contacts(
     levels : int, optional
         Number of levels of the hierarchy; by default one for each factor of 3 in size.
     skin : float
-        Width of gaps that still count as contacts (m); their overlap is negative and their force zero.
+        Width of gaps that still count as contacts (m); their overlap is negative and their force
+        zero.
     k_n : float, optional
         Stiffness of linear springs (N m-1), for ``contact_force = k_n overlap n``.
     E, nu : float, optional
-        Young's modulus (Pa) and Poisson's ratio, for Hertz contacts: ``4/3 E* sqrt(R*) overlap^(3/2) n`` with
-        ``E* = E / (2 (1 - nu^2))``, ``R* = R_i R_j / (R_i + R_j)``. Friction, damping and cohesion are not in it.
+        Young's modulus (Pa) and Poisson's ratio, for Hertz contacts: ``4/3 E* sqrt(R*)
+        overlap^(3/2) n`` with ``E* = E / (2 (1 - nu^2))``, ``R* = R_i R_j / (R_i + R_j)``.
+        Friction, damping and cohesion are not in it.
     max_contacts : int, optional
-        Rows set aside for the contacts of a step. By default a scene in memory takes as many as it finds; a lazy one
-        takes 7 a particle (3 in a one-layer scene), more than spheres without overlap can have on average whatever
-        their sizes (Glazyrin 2020): the average kissing number is below 13.955. Rows that are not needed are padding.
+        Rows set aside for the contacts of a step. By default a scene in memory takes as many as it
+        finds; a lazy one takes 7 a particle (3 in a one-layer scene), more than spheres without
+        overlap can have on average whatever their sizes (Glazyrin 2020): the average kissing number
+        is below 13.955. Rows that are not needed are padding.
 
     Returns
     -------
     xarray.Dataset
-        The scene with ``contact_i``, ``contact_j``, ``contact_point``, ``contact_normal``, ``overlap``, and
-        ``contact_force`` where a stiffness is given, marked by its attribute ``estimated``. Lazy over time where the
-        scene is, one task for each chunk.
+        The scene with ``contact_i``, ``contact_j``, ``contact_point``, ``contact_normal``,
+        ``overlap``, and ``contact_force`` where a stiffness is given, marked by its attribute
+        ``estimated``. Lazy over time where the scene is, one task for each chunk.
 
     Raises
     ------
     SceneError
-        If the scene has no diameters, or no step; on computing, if a step has more than `max_contacts`, or a grain
-        touches its own image across a periodic axis.
+        If the scene has no diameters, or no step; on computing, if a step has more than
+        `max_contacts`, or a grain touches its own image across a periodic axis.
     ValueError
         If an argument is wrong.
 
     Notes
     -----
-    The contact point lies at ``R_i - overlap / 2`` from the centre of i, the normal points from j to i. Where both
-    centres coincide, the normal and the force are zero, with a warning. Source of the
-    method: Ogarko & Luding (2012); Shire, Hanley & Stratford (2020). Of Hertz contacts: Johnson (1985), eq. 4.22.
+    The contact point lies at ``R_i - overlap / 2`` from the centre of i, the normal points from j
+    to i. Where both centres coincide, the normal and the force are zero, with a warning. Source of
+    the method: Ogarko & Luding (2012); Shire, Hanley & Stratford (2020). Of Hertz contacts: Johnson
+    (1985), eq. 4.22.
 
     Examples
     --------

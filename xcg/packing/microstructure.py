@@ -75,89 +75,99 @@ def microstructure(
     groups : list of int, optional
         All values of `by`, where they are not known without reading.
     bounds : mapping, optional
-        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box along other axes. Along
-        a periodic axis they may reach across an edge of the box, and are no wider than it. Or such bounds by name,
-        ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``, which adds the dimension ``region``.
+        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box
+        along other axes. Along a periodic axis they may reach across an edge of the box, and are no
+        wider than it. Or such bounds by name, ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``,
+        which adds the dimension ``region``.
     min_contacts : int
         Partners from which a particle counts as bearing load, in Z_mech and d_bar.
     rattlers : str
-        "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers. "iterative": they are taken
-        out, with their contacts, until every particle left has that many.
+        "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers.
+        "iterative": they are taken out, with their contacts, until every particle left has that
+        many.
     max_connectivity : int
         Last bin of ``connectivity``, which takes in all particles with more partners.
     force_bins : array, optional
         Edges of the bins of f / <f>; by default ten a decade from 1e-4 to 100.
     strain_rate : str, float or DataArray, optional
-        Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by finite differences in
-        time), or "velocity" (from the affine flow that fits the velocities of each group best). By default "box" where
-        the scene has one that is not tilted and several steps, else "velocity".
+        Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by
+        finite differences in time), or "velocity" (from the affine flow that fits the velocities of
+        each group best). By default "box" where the scene has one that is not tilted and several
+        steps, else "velocity".
     strain : str
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
         Axis of the axial strain; by default the last of the scene.
     cell : float, optional
-        Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells fill the region; by
-        default 3 d43 of the region's grains. If no cell holds two grains, ``lacey_index`` is NaN, with a warning.
+        Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
+        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains,
+        ``lacey_index`` is NaN, with a warning.
     mixing_weight : {"number", "volume"}
         What grains count by in concentrations, their variances and entropy.
     neighbours : int, optional
-        Nearest neighbours of each grain for ``nearest_neighbour_index``; by default 12, in a one-layer scene 6.
+        Nearest neighbours of each grain for ``nearest_neighbour_index``; by default 12, in a
+        one-layer scene 6.
     on_error : {"raise", "skip"}
-        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
-        warn of it, and mark it in the coordinate ``skipped`` (time).
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
     xarray.Dataset
-        Dimensions (time, region, phase), as they apply, and each quantity's own. Lazy over time where the scene
-        is. NaN where there is nothing to measure, and where the volume of the region is not known.
+        Dimensions (time, region, phase), as they apply, and each quantity's own. Lazy over time
+        where the scene is. NaN where there is nothing to measure, and where the volume of the
+        region is not known.
 
     Raises
     ------
     SceneError
-        If the scene lacks what a quantity needs, times do not rise where a rate is taken from the box, or a region is
-        wider than the period of a step.
+        If the scene lacks what a quantity needs, times do not rise where a rate is taken from the
+        box, or a region is wider than the period of a step.
     ValueError
         If an argument is wrong.
 
     Notes
     -----
-    Sums run over the N particles i whose centre is in the group, of volume V_i, mass m_i, diameter d_i and z_i contact
-    partners (walls included, several contacts with one partner counted once), and over contacts c with normal n (from
-    j to i: given, else along r_i - r_j, else, at a wall, along r_i - c), each weighing w_c: half for each of its
-    particles in the group, whole at a wall. D is the dimension of the scene, V the volume of the region.
+    Sums run over the N particles i whose centre is in the group, of volume V_i, mass m_i, diameter
+    d_i and z_i contact partners (walls included, several contacts with one partner counted once),
+    and over contacts c with normal n (from j to i: given, else along r_i - r_j, else, at a wall,
+    along r_i - c), each weighing w_c: half for each of its particles in the group, whole at a wall.
+    D is the dimension of the scene, V the volume of the region.
 
-    =================================  ===================================================================  =========
-    quantity                           formula                                                              source
-    =================================  ===================================================================  =========
-    particle_count, contact_count      :math:`N`, :math:`N_c = \sum w_c`
-    volume_fraction                    :math:`\phi = \sum V_i / V`
-    coordination_number                :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
-    mechanical_coordination_number     :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
+    =================================
+    ===================================================================  ========= quantity
+    formula                                                              source
+    =================================
+    ===================================================================  ========= particle_count,
+    contact_count      :math:`N`, :math:`N_c = \sum w_c` volume_fraction
+    :math:`\phi = \sum V_i / V` coordination_number                :math:`Z = \sum z_i / N`
+    (:math:`2 N_c / N` in the bulk)             [1]_ mechanical_coordination_number
+    :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
                                        :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
-    rattler_count                      particles of :math:`z_i < D + 1`                                     [2]_
-    non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
-    connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
-    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is positive
-    mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\| there
-    normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of contacts a bin   [3]_
-    tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`, the same                       [3]_
-    cluster_count                      number of clusters, single grains included
-    largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
-    percolation                        1 along axes on which a cluster reaches through the box, else 0      [10]_
-    fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
-    fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
+    rattler_count                      particles of :math:`z_i < D + 1`
+    [2]_ non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N
+    [2]_ connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
+    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is
+    positive mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\|
+    there normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of
+    contacts a bin   [3]_ tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`,
+    the same                       [3]_ cluster_count                      number of clusters,
+    single grains included largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
+    percolation                        1 along axes on which a cluster reaches through the box, else
+    0      [10]_ fabric                             :math:`F = \sum w_c n n / N_c`
+    [4]_ fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:
+    [5]_
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
-    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
-    mean_stress                        :math:`p' = tr \sigma / D`
-    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts
+    only   [6]_ mean_stress                        :math:`p' = tr \sigma / D` deviator_stress
+    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
                                        :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
                                        axisymmetric states
-    stress_ratio                       :math:`\eta = q / p'`
-    d_max, d50, d_bar                  largest; half of the volume is smaller;                              [2]_
+    stress_ratio                       :math:`\eta = q / p'` d_max, d50, d_bar
+    largest; half of the volume is smaller;                              [2]_
                                        :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
-    particle_density                   :math:`\rho = \sum m_i / \sum V_i`
-    strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
+    particle_density                   :math:`\rho = \sum m_i / \sum V_i` strain_rate
+    :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
                                        2D: :math:`\sqrt{2 e:e}`
     volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
                                        engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
@@ -170,12 +180,13 @@ def microstructure(
     inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     =================================  ===================================================================  =========
 
-    A cluster is all grains of the group that a path of contacts between them connects. Along a periodic axis it reaches
-    through the box where such a path leads to another image of the grain that it begins at, along others where the
-    cluster touches walls on both sides, contacts whose normal has its largest component along the axis.
+    A cluster is all grains of the group that a path of contacts between them connects. Along a
+    periodic axis it reaches through the box where such a path leads to another image of the grain
+    that it begins at, along others where the cluster touches walls on both sides, contacts whose
+    normal has its largest component along the axis.
 
-    In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the shear rate over
-    :math:`\sqrt 3` (in a plane: the shear rate).
+    In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the
+    shear rate over :math:`\sqrt 3` (in a plane: the shear rate).
 
     References
     ----------

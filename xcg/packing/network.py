@@ -38,14 +38,14 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
     time : int
         Which step, by position; the last one by default.
     weight : {"contacts", "force", "overlap"}, optional
-        What entries are: 1 where grains touch (default), the number of their contacts, the magnitude of the sum of
-        their contact forces (N), or the largest of their overlaps (m).
+        What entries are: 1 where grains touch (default), the number of their contacts, the
+        magnitude of the sum of their contact forces (N), or the largest of their overlaps (m).
 
     Returns
     -------
     scipy.sparse.csr_array
-        Square and symmetric; row k is that of the k-th grain by id. Walls, and partners that the step does not hold,
-        have no row.
+        Square and symmetric; row k is that of the k-th grain by id. Walls, and partners that the
+        step does not hold, have no row.
 
     Raises
     ------
@@ -60,9 +60,10 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
 
     Notes
     -----
-    :math:`A_{ij} = A_{ji}` is 1 for each pair of grains in contact, so that :math:`\sum_j A_{ij}` is the degree of
-    grain i: its coordination number without walls. Source: Walker, D. M., Tordesillas, A. (2010). Topological evolution
-    in dense granular materials: a complex networks perspective. Int. J. Solids Struct. 47.
+    :math:`A_{ij} = A_{ji}` is 1 for each pair of grains in contact, so that :math:`\sum_j A_{ij}`
+    is the degree of grain i: its coordination number without walls. Source: Walker, D. M.,
+    Tordesillas, A. (2010). Topological evolution in dense granular materials: a complex networks
+    perspective. Int. J. Solids Struct. 47.
 
     Examples
     --------
@@ -92,8 +93,9 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
 def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.Graph:
     """Return the contact network of one step as a graph of networkx.
 
-    Nodes are grains by ``particle_id``, frozen ones included, with the scene's variables of the grain in this step as
-    attributes: numbers, and vectors as arrays. Edges are pairs of grains in contact.
+    Nodes are grains by ``particle_id``, frozen ones included, with the scene's variables of the
+    grain in this step as attributes: numbers, and vectors as arrays. Edges are pairs of grains in
+    contact.
 
     Parameters
     ----------
@@ -102,18 +104,20 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     time : int
         Which step, by position; the last one by default.
     walls : bool
-        Add walls as nodes by their negative number. Nodes have the attribute ``wall``, True for these.
+        Add walls as nodes by their negative number. Nodes have the attribute ``wall``, True for
+        these.
 
     Returns
     -------
     networkx.Graph
         Each edge has, summed over the contacts of its pair,
 
-        - ``i``, ``j``: its ends, which signs refer to: of two grains i has the lower id, and j is the wall;
+        - ``i``, ``j``: its ends, which signs refer to: of two grains i has the lower id, and j is
+          the wall;
         - ``contacts``: their number;
         - ``force`` (3,): the force **on i** by j (N), if the scene has forces;
-        - ``normal`` (3,): unit vector of the sum of their normals, each from j to i; zero where they cancel, as between
-          grains that touch on both sides of a periodic box;
+        - ``normal`` (3,): unit vector of the sum of their normals, each from j to i; zero where
+          they cancel, as between grains that touch on both sides of a periodic box;
         - ``overlap``: the largest of theirs (m), if the scene has overlaps.
 
         The graph has the attributes ``time`` and ``step``.
@@ -129,13 +133,13 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
 
     See Also
     --------
-    adjacency : The same network as a sparse matrix, without networkx.
-    microstructure : Clusters, percolation and the distribution of degrees (``connectivity``) over time.
+    adjacency : The same network as a sparse matrix, without networkx. microstructure : Clusters,
+    percolation and the distribution of degrees (``connectivity``) over time.
 
     Notes
     -----
-    Source: Papadopoulos, L., Porter, M. A., Daniels, K. E., Bassett, D. S. (2018). Network analysis of particles and
-    grains. J. Complex Networks 6.
+    Source: Papadopoulos, L., Porter, M. A., Daniels, K. E., Bassett, D. S. (2018). Network analysis
+    of particles and grains. J. Complex Networks 6.
 
     Examples
     --------
@@ -256,8 +260,9 @@ class Clusters:
     def spans(self) -> NDArray:
         """Return whether any cluster reaches through the box along x, y, z; (3,).
 
-        Along a periodic axis a cluster does so if it winds around the box; along the others if it touches walls on both
-        sides, those whose contacts' normals have their largest component along this axis.
+        Along a periodic axis a cluster does so if it winds around the box; along the others if it
+        touches walls on both sides, those whose contacts' normals have their largest component
+        along this axis.
         """
         (root, winds), contacts = self._joined, self.contacts
         through = np.zeros((len(root), 3), bool)

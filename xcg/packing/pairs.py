@@ -18,19 +18,23 @@ from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
 
-# Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
-# particle four or five runs of cells (20 ns each), a wide level more tests (2 ns each): between 2.5 and 4 the search
-# of log-linear packings takes the same time within 15 %, at 1.5 it takes twice as long.
+# Largest over smallest radius within a level, where the caller gives no number of levels. A level
+# costs each smaller particle four or five runs of cells (20 ns each), a wide level more tests (2 ns
+# each): between 2.5 and 4 the search of log-linear packings takes the same time within 15 %, at 1.5
+# it takes twice as long.
 LEVEL_RATIO = 3.0
-# Edges of the cells along x, y and z over the reach of the level's largest particles. All cells along z that a particle
-# can reach are one run of records: short ones test fewer pairs at no cost but memory. Long ones along x and y test more
-# pairs in fewer runs, 11 % faster than 1 where cells hold a particle or two, but not where they hold many.
+# Edges of the cells along x, y and z over the reach of the level's largest particles. All cells
+# along z that a particle can reach are one run of records: short ones test fewer pairs at no cost
+# but memory. Long ones along x and y test more pairs in fewer runs, 11 % faster than 1 where cells
+# hold a particle or two, but not where they hold many.
 EDGES = np.array([1.0, 1.0, 1 / 3])
 LONG_EDGES = np.array([1.5, 1.5, 1 / 3])
 CROWDED = 2.5  # particles in a cube of the reach
-# More cells than this for each particle of a level cost memory and find nothing: cells are then made larger.
+# More cells than this for each particle of a level cost memory and find nothing: cells are then
+# made larger.
 CELLS_A_PARTICLE = 8
-# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
+# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a
+# particle.
 MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
 
 
@@ -73,7 +77,8 @@ class CellLists:
     Attributes
     ----------
     lower, inverse, cells : array (levels, 3)
-        Corner (m), inverse edge (m-1) and number of the cells along each axis, from small particles to large.
+        Corner (m), inverse edge (m-1) and number of the cells along each axis, from small particles
+        to large.
     largest : array (levels,)
         Largest radius (m).
     fold : array (levels, 3)
@@ -128,7 +133,8 @@ class CellLists:
         position, corner, period = position[:, axes], corner[axes], period[axes]
         level, largest, members = _by_size(radius, skin, levels)
         lower, upper = _extent(position, corner, period)
-        # coordinates as large as these are rounded by no more than this, and so are their differences
+        # coordinates as large as these are rounded by no more than this, and so are their
+        # differences
         slack = (
             16
             * np.finfo(float).eps
@@ -258,33 +264,38 @@ def find_pairs(
 ) -> NDArray:
     """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
 
-    Particles are sorted by size into levels, each with cells as large as its largest particles need. Pairs of one
-    level are found in forward cells, pairs of two levels from the smaller particle in the cells of the larger level
-    (Iwai, Hong & Greil 1999; Ogarko & Luding 2012; Shire, Hanley & Stratford 2020). Time and memory are linear in
-    particles and pairs, whatever the ratio of sizes.
+    Particles are sorted by size into levels, each with cells as large as its largest particles
+    need. Pairs of one level are found in forward cells, pairs of two levels from the smaller
+    particle in the cells of the larger level (Iwai, Hong & Greil 1999; Ogarko & Luding 2012; Shire,
+    Hanley & Stratford 2020). Time and memory are linear in particles and pairs, whatever the ratio
+    of sizes.
 
     Parameters
     ----------
     position : array (n, 3) or (n, 2)
-        Centres (m). Those outside the box are wrapped into it along periodic axes; along the others, cells are laid
-        where the particles are.
+        Centres (m). Those outside the box are wrapped into it along periodic axes; along the
+        others, cells are laid where the particles are.
     radius : array (n,)
         Radii (m), zero included.
     box : array (3, 2) or (2, 2), or mapping, optional
         Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
     periodic : str
-        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is not a partner of its own image.
+        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is not a partner
+        of its own image.
     lattice : array (3, 3) or mapping, optional
-        Vectors a, b, c to the next images of a tilted box, or its tilts, as in `xcg.scene_from_arrays` (m).
+        Vectors a, b, c to the next images of a tilted box, or its tilts, as in
+        `xcg.scene_from_arrays` (m).
     skin : float
         Width of gaps that still count (m).
     method : str
-        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare with.
+        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare
+        with.
     levels : int, optional
-        Number of levels, spaced logarithmically from the smallest to the largest radius; levels that hold no
-        particles are left out. By default one for each factor of 3.
+        Number of levels, spaced logarithmically from the smallest to the largest radius; levels
+        that hold no particles are left out. By default one for each factor of 3.
     threads : int, optional
-        Threads that search; by default all cores for many particles. The result does not depend on it.
+        Threads that search; by default all cores for many particles. The result does not depend on
+        it.
     most : int, optional
         Limit on the number of pairs, where it is above a million and 200 a particle.
 
@@ -296,8 +307,9 @@ def find_pairs(
     Raises
     ------
     SceneError
-        If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
-        unbounded along a periodic axis, or there are more than max(10^6, 200 n, `most`) pairs.
+        If arrays have the wrong shape or hold values that are not finite, a radius is negative, or
+        the box is unbounded along a periodic axis, or there are more than max(10^6, 200 n, `most`)
+        pairs.
     ValueError
         If `method`, `skin`, `levels` or `threads` is not as expected.
 

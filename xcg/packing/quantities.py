@@ -7,7 +7,8 @@ count, diameter, volume, mass, velocity, position : number and (n, ...)
 partners, held : (n,)
     Number of contact partners, and whether they hold the particle in place (it is not a rattler).
 weight, normal : (c, ...)
-    The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a wall.
+    The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a
+    wall.
 pushing, normal_force, tangential_force
     Weights of the contacts that have a positive normal force, and their forces.
 clusters
@@ -15,7 +16,8 @@ clusters
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which
-    All grains of the region by phase (`xcg.packing.samples`), and the group: 0 the bulk, 1, 2, ... the phases.
+    All grains of the region by phase (`xcg.packing.samples`), and the group: 0 the bulk, 1, 2, ...
+    the phases.
 region_volume, plane, min_contacts, max_connectivity, force_bins
     Volume (m3), axes of the scene, and options.
 """
@@ -121,7 +123,8 @@ def _norm(tensor: NDArray) -> float:
 
 def _anisotropy(s: Any) -> float:
     fabric = _deviator(_plane(_fabric(s), s))
-    # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in a plane
+    # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in
+    # a plane
     return (
         np.sqrt(3 / 2) * 7.5 * _norm(fabric)
         if len(s.plane) == 3

@@ -21,9 +21,9 @@ _OF_XARRAY = ("particles", "engine", "chunks", "engine_options")  # called other
 class SceneBackend(BackendEntrypoint):
     """Output of DEM codes as a scene.
 
-    Arrays come without dask, or with it where ``chunks=`` is given to `xarray.open_dataset`: ``{}`` for a step a chunk,
-    ``{"time": 10}``, "auto". `xcg.open_scene` makes one task a chunk instead of one a variable, which is quicker for
-    long series.
+    Arrays come without dask, or with it where ``chunks=`` is given to `xarray.open_dataset`: ``{}``
+    for a step a chunk, ``{"time": 10}``, "auto". `xcg.open_scene` makes one task a chunk instead of
+    one a variable, which is quicker for long series.
     """
 
     description = "Output of DEM codes (LAMMPS, LIGGGHTS, MFiX, MercuryDPM, ...) as scenes of xcg"

@@ -205,8 +205,8 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
 def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
     """Return the slots that positions and their images are read from.
 
-    Positions are unwrapped along axes without others. Images follow from unwrapped positions, else from ``image``; from
-    neither where a component is missing along an axis that may be periodic.
+    Positions are unwrapped along axes without others. Images follow from unwrapped positions, else
+    from ``image``; from neither where a component is missing along an axis that may be periodic.
     """
     filled = dict(filled)
     for axis in COMPONENTS:
@@ -409,8 +409,8 @@ def report_missing_ids(ref: StepRef, steps: int, *, contacts: bool) -> None:
 
 # --- contacts with walls, in columns of the particles -----------------------------------------------------
 
-# The per-atom array of LAMMPS' ``fix wall/gran ... contacts``: 1 where the grain touches, force on it (3), point on the
-# wall (3), radius; zeros where it does not touch.
+# The per-atom array of LAMMPS' ``fix wall/gran ... contacts``: 1 where the grain touches, force on
+# it (3), point on the wall (3), radius; zeros where it does not touch.
 _WALL_ARRAY = 8
 _FORCE_AND_POINT = slice(1, 7)
 WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
@@ -534,7 +534,8 @@ class Columnar(Engine):
     Attributes
     ----------
     PARTICLE_SLOTS, CONTACT_SLOTS : mapping
-        Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.names`.
+        Columns that are taken for variables of the scene without ``names=``, see
+        `xcg.readers.names`.
     NEEDS_ID : bool
         Whether particles must have a column of ids.
     MORE_DIGITS : str
@@ -576,7 +577,8 @@ class Columnar(Engine):
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the column of each slot, checked to be enough for particles.
 
-        Columns that `names` maps to other names become custom variables. A two-dimensional file need not hold z.
+        Columns that `names` maps to other names become custom variables. A two-dimensional file
+        need not hold z.
         """
         filled = assign(ref, self.PARTICLE_SLOTS, options)
         if self.NEEDS_ID and "particle_id" not in filled:
@@ -613,9 +615,9 @@ class Columnar(Engine):
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the column of each slot, checked to be enough for contacts.
 
-        The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without
-        the second, the first alone. Columns that `names` maps to other names that begin with "contact_" become
-        variables of their own.
+        The force is ``contact_force``; without it, the sum of ``normal_force`` and
+        ``tangential_force``; without the second, the first alone. Columns that `names` maps to
+        other names that begin with "contact_" become variables of their own.
         """
         filled = assign(ref, self.contact_slots(ref, options), options)
         for slot in ("contact_i", "contact_j"):

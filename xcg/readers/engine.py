@@ -34,26 +34,29 @@ class StepRef:
     time : float or None
         Physical time in the file's unit, None where the file does not say.
     step : int
-        Number of the time step, from the header or the file's name; negative and rising where neither has it, so that
-        particles and contacts are paired in their order.
+        Number of the time step, from the header or the file's name; negative and rising where
+        neither has it, so that particles and contacts are paired in their order.
     box : tuple or None
-        ``((x0, x1), (y0, y1), (z0, z1))`` in the file's unit; infinite edges where an axis is unbounded.
+        ``((x0, x1), (y0, y1), (z0, z1))`` in the file's unit; infinite edges where an axis is
+        unbounded.
     lattice : tuple or None
-        Vectors a, b, c to the next images in the file's unit, where the file may tilt the box; `box` then holds the
-        edges without the tilt.
+        Vectors a, b, c to the next images in the file's unit, where the file may tilt the box;
+        `box` then holds the edges without the tilt.
     periodic : str or None
         Periodic axes as the header says, None where it does not.
     columns : tuple of str
         Names of the columns or arrays in the body.
     offset, length : int
-        Bytes (of the uncompressed stream) where the body starts and how many there are; 0 for a whole file.
+        Bytes (of the uncompressed stream) where the body starts and how many there are; 0 for a
+        whole file.
     units : str or None
         Unit system that the header names ("si", "lj", ...).
     size, modified : int
-        Size of the file (bytes) and time of its modification (ns) when it was indexed, so that a file that changed
-        afterwards is noticed; `xcg.open_scene` fills them in.
+        Size of the file (bytes) and time of its modification (ns) when it was indexed, so that a
+        file that changed afterwards is noticed; `xcg.open_scene` fills them in.
     shear_rates : tuple
-        Velocity gradients of the images as the file says, such as ``(("xy", 0.1),)`` for dv_x/dy, in the file's units.
+        Velocity gradients of the images as the file says, such as ``(("xy", 0.1),)`` for dv_x/dy,
+        in the file's units.
     gravity : tuple of float or None
         Acceleration of gravity in the file's units, None where the file does not say.
     dimension : int or None
@@ -67,7 +70,8 @@ class StepRef:
     alone : bool
         Whether the step was taken for the only one of its file, without reading on.
     pieces : tuple of StepRef
-        The parts of a step that was written to several files, which are read one after the other; engines get these.
+        The parts of a step that was written to several files, which are read one after the other;
+        engines get these.
     """
 
     path: str
@@ -114,13 +118,14 @@ class ReadOptions:
     Attributes
     ----------
     names : mapping
-        From names in the file to names of the scene, beside or over the engine's own. ``None`` as the target
-        drops a column.
+        From names in the file to names of the scene, beside or over the engine's own. ``None`` as
+        the target drops a column.
     extra : mapping
-        Options of one engine only, and ``missing`` ("raise" or "skip"): what to do about files that do not
-        exist.
+        Options of one engine only, and ``missing`` ("raise" or "skip"): what to do about files that
+        do not exist.
     walls : mapping
-        From names of walls to the columns of particles that hold their contacts: a pattern, or names of columns.
+        From names of walls to the columns of particles that hold their contacts: a pattern, or
+        names of columns.
     words : mapping
         Words of the computes that wrote the files of "contacts" and "walls" (LIGGGHTS).
     given : frozenset of str
@@ -128,9 +133,11 @@ class ReadOptions:
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
     columns : mapping
-        Names of all columns of files without a line of names, by kind ("particles", "contacts"); None skips a column.
+        Names of all columns of files without a line of names, by kind ("particles", "contacts");
+        None skips a column.
     alone : bool
-        Whether nothing else is read or computed meanwhile, so that one step may take all threads of the process.
+        Whether nothing else is read or computed meanwhile, so that one step may take all threads of
+        the process.
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
@@ -146,22 +153,25 @@ class ReadOptions:
 class Engine(ABC):
     """A format of files: how its steps are listed, and how one of them is read.
 
-    A subclass needs `index_particles` and `read_particles`; `index_contacts` and `read_contacts` where files hold
-    contacts; `recognises` if it is to be found without ``engine=``. `xcg.open_scene` makes one object of it, without
-    arguments, and sends it to the processes that read, so it should hold no open files. Packages register it by the
-    entry point group ``xcg.readers``; any other is handed over, ``open_scene(..., engine=MyEngine)``.
+    A subclass needs `index_particles` and `read_particles`; `index_contacts` and `read_contacts`
+    where files hold contacts; `recognises` if it is to be found without ``engine=``.
+    `xcg.open_scene` makes one object of it, without arguments, and sends it to the processes that
+    read, so it should hold no open files. Packages register it by the entry point group
+    ``xcg.readers``; any other is handed over, ``open_scene(..., engine=MyEngine)``.
 
-    Steps are sorted, paired with their contacts, checked and converted to SI after an engine listed and read them.
+    Steps are sorted, paired with their contacts, checked and converted to SI after an engine listed
+    and read them.
 
     Attributes
     ----------
     OPTIONS : tuple of str
-        Names of the keyword arguments of its own that `xcg.open_scene` takes; they come as ``options.extra``.
+        Names of the keyword arguments of its own that `xcg.open_scene` takes; they come as
+        ``options.extra``.
     NAMES_IN_ORDER : bool
         Whether files may lack names of columns, which are then in ``options.columns``.
     UNNAMED_UNITS : str
-        What to do about files that do not name their units, for the warning that such files get; without it they are
-        taken as SI without a word.
+        What to do about files that do not name their units, for the warning that such files get;
+        without it they are taken as SI without a word.
     ROWS_ARE_IDS : bool
         Whether rows without ``particle_id`` are the same particles in every step, and contacts name
         them by the number of their row.
@@ -191,7 +201,8 @@ class Engine(ABC):
     def recognises(self, path: str) -> bool:
         """Return whether this engine reads the file, from its first bytes and its name.
 
-        Called with any file, of particles or of contacts; an exception raised here makes opening fail.
+        Called with any file, of particles or of contacts; an exception raised here makes opening
+        fail.
         """
         return False
 
@@ -202,14 +213,16 @@ class Engine(ABC):
         Parameters
         ----------
         paths : sequence of str
-            Files that exist, in the order that the caller gave, globs in the order of the numbers in names.
+            Files that exist, in the order that the caller gave, globs in the order of the numbers
+            in names.
         options : ReadOptions
             What the caller said.
 
         Returns
         -------
         list of StepRef
-            The steps, with `time` in all of them or in none; the number of the step decides where no time is known.
+            The steps, with `time` in all of them or in none; the number of the step decides where
+            no time is known.
 
         Raises
         ------
@@ -224,10 +237,11 @@ class Engine(ABC):
         Returns
         -------
         dict of arrays
-            By names of the scene, in the file's units: ``position`` (n, 3), and what there is of ``velocity``,
-            ``angular_velocity`` (n, 3), ``particle_id``, ``species``, ``diameter``, ``density``, ``mass``, ``volume``,
-            ``moment_of_inertia``, ``coordination_number`` (n,). Any other name becomes a variable of the particles.
-            Rows come in any order; without ``particle_id`` their number is the id.
+            By names of the scene, in the file's units: ``position`` (n, 3), and what there is of
+            ``velocity``, ``angular_velocity`` (n, 3), ``particle_id``, ``species``, ``diameter``,
+            ``density``, ``mass``, ``volume``, ``moment_of_inertia``, ``coordination_number`` (n,).
+            Any other name becomes a variable of the particles. Rows come in any order; without
+            ``particle_id`` their number is the id.
 
         Raises
         ------
@@ -261,8 +275,9 @@ class Engine(ABC):
         Returns
         -------
         dict of arrays
-            ``contact_i`` and ``contact_j`` (n,), ids of the partners, negative for a wall; ``contact_force`` (n, 3), on
-            i; and what there is of ``contact_point``, ``contact_normal`` (n, 3) and ``overlap`` (n,).
+            ``contact_i`` and ``contact_j`` (n,), ids of the partners, negative for a wall;
+            ``contact_force`` (n, 3), on i; and what there is of ``contact_point``,
+            ``contact_normal`` (n, 3) and ``overlap`` (n,).
 
         Raises
         ------

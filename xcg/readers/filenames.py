@@ -1,7 +1,7 @@
 """Numbers in the names of files: the order of a glob, and the step or time of files that state neither.
 
-Of several numbers in a name the one that varies from file to file counts. Whether "2.5" is a decimal or two numbers
-with a dot between them follows from all names together.
+Of several numbers in a name the one that varies from file to file counts. Whether "2.5" is a
+decimal or two numbers with a dot between them follows from all names together.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ def _natural_key(path: str, row: Sequence[_Number]) -> list[str | float]:
 def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
     """Read the step or the time of each file from the names of all of them.
 
-    If no number varies among the names, those in the folders are taken; if these do not vary either, the last number
-    of each name.
+    If no number varies among the names, those in the folders are taken; if these do not vary
+    either, the last number of each name.
     """
     usual = _read_one_number(paths)
     if usual:
@@ -270,9 +270,9 @@ def _numbers_of(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
 def _are_decimals(texts: Sequence[str], before: Sequence[str]) -> bool | None:
     """Return whether numbers with dots are decimals; None where they may be, and the order of files depends on it.
 
-    Decimals have equally many digits or no zeros at their end; whole numbers no zeros before them unless they are
-    padded to one length. Where both fit, decimals are called a time ("t_0.5"), or follow "_", "-" or "=" and do not
-    all begin with the same number other than 0.
+    Decimals have equally many digits or no zeros at their end; whole numbers no zeros before them
+    unless they are padded to one length. Where both fit, decimals are called a time ("t_0.5"), or
+    follow "_", "-" or "=" and do not all begin with the same number other than 0.
     """
     if not all(text.count(".") == 1 and text.replace(".", "").isdecimal() for text in texts):
         return True

@@ -36,20 +36,24 @@ def scene_from_table(
     Parameters
     ----------
     particles : pandas.DataFrame, or what makes one
-        A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or ``position_x``,
-        ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or ``id``, ``species`` or ``type``; ``time``
-        (s) or ``step`` distinguish steps, whose rows come in any order.
+        A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or
+        ``position_x``, ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or
+        ``id``, ``species`` or ``type``; ``time`` (s) or ``step`` distinguish steps, whose rows come
+        in any order.
     contacts : pandas.DataFrame, or what makes one, optional
-        A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
-        ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.
-        In a step without rows nothing touches; a warning lists such steps, unless the table has no rows at all.
-        Magnitudes ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists them, have
-        the direction n of the centres, from j to i: the force on i is ``normal_force n + tangential_force (z x n)``.
+        A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or
+        ``contact_force_x``, on i, or ``normal_force_x`` and ``tangential_force_x``,
+        ``contact_point_x``, ``overlap``, and ``time`` or ``step``. In a step without rows nothing
+        touches; a warning lists such steps, unless the table has no rows at all. Magnitudes
+        ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists
+        them, have the direction n of the centres, from j to i: the force on i is ``normal_force n +
+        tangential_force (z x n)``.
     names : mapping, optional
         From other columns to these names; None drops a column.
     **options
-        All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables that the tables do
-        not hold. ``density`` is used where the tables hold neither mass nor density.
+        All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables
+        that the tables do not hold. ``density`` is used where the tables hold neither mass nor
+        density.
 
     Returns
     -------
@@ -59,8 +63,8 @@ def scene_from_table(
     Raises
     ------
     SceneError
-        If a column is missing, holds something other than numbers, is also given as an argument, or the tables
-        disagree; the message names table, column and row.
+        If a column is missing, holds something other than numbers, is also given as an argument, or
+        the tables disagree; the message names table, column and row.
 
     Examples
     --------

@@ -428,7 +428,8 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
 
     rows, contact_rows = series.rows()
     graphs: dict[str, tuple[HighLevelGraph, str]] = {}
-    # what few fields need is read by tasks of its own; contacts are checked against the particles, which come last
+    # what few fields need is read by tasks of its own; contacts are checked against the particles,
+    # which come last
     seldom = [*ROTATION, *MOTION]
     kinds = {
         "rotation": [name for name in particle_types if name in ROTATION],

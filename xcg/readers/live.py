@@ -1,6 +1,7 @@
 """A running LAMMPS as a scene, through its Python module, so that no dumps are needed.
 
-Nothing of LAMMPS is imported: its object is taken as it comes, and asked by the methods of its documented interface.
+Nothing of LAMMPS is imported: its object is taken as it comes, and asked by the methods of its
+documented interface.
 """
 
 from __future__ import annotations
@@ -44,20 +45,21 @@ def scene_from_lammps(
 ) -> xr.Dataset:
     """Return the present step of a running LAMMPS as a scene in memory.
 
-    It is the scene that dumps of this step would give, to rounding: positions, velocities, angular velocities,
-    diameters, masses and types of the atoms, box, time and units, and the contacts of granular pair styles. Call it on
-    all processes of a parallel run, which needs the package mpi4py; each gets the whole scene.
+    It is the scene that dumps of this step would give, to rounding: positions, velocities, angular
+    velocities, diameters, masses and types of the atoms, box, time and units, and the contacts of
+    granular pair styles. Call it on all processes of a parallel run, which needs the package
+    mpi4py; each gets the whole scene.
 
     Parameters
     ----------
     lmp : lammps.lammps
-        The object of LAMMPS' Python module, between two ``run`` commands or, with `contacts` that name computes,
-        within a callback such as that of ``fix python/invoke``.
+        The object of LAMMPS' Python module, between two ``run`` commands or, with `contacts` that
+        name computes, within a callback such as that of ``fix python/invoke``.
     contacts : bool or mapping
-        True (default) defines a ``compute property/local`` and a ``compute pair/local`` of touching pairs, and removes
-        them again; this takes a ``run 0``. False leaves contacts out. A mapping names computes of your own that were
-        there when the last run began, and their columns in the words of their command:
-        ``{"ids": "patom1 patom2", "pl": "dx dy dz fx fy fz p1 p2 p3"}``.
+        True (default) defines a ``compute property/local`` and a ``compute pair/local`` of touching
+        pairs, and removes them again; this takes a ``run 0``. False leaves contacts out. A mapping
+        names computes of your own that were there when the last run began, and their columns in the
+        words of their command: ``{"ids": "patom1 patom2", "pl": "dx dy dz fx fy fz p1 p2 p3"}``.
     walls : str, list or mapping
         IDs of ``fix wall/gran ... contacts``, or a mapping from names of walls to these.
     frozen : int or sequence of int, optional
@@ -65,11 +67,11 @@ def scene_from_lammps(
     gravity : three floats, optional
         Acceleration of gravity (m s-2, or reduced).
     units : mapping, "SI" or "reduced", optional
-        Factors to SI. By default as LAMMPS' ``units`` says: ``si``, ``cgs``, ``micro``, ``nano``, and ``lj`` as
-        "reduced".
+        Factors to SI. By default as LAMMPS' ``units`` says: ``si``, ``cgs``, ``micro``, ``nano``,
+        and ``lj`` as "reduced".
     shear_rate : mapping, optional
-        Velocity gradients of the images of a box that is sheared with ``fix deform ... remap v``: ``{"xy": 0.1}`` is
-        dv_x/dy (s-1, or reduced).
+        Velocity gradients of the images of a box that is sheared with ``fix deform ... remap v``:
+        ``{"xy": 0.1}`` is dv_x/dy (s-1, or reduced).
 
     Returns
     -------
@@ -84,8 +86,9 @@ def scene_from_lammps(
 
     Notes
     -----
-    The total contact force is the sum of the force of ``pair/local``, which is the normal part, and of its ``p1 p2
-    p3``, the tangential one. Pairs that pull at each other without touching are not in the default list.
+    The total contact force is the sum of the force of ``pair/local``, which is the normal part, and
+    of its ``p1 p2 p3``, the tangential one. Pairs that pull at each other without touching are not
+    in the default list.
 
     Examples
     --------

@@ -50,9 +50,9 @@ def canonical(name: str) -> str:
 def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
     """Return the columns of each canonical name, in the order of the file.
 
-    Three columns that are numbered 0, 1, 2 or 1, 2, 3 are components x, y, z of one vector. A number
-    follows a sign (``v:0``, ``v[1]``, ``v_2``) or a word (``vel0``), so that ``d1``, ``d2`` and
-    ``d3`` are not taken for a vector.
+    Three columns that are numbered 0, 1, 2 or 1, 2, 3 are components x, y, z of one vector. A
+    number follows a sign (``v:0``, ``v[1]``, ``v_2``) or a word (``vel0``), so that ``d1``, ``d2``
+    and ``d3`` are not taken for a vector.
     """
     named: dict[str, list[str]] = defaultdict(list)
     vectors: dict[str, dict[int, str]] = defaultdict(dict)

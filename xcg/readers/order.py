@@ -26,8 +26,8 @@ Read: TypeAlias = Callable[[StepRef], Frame]
 def order_steps(steps: Sequence[Step], kind: str, read: Read, *, timed: bool) -> list[Step]:
     """Return the steps in the order of time (without times, of their numbers), each once.
 
-    Steps of one time or number are pieces of one step if they have no particle or contact in common; they are joined.
-    Else the later one counts.
+    Steps of one time or number are pieces of one step if they have no particle or contact in
+    common; they are joined. Else the later one counts.
 
     Parameters
     ----------
@@ -43,8 +43,9 @@ def order_steps(steps: Sequence[Step], kind: str, read: Read, *, timed: bool) ->
     Raises
     ------
     SceneError
-        If the names of files are all that numbers the steps, and do not tell which number counts; if times or numbers
-        go back within a file; if steps of two runs would lie between each other; if a piece of a step is missing.
+        If the names of files are all that numbers the steps, and do not tell which number counts;
+        if times or numbers go back within a file; if steps of two runs would lie between each
+        other; if a piece of a step is missing.
 
     Warns
     -----
@@ -116,8 +117,8 @@ def _check_files(steps: Sequence[Step], kind: str) -> None:
 def _check_runs(steps: Sequence[Step], kind: str) -> None:
     """Raise SceneError if steps of one run lie between those of another, and are not the same steps.
 
-    A run is a file of several steps, or files whose names differ in one number. A run that was restarted may repeat
-    the last steps of an earlier one.
+    A run is a file of several steps, or files whose names differ in one number. A run that was
+    restarted may repeat the last steps of an earlier one.
     """
     names = run_names([step.particles.path for step in steps])
     runs: dict[str, list[Step]] = {}

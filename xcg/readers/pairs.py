@@ -30,7 +30,8 @@ def index_files(
 ) -> dict[str, list[StepRef]]:
     """Index each kind of file, and check that nothing changes along the way.
 
-    `from_headers`: which of periodic, units, box and time come from the headers, not from the caller.
+    `from_headers`: which of periodic, units, box and time come from the headers, not from the
+    caller.
     """
     indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
@@ -91,8 +92,8 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
     """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them.
 
-    They have the same columns and, as far as they are in `same`, units and periodic axes; a box and times in all of
-    them or in none.
+    They have the same columns and, as far as they are in `same`, units and periodic axes; a box and
+    times in all of them or in none.
     """
     pattern = refs[0]
     if errors.recorded() is not None:
@@ -139,7 +140,8 @@ def pair_steps(
 ) -> list[Step]:
     """Order the steps of particles by time, each with its contacts.
 
-    `together`: whether the caller named one file of each kind, whose steps, if there is one each, are a pair.
+    `together`: whether the caller named one file of each kind, whose steps, if there is one each,
+    are a pair.
     """
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]

@@ -33,7 +33,8 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
     Parameters
     ----------
     paths : str, path or iterable of them
-        Globs are sorted by the numbers in them; a list keeps its order. A file named twice counts once.
+        Globs are sorted by the numbers in them; a list keeps its order. A file named twice counts
+        once.
     argument : str
         Name of the argument, for messages.
 
@@ -128,10 +129,10 @@ def not_against_headers(
 
 # --- the index of headers --------------------------------------------------------------------------------
 #
-# One small JSON file for each folder of data is in the user's cache (``$XDG_CACHE_HOME/xcg``, else ``~/.cache/xcg``),
-# never beside the data, which may be read-only or shared. A file counts as known if its size and its time of
-# modification (in nanoseconds) match the entry; any other is read. The cache may be deleted at any time, and
-# ``XCG_INDEX_CACHE=0`` turns it off.
+# One small JSON file for each folder of data is in the user's cache (``$XDG_CACHE_HOME/xcg``, else
+# ``~/.cache/xcg``), never beside the data, which may be read-only or shared. A file counts as known
+# if its size and its time of modification (in nanoseconds) match the entry; any other is read. The
+# cache may be deleted at any time, and ``XCG_INDEX_CACHE=0`` turns it off.
 
 
 _VERSION = 6  # of the entries; raise it when headers are read in another way
@@ -224,7 +225,8 @@ def index_steps(
 ) -> list[StepRef]:
     """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
 
-    Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time get one.
+    Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time
+    get one.
     """
     found = remembered(paths, kind, scan)
     for path, steps in zip(paths, found, strict=True):
@@ -269,8 +271,8 @@ def timed_steps(refs: Sequence[StepRef], timestep: object) -> list[StepRef]:
 def number_steps(paths: Sequence[str], found: Sequence[Sequence[StepRef]]) -> list[StepRef]:
     """Return the steps of all files, each with a number.
 
-    A step without a number (-1) gets the number or the time in the name of its file if it is the only one there, see
-    `read_file_numbers`; else a negative number, in the order of the files.
+    A step without a number (-1) gets the number or the time in the name of its file if it is the
+    only one there, see `read_file_numbers`; else a negative number, in the order of the files.
     """
     by_name = read_file_numbers(paths)
     refs: list[StepRef] = []

@@ -44,11 +44,12 @@ _MISSING = -(2**31)
 def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """Group component spheres into bodies, lazily where the scene is.
 
-    A body has the mass and volume of its spheres together, their centre of mass (components joined across periodic
-    edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts then join bodies at
-    the same points, with the same forces; contacts inside a body are dropped. Components that overlap count twice,
-    unless their masses and volumes in the scene already allow for it. The spheres of a body are of one species, and all
-    frozen or none. Variables that have no rule for bodies are left out, such as angular velocities.
+    A body has the mass and volume of its spheres together, their centre of mass (components joined
+    across periodic edges), its velocity ``S m v / S m``, and the diameter of a sphere of its
+    volume. Contacts then join bodies at the same points, with the same forces; contacts inside a
+    body are dropped. Components that overlap count twice, unless their masses and volumes in the
+    scene already allow for it. The spheres of a body are of one species, and all frozen or none.
+    Variables that have no rule for bodies are left out, such as angular velocities.
 
     Parameters
     ----------
@@ -60,15 +61,15 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        A scene whose particles are the bodies, sorted by id. Single spheres get ids above the bodies' ids.
-        Sizes and extent of the bodies of a lazy scene are not known: call ``ds.cg.measure()``, which reads it, or
-        give width and bounds.
+        A scene whose particles are the bodies, sorted by id. Single spheres get ids above the
+        bodies' ids. Sizes and extent of the bodies of a lazy scene are not known: call
+        ``ds.cg.measure()``, which reads it, or give width and bounds.
 
     Raises
     ------
     SceneError
-        If the scene lacks masses or the variable, the variable is not an integer, or the spheres of a body differ in
-        ``species`` or ``frozen``.
+        If the scene lacks masses or the variable, the variable is not an integer, or the spheres of
+        a body differ in ``species`` or ``frozen``.
     """
     require_scene(ds, ("mass", by_body), "group_bodies")
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:

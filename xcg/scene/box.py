@@ -54,10 +54,11 @@ def domain_of(
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the box without its tilt; axes left out of a mapping are unbounded.
     lattice : array (3, 3), array (t, 3, 3) or mapping, optional
-        Vectors a, b, c, or tilts by name, a number or one a step: "xy" is how far images along y are shifted along x.
+        Vectors a, b, c, or tilts by name, a number or one a step: "xy" is how far images along y
+        are shifted along x.
     shear_rate : mapping, optional
-        Rates by name (s-1), a number or one a step: "xy" is how much faster images one length up y move along x. By
-        default the rates at which the tilts change from step to step.
+        Rates by name (s-1), a number or one a step: "xy" is how much faster images one length up y
+        move along x. By default the rates at which the tilts change from step to step.
     periodic : str
         Periodic axes.
     steps : int
@@ -70,8 +71,8 @@ def domain_of(
     Raises
     ------
     SceneError
-        If edges or vectors have another shape, a lattice is given without edges or does not fit them, or a shear is
-        given without a lattice.
+        If edges or vectors have another shape, a lattice is given without edges or does not fit
+        them, or a shear is given without a lattice.
     """
     if box is None:
         if lattice is not None or shear_rate:
@@ -156,8 +157,8 @@ def _tilts(vectors: NDArray) -> NDArray:
 def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
     """Rates (t, 3, 3) at which tilts change, from the steps before and after each.
 
-    Codes flip a box that is tilted far: a vector is then written as its sum with whole numbers of others, and moves as
-    that sum does.
+    Codes flip a box that is tilted far: a vector is then written as its sum with whole numbers of
+    others, and moves as that sum does.
     """
     axes = [COMPONENTS.index(a) for a in periodic]
     cells = _tilts(vectors)[:, axes]
@@ -208,7 +209,8 @@ class BoxMotion:
     lattice : Lattice
         Periodic images of the later frame.
     turned : array (k, k)
-        Whole numbers: the vectors of the first frame are ``turned @ lattice.given``, moved with the box.
+        Whole numbers: the vectors of the first frame are ``turned @ lattice.given``, moved with the
+        box.
     """
 
     gradient: NDArray
@@ -238,7 +240,8 @@ class BoxMotion:
     def relative(self, first: Frame, later: Frame, here: NDArray, there: NDArray) -> NDArray:
         """Return the displacements (n, 3) of grains, less that of the box where they were.
 
-        Frames with ``image`` say which image each grain went to; in others it is the one that moved least.
+        Frames with ``image`` say which image each grain went to; in others it is the one that moved
+        least.
 
         Parameters
         ----------

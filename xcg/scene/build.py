@@ -171,30 +171,34 @@ def scene_from_arrays(
 ) -> xr.Dataset:
     """Build a scene from arrays in memory.
 
-    Every variable may be one step ``(n, ...)``, a stack of steps ``(t, n, ...)``, or a list of steps of
-    different length. Variables of particles that do not change, such as diameters, may be given once for all steps
-    where rows, or ids, are the same in all of them. Mass, volume, density, diameter and contact points that are missing
-    are completed (`complete_particles`, `complete_contacts`).
+    Every variable may be one step ``(n, ...)``, a stack of steps ``(t, n, ...)``, or a list of
+    steps of different length. Variables of particles that do not change, such as diameters, may be
+    given once for all steps where rows, or ids, are the same in all of them. Mass, volume, density,
+    diameter and contact points that are missing are completed (`complete_particles`,
+    `complete_contacts`).
 
     Parameters
     ----------
     position : array (n, 3), array (t, n, 3) or list of arrays
         Positions of the centres (m).
     time, step : array (t,), optional
-        Times (s) and step numbers, rising; step numbers are 0, 1, 2, ... by default. Without times, the coordinate
-        ``time`` is the step number, and whatever takes differences of times is refused.
+        Times (s) and step numbers, rising; step numbers are 0, 1, 2, ... by default. Without times,
+        the coordinate ``time`` is the step number, and whatever takes differences of times is
+        refused.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain (m), needed along periodic axes.
     periodic : str
         Periodic axes, for example "xy".
     lattice : array (3, 3), array (t, 3, 3) or mapping, optional
-        Vectors a, b, c to the next periodic images (m) where they are not along x, y and z, in rows; `box` then holds
-        the edges of the box without its tilt, whose lengths are the vectors' components along their own axes. Or tilts
-        by name, ``{"xy": 0.01}`` (a number, or one a step): how far images along y are shifted along x, in boxes of
-        Lees & Edwards the offset of the images.
+        Vectors a, b, c to the next periodic images (m) where they are not along x, y and z, in
+        rows; `box` then holds the edges of the box without its tilt, whose lengths are the vectors'
+        components along their own axes. Or tilts by name, ``{"xy": 0.01}`` (a number, or one a
+        step): how far images along y are shifted along x, in boxes of Lees & Edwards the offset of
+        the images.
     shear_rate : mapping, optional
         Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step).
-        By default the rate at which tilts change from step to step; ``{}`` for images of equal velocity.
+        By default the rate at which tilts change from step to step; ``{}`` for images of equal
+        velocity.
     gravity : three floats, optional
         Acceleration of gravity (m s-2).
     dimension : {2, 3}
@@ -202,28 +206,32 @@ def scene_from_arrays(
     plane : str, optional
         The two axes of a one-layer scene, "xy" by default.
     thickness : float, optional
-        Depth of a one-layer scene (m); by default that of the box where it is finite, else the largest diameter.
+        Depth of a one-layer scene (m); by default that of the box where it is finite, else the
+        largest diameter.
     shape : {"sphere", "disc"}
         How volume follows from diameter.
     density : float or array
         Density of the material (kg m-3): one number, or one a particle.
     units : mapping or str, optional
-        Factors to SI of arrays, time, box and lattice, for example ``{"length": 1e-3}``; gravity, thickness, shear_rate
-        and a single density are in SI. "reduced" for scaled data, or a unit system of LAMMPS by name, such as "cgs".
+        Factors to SI of arrays, time, box and lattice, for example ``{"length": 1e-3}``; gravity,
+        thickness, shear_rate and a single density are in SI. "reduced" for scaled data, or a unit
+        system of LAMMPS by name, such as "cgs".
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}
-        What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
-        from f and points up to 0.15 of the smaller radius apart: one contact with the mean of both sides
-        (default), or as the first row has it, with a warning; or two. Rows whose forces and points agree to 1e-4 are
-        always one; rows (i, j) in one order at different points always count each.
+        What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f'
+        up to a quarter from f and points up to 0.15 of the smaller radius apart: one contact with
+        the mean of both sides (default), or as the first row has it, with a warning; or two. Rows
+        whose forces and points agree to 1e-4 are always one; rows (i, j) in one order at different
+        points always count each.
     **variables
-        Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
-        ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
-        than two diameters ``contact_branch`` (from j to i) gives the side on which grains touch, where no point does.
-        Any other name is a variable of your own, but for names that are almost one of these: of the contacts if it
-        begins with ``contact_``, else of the particles; scalars ``(n,)``, vectors ``(n, 3)`` or tensors ``(n, 3, 3)``
-        a step. `coarse_grain` takes it by its name.
+        Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``,
+        ``particle_id``, ``species``, ``contact_i``, ``contact_j``, ``contact_force``,
+        ``contact_point``, ... In a periodic box of less than two diameters ``contact_branch`` (from
+        j to i) gives the side on which grains touch, where no point does. Any other name is a
+        variable of your own, but for names that are almost one of these: of the contacts if it
+        begins with ``contact_``, else of the particles; scalars ``(n,)``, vectors ``(n, 3)`` or
+        tensors ``(n, 3, 3)`` a step. `coarse_grain` takes it by its name.
 
     Returns
     -------

@@ -109,11 +109,12 @@ def complete_particles(
 ) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
-    Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
-    the layer's thickness), ``mass = density * volume``. Moments of inertia of particles with an angular velocity are
-    of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is, but for a body of more than
-    half of the particles: these become single ones (``body_id = -1``), with a warning. ``unwrapped_position`` becomes
-    ``image``, the whole periods between it and the position.
+    Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi
+    d^2/4`` times the layer's thickness), ``mass = density * volume``. Moments of inertia of
+    particles with an angular velocity are of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``.
+    What is given is taken as it is, but for a body of more than half of the particles: these become
+    single ones (``body_id = -1``), with a warning. ``unwrapped_position`` becomes ``image``, the
+    whole periods between it and the position.
 
     Parameters
     ----------
@@ -124,13 +125,14 @@ def complete_particles(
     source : str
         File and step, for messages.
     lattice : Lattice, optional
-        Periodic images, in the scene's units, which ``image`` is counted in; without them it is left out.
+        Periodic images, in the scene's units, which ``image`` is counted in; without them it is
+        left out.
 
     Raises
     ------
     SceneError
-        If an array has the wrong shape or is not finite, an id is negative or occurs twice, a size is not positive, or
-        a mass is negative.
+        If an array has the wrong shape or is not finite, an id is negative or occurs twice, a size
+        is not positive, or a mass is negative.
     """
     given = _typed(frame, setup, source)
     if not np.ndim(given.get("position", 0.0)):
@@ -212,7 +214,8 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
 def _without_default_body(body: NDArray, source: str) -> NDArray:
     """Return ids of bodies (n,), -1 where more than half of the grains are of one body, with a warning.
 
-    Files name all grains 1 that are in no body, or leave a default. Pairs within a body would count as glued.
+    Files name all grains 1 that are in no body, or leave a default. Pairs within a body would count
+    as glued.
     """
     count = len(body)
     if count < 2:
@@ -300,22 +303,24 @@ def complete_contacts(
 ) -> Frame:
     """Check the contacts of one frame against its particles and derive contact points that are not given.
 
-    For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
-    ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
-    the shortest one.
+    For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i,
+    with ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch
+    that the data hold, or else the shortest one.
 
-    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`. Between spheres, pairs
-    without a force and with a gap are dropped, overlaps that are another quantity are replaced, and contact points
-    midway between the centres are moved, each with a warning, see `xcg.scene.spheres`.
+    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`. Between
+    spheres, pairs without a force and with a gap are dropped, overlaps that are another quantity
+    are replaced, and contact points midway between the centres are moved, each with a warning, see
+    `xcg.scene.spheres`.
 
     Parameters
     ----------
     frame : mapping
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
-        ``contact_branch`` (n, 3), from j to i as the code saw it, selects the images. ``wrapped_branch`` (n, 3),
-        from j, or the wall, to i, but of any image, becomes the normal. Where ``point_is_middle`` (n,) is true,
-        ``contact_point`` is the middle of the centres of two spheres, and becomes the point where they touch.
-        Messages count rows by ``row_of_file`` (n,), where rows were joined or reordered.
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n,
+        3). ``contact_branch`` (n, 3), from j to i as the code saw it, selects the images.
+        ``wrapped_branch`` (n, 3), from j, or the wall, to i, but of any image, becomes the normal.
+        Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of
+        two spheres, and becomes the point where they touch. Messages count rows by ``row_of_file``
+        (n,), where rows were joined or reordered.
     particles : Frame
         The particles of the same step, completed.
     lattice : Lattice
@@ -328,9 +333,9 @@ def complete_contacts(
     Raises
     ------
     SceneError
-        For unknown ids, a particle in contact with itself, values that are not finite, a contact point that is missing
-        and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
-        both sides with the same force.
+        For unknown ids, a particle in contact with itself, values that are not finite, a contact
+        point that is missing and cannot be derived, as in a box so small that grains touch on both
+        sides, or a contact that is listed from both sides with the same force.
     """
     given = _typed(
         {name: values for name, values in frame.items() if name not in HINTS}, setup, source
@@ -461,8 +466,8 @@ def _plain_points(
 ) -> NDArray | None:
     """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_contact_points`.
 
-    A loop finds them in less than a tenth of the time. It knows neither tilted boxes nor partners that are not in the
-    scene, and has no messages: `_contact_points` has all these.
+    A loop finds them in less than a tenth of the time. It knows neither tilted boxes nor partners
+    that are not in the scene, and has no messages: `_contact_points` has all these.
     """
     if lattice.reduced is not None or "diameter" not in particles:
         return None

@@ -1,9 +1,10 @@
 """Scenes that were selected from, masked, reordered or joined by xarray, brought back to the form that tasks read.
 
-What xarray's methods make of a scene shows in labels, dimensions and types, without reading: ``isel(time=0)`` takes the
-dimension of time away, ``swap_dims`` names it otherwise, ``set_coords`` makes coordinates of variables, ``where`` and
-``concat`` spread variables over the rows of others and turn whole numbers into floats, ``sel`` reorders components. The
-order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`).
+What xarray's methods make of a scene shows in labels, dimensions and types, without reading:
+``isel(time=0)`` takes the dimension of time away, ``swap_dims`` names it otherwise, ``set_coords``
+makes coordinates of variables, ``where`` and ``concat`` spread variables over the rows of others
+and turn whole numbers into floats, ``sel`` reorders components. The order of rows is looked after
+where frames are made (`xcg.scene.frame.frame_of`).
 """
 
 from __future__ import annotations
@@ -159,8 +160,8 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If components are missing, a variable has dimensions that a scene does not give it, attributes are lost, or
-        scenes with different ones were joined.
+        If components are missing, a variable has dimensions that a scene does not give it,
+        attributes are lost, or scenes with different ones were joined.
     """
     if "position" not in ds or "particle_id" not in ds:
         return ds
@@ -332,8 +333,8 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
 def _as_measured(array: xr.DataArray, attrs: Mapping[Any, Any]) -> xr.DataArray:
     """Mark a lazy variable with masked rows as measured, and check it when it is read.
 
-    Masking takes marks away, as arithmetic does. Diameters show which of them it was, positions do so when they are
-    compared with the mesh, and groups when grains are counted to them.
+    Masking takes marks away, as arithmetic does. Diameters show which of them it was, positions do
+    so when they are compared with the mesh, and groups when grains are counted to them.
     """
     if array.name == "diameter" and {"dmin", "dmax"} <= set(attrs):
         low, high = float(attrs["dmin"]), float(attrs["dmax"])

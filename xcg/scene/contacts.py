@@ -21,7 +21,8 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of, unit_vectors
 from xcg.scene.schema import PADDING, Frame
 
-# Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
+# Contacts are those of spheres where the branches are as spheres have them, to this share of the
+# radius.
 SPHERES = 1e-2
 # Partners from which a grain may bear load, with friction (Thornton 2000).
 BEARING = 2
@@ -119,8 +120,9 @@ class Contacts:
     def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
         """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
 
-        Text files hold normals and overlaps with more digits than positions determine. Contacts whose branches differ
-        from that by more than `SPHERES` of a radius are not between spheres, and stay as they are.
+        Text files hold normals and overlaps with more digits than positions determine. Contacts
+        whose branches differ from that by more than `SPHERES` of a radius are not between spheres,
+        and stay as they are.
         """
         both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
         normal, spheres, branches = self.normal[both], np.ones(len(both), bool), []
@@ -140,8 +142,9 @@ class Contacts:
     def between(self) -> NDArray:
         """From j to i, ``r_i - r_j`` (m), or between the contact point and the only particle that is there; (n, 3).
 
-        Of all images of the two, those touching at the contact point are taken: the nearest ones, unless grains are
-        larger than half the box. The contact point itself, and which of the two comes first, make no difference.
+        Of all images of the two, those touching at the contact point are taken: the nearest ones,
+        unless grains are larger than half the box. The contact point itself, and which of the two
+        comes first, make no difference.
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
@@ -192,7 +195,8 @@ class Contacts:
     def first(self) -> NDArray:
         """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places).
 
-        Periodic images of one particle are several partners: in small boxes, grains touch on both sides.
+        Periodic images of one particle are several partners: in small boxes, grains touch on both
+        sides.
         """
         first = np.ones(len(self.key_i))
         rows, pair = repeated_pairs(self.key_i, self.key_j)
@@ -352,16 +356,16 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
 def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
     """Keep the contacts with some walls, and no others; lazy where the scene is.
 
-    Fields of contacts are then the part that these walls have in them: ``wall_traction`` of several walls adds up to
-    that of all.
+    Fields of contacts are then the part that these walls have in them: ``wall_traction`` of several
+    walls adds up to that of all.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene with contacts.
     walls : str, int or list of these
-        Names of walls, as `open_scene` was given them, or their numbers in ``contact_j``: LAMMPS -2, -3, ... in the
-        order of ``walls=``; LIGGGHTS -(mesh + 1); MercuryDPM -(index + 1).
+        Names of walls, as `open_scene` was given them, or their numbers in ``contact_j``: LAMMPS
+        -2, -3, ... in the order of ``walls=``; LIGGGHTS -(mesh + 1); MercuryDPM -(index + 1).
 
     Returns
     -------

@@ -150,7 +150,8 @@ class Description:
         Raises
         ------
         ValueError
-            If the variable does not exist, its values are not known, or values are given without it.
+            If the variable does not exist, its values are not known, or values are given without
+            it.
         """
         if by is None:
             if groups is not None:

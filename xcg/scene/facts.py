@@ -1,8 +1,9 @@
 """Facts that hold for a whole scene or result, such as periodic axes or the kernel: how they travel through xarray.
 
-They are attributes. xarray drops attributes when Datasets are built from variables, and takes those of the first part
-when it joins several. So a scalar coordinate, ``setup``, holds the same facts as JSON: xarray keeps scalar coordinates
-with every variable, refuses to merge unequal ones, and joins unequal ones to a value for each part.
+They are attributes. xarray drops attributes when Datasets are built from variables, and takes those
+of the first part when it joins several. So a scalar coordinate, ``setup``, holds the same facts as
+JSON: xarray keeps scalar coordinates with every variable, refuses to merge unequal ones, and joins
+unequal ones to a value for each part.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ OF_SCENES = (
     "frame_axes",
     "frame_origin",
 )
-# further attributes of a result that its averages depend on, or that sums of different calls have to share
+# further attributes of a result that its averages depend on, or that sums of different calls have
+# to share
 OF_RESULTS = (
     "kernel",
     "width",

@@ -63,8 +63,8 @@ def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
 def times_are_known(ds: xr.Dataset) -> bool:
     """Return whether the coordinate time holds times, and not the numbers of the steps in their place.
 
-    Arithmetic keeps attributes, so that assigned times may still be labelled as numbers; they differ from the steps,
-    and where these are lazy, they are not whole.
+    Arithmetic keeps attributes, so that assigned times may still be labelled as numbers; they
+    differ from the steps, and where these are lazy, they are not whole.
     """
     if ds["time"].attrs.get("long_name") != NUMBERED:
         return True
@@ -286,8 +286,9 @@ SIZES = tuple(_SIZE_NAMES)
 def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]:
     """Sizes of a set of particles (m); NaN for an empty one.
 
-    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
-    of the mass lies (of the volume, where no mass is given), ``dmin`` and ``dmax``.
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the
+    diameter below which half of the mass lies (of the volume, where no mass is given), ``dmin`` and
+    ``dmax``.
     """
     if not len(diameter):
         return dict.fromkeys(SIZES, float("nan"))
@@ -313,8 +314,8 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
 def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
 
-    The sizes of `sizes_of`, the lowest and highest coordinates of the centres, and the values that integer variables
-    take (``species_values``), over all the frames given.
+    The sizes of `sizes_of`, the lowest and highest coordinates of the centres, and the values that
+    integer variables take (``species_values``), over all the frames given.
     """
     measured: dict[str, Any] = {}
     positions = [f["position"] for f in frames if "position" in f and len(f["position"])]
@@ -360,10 +361,10 @@ def without_attrs(ds: xr.Dataset, names: Collection[str]) -> xr.Dataset:
 def with_measures(ds: xr.Dataset) -> xr.Dataset:
     """Return the scene with such sizes and extent as its attributes as hold for its particles. Nothing is read.
 
-    Variables may have been replaced since they were measured. Those in memory are looked at: where grains of the first
-    or the last step lie outside the extent, the extent of these steps is measured anew, and the sizes where diameters
-    lie outside their range: places say nothing of sizes. Attributes of lazy variables that were computed from others
-    are left out.
+    Variables may have been replaced since they were measured. Those in memory are looked at: where
+    grains of the first or the last step lie outside the extent, the extent of these steps is
+    measured anew, and the sizes where diameters lie outside their range: places say nothing of
+    sizes. Attributes of lazy variables that were computed from others are left out.
     """
     of = {name: attrs for name, attrs in MEASURED_ATTRIBUTES.items() if name in ds}
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(
@@ -421,7 +422,8 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
+        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set
+        anew.
     """
     require_scene(ds, (), "measure")
     return _measure(
@@ -443,8 +445,8 @@ def _measure(ds: xr.Dataset) -> xr.Dataset:
 def size_statistics(ds: xr.Dataset) -> xr.Dataset:
     """Sizes of the grains in each step, lazy where the scene is.
 
-    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
-    of the mass lies, ``dmin``, ``dmax``.
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the
+    diameter below which half of the mass lies, ``dmin``, ``dmax``.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Phases: groups of grains by size and density, found by clustering or said by edges or types.
 
-A phase is an integer variable of the particles, ``phase`` = 1, 2, ...; ``coarse_grain(by="phase")`` divides by it. It
-follows from each grain's own properties, not from its row, so that grains may enter and leave.
+A phase is an integer variable of the particles, ``phase`` = 1, 2, ...; ``coarse_grain(by="phase")``
+divides by it. It follows from each grain's own properties, not from its row, so that grains may
+enter and leave.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from xcg.scene.schema import PADDING, mark_measured
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65, of a lognormal one whose
-# ln d has a standard deviation of 0.6 below 0.68; two sizes that differ by four standard deviations reach 0.7, by five
-# 0.76.
+# Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65, of a
+# lognormal one whose ln d has a standard deviation of 0.6 below 0.68; two sizes that differ by four
+# standard deviations reach 0.7, by five 0.76.
 MIN_SILHOUETTE = 0.7
-# Spreads below this share of the mean are noise, such as densities that were computed from single-precision masses.
+# Spreads below this share of the mean are noise, such as densities that were computed from
+# single-precision masses.
 NOISE = 1e-3
 MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
 
@@ -39,9 +41,9 @@ def find_phases(
 ) -> xr.Dataset:
     """Find phases as clusters of (diameter, density) (computes some steps).
 
-    k-means for 2 to `max_phases` clusters on standardised diameters and densities; the number with the best mean
-    silhouette is taken, or one phase where even that stays below 0.7: a single distribution that is not
-    very wide stays whole. Sources: Lloyd (1982); Rousseeuw (1987).
+    k-means for 2 to `max_phases` clusters on standardised diameters and densities; the number with
+    the best mean silhouette is taken, or one phase where even that stays below 0.7: a single
+    distribution that is not very wide stays whole. Sources: Lloyd (1982); Rousseeuw (1987).
 
     Parameters
     ----------
@@ -50,17 +52,18 @@ def find_phases(
     max_phases : int
         Most clusters that are tried.
     steps : int
-        Steps that are read, evenly over the series, the first and the last among them. Grains of other steps are
-        assigned to the nearest cluster when they are read.
+        Steps that are read, evenly over the series, the first and the last among them. Grains of
+        other steps are assigned to the nearest cluster when they are read.
     seed : int
         Seed of k-means and of the samples.
 
     Returns
     -------
     xarray.Dataset
-        The scene with ``phase`` (time, particle), lazy where the scene is: 1, 2, ... in the order of diameter and
-        density, -1 for padding. Attributes: ``phase_values``, ``phase_diameter`` (m) and ``phase_density`` (kg m-3) of
-        the clusters, ``phase_scores`` (mean silhouette for 2, 3, ... clusters).
+        The scene with ``phase`` (time, particle), lazy where the scene is: 1, 2, ... in the order
+        of diameter and density, -1 for padding. Attributes: ``phase_values``, ``phase_diameter``
+        (m) and ``phase_density`` (kg m-3) of the clusters, ``phase_scores`` (mean silhouette for 2,
+        3, ... clusters).
 
     Raises
     ------
@@ -129,7 +132,8 @@ def assign_phases(
     ds : xarray.Dataset
         A scene.
     edges : sequence of float, optional
-        Diameters (m) between phases, rising: phase 1 below the first, phase 2 from the first to the second, ...
+        Diameters (m) between phases, rising: phase 1 below the first, phase 2 from the first to the
+        second, ...
     mapping : mapping, optional
         From values of `by` to phases, for example ``{1: 1, 2: 1, 3: 2}``.
     by : str
@@ -138,7 +142,8 @@ def assign_phases(
     Returns
     -------
     xarray.Dataset
-        The scene with ``phase`` (time, particle), lazy where the scene is, and the attribute ``phase_values``.
+        The scene with ``phase`` (time, particle), lazy where the scene is, and the attribute
+        ``phase_values``.
 
     Raises
     ------

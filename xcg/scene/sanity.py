@@ -9,14 +9,16 @@ from xcg.common.messages import SceneError, warn_once, warn_user
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 
-# Rows of one pair are copies where their forces, and their points, differ by no more than this share of the force, and
-# of the distance from the centre: rounding in files of six digits.
+# Rows of one pair are copies where their forces, and their points, differ by no more than this
+# share of the force, and of the distance from the centre: rounding in files of six digits.
 _ROUNDED = 1e-4
-# Rows from both sides with the same force are an error up to this distance, over the distance from the centre.
+# Rows from both sides with the same force are an error up to this distance, over the distance from
+# the centre.
 _SAME_POINT = 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
-# Rows from both sides are one contact where their forces differ from opposite ones by no more than this share of the
-# larger, or of a hundredth of the mean force of such rows, and their points by this share of the smaller radius.
+# Rows from both sides are one contact where their forces differ from opposite ones by no more than
+# this share of the larger, or of a hundredth of the mean force of such rows, and their points by
+# this share of the smaller radius.
 _OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.15
 # what turns its sign with the side
 _OF_SIDE = ("contact_force", "contact_normal")
@@ -27,12 +29,14 @@ def without_repeats(
 ) -> Frame:
     """Merge contacts that are listed more than once.
 
-    Copies, (i, j, f) twice or from both sides as (j, i, -f), are one contact where forces agree to 1e-4, and points to
-    1e-4 of the distance from the centre. Rows from both sides whose forces are opposite to a quarter of the larger, and
-    whose points are no more than 0.15 of the smaller radius apart, are one contact unless `sides` is "separate": with
-    the mean of both forces, points, normals and overlaps for "mean", or as the row that comes first for "first". Other
-    variables come from the first row. A warning states how many, and how far they differ, where forces do by more than
-    1e-4. Other contacts of one pair, which differ in force or place, all stay.
+    Copies, (i, j, f) twice or from both sides as (j, i, -f), are one contact where forces agree to
+    1e-4, and points to 1e-4 of the distance from the centre. Rows from both sides whose forces are
+    opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller
+    radius apart, are one contact unless `sides` is "separate": with the mean of both forces,
+    points, normals and overlaps for "mean", or as the row that comes first for "first". Other
+    variables come from the first row. A warning states how many, and how far they differ, where
+    forces do by more than 1e-4. Other contacts of one pair, which differ in force or place, all
+    stay.
 
     Parameters
     ----------
@@ -99,7 +103,8 @@ def unit_vectors(vector: NDArray) -> NDArray:
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
 
-    Which of the two comes first makes no difference. Spheres touch once, and a sort shows that no pair repeats.
+    Which of the two comes first makes no difference. Spheres touch once, and a sort shows that no
+    pair repeats.
     """
     if not len(i):
         return np.empty(0, int), np.empty(0, int)
@@ -140,8 +145,8 @@ def _copies(
     number
         Rows of the file, for messages.
     rows, pair : array (n,)
-        Contacts of pairs that have more than one, see `repeated_pairs`; contacts of a pair by the size of the force, so
-        that rows of one contact are near each other.
+        Contacts of pairs that have more than one, see `repeated_pairs`; contacts of a pair by the
+        size of the force, so that rows of one contact are near each other.
     centre : array (n, 3)
         Centre of a particle of each (m), from which the distance of points is judged.
     """
@@ -189,9 +194,9 @@ def _mirrored(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Rows that list one contact from both sides, the first one first, and by how much their forces differ; (m,) each.
 
-    Differences are shares of the larger force. Last come rows at one place whose forces differ by more, and that are
-    no contact with a third one (k, 2). Arguments as in `_copies`, without copies; `free` (n,) marks the rows whose
-    other side may be among them.
+    Differences are shares of the larger force. Last come rows at one place whose forces differ by
+    more, and that are no contact with a third one (k, 2). Arguments as in `_copies`, without
+    copies; `free` (n,) marks the rows whose other side may be among them.
     """
     point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
     turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]

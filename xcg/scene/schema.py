@@ -1,8 +1,9 @@
 """Schema of a scene: names, dimensions and units of its variables, and its attributes.
 
-A *scene* is an `xarray.Dataset` whose rows fill a prefix of the ``particle`` and ``contact`` dimensions; the
-rest is padding (``particle_id == -1``, ``contact_i == -1``, NaN). Rows of particles are sorted by id. One step
-on its own, without padding, is a *frame*: a plain ``dict`` from the names below to NumPy arrays.
+A *scene* is an `xarray.Dataset` whose rows fill a prefix of the ``particle`` and ``contact``
+dimensions; the rest is padding (``particle_id == -1``, ``contact_i == -1``, NaN). Rows of particles
+are sorted by id. One step on its own, without padding, is a *frame*: a plain ``dict`` from the
+names below to NumPy arrays.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ _CONTACT = ("contact",)
 VARIABLES: dict[str, Variable] = {
     "particle_id": Variable(_PARTICLE, "1", "identifier of the particle", "int64"),
     "position": Variable((*_PARTICLE, "component"), "m", "position of the particle centre"),
-    # the unwrapped position is ``position + image @ lattice``, with the lattice vectors a, b, c of the same step
+    # the unwrapped position is ``position + image @ lattice``, with the lattice vectors a, b, c of
+    # the same step
     "image": Variable(
         (*_PARTICLE, "component"),
         "1",
@@ -117,7 +119,8 @@ VARIABLES: dict[str, Variable] = {
 # Read only where they are asked for, as few fields need them.
 ROTATION = ("angular_velocity", "moment_of_inertia")
 MOTION = ("image",)
-# the domain of a step; the lattice is there where edges are not along x, y and z, its velocity where images move
+# the domain of a step; the lattice is there where edges are not along x, y and z, its velocity
+# where images move
 BOX: dict[str, Variable] = {
     "box": Variable(("component", "bound"), "m", "edges of the domain"),
     "lattice": Variable(
@@ -197,8 +200,8 @@ _NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m
 def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     """Return the row of a scene variable.
 
-    Any other name is a variable of the particles, or of the contacts if it begins with "contact_": a scalar, vector or
-    tensor by the number of dimensions of one step, without a unit.
+    Any other name is a variable of the particles, or of the contacts if it begins with "contact_":
+    a scalar, vector or tensor by the number of dimensions of one step, without a unit.
     """
     if name in VARIABLES:
         return VARIABLES[name]
@@ -236,8 +239,9 @@ def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None
 
 # --- lazy variables as measured --------------------------------------------------------------------------
 
-# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
-# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
+# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or
+# what came with a file that holds the attributes, too. Selections keep encodings, arithmetic drops
+# them.
 MEASURED = "measured"
 
 
@@ -272,7 +276,8 @@ class Setup:
     plane : str
         The axes that the scene extends in: "xyz", or two of them for ``dimension=2``.
     thickness : float or None
-        Depth of a one-layer scene; None takes the box depth where it is finite, else the largest diameter.
+        Depth of a one-layer scene; None takes the box depth where it is finite, else the largest
+        diameter.
     shape : str
         "sphere" or "disc": how volume follows from diameter.
     density : float or None

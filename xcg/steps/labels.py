@@ -69,7 +69,8 @@ def label(
 ) -> xr.Dataset:
     """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
 
-    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much as making it.
+    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much
+    as making it.
     """
     system = ds.attrs.get("unit_system", "SI")
     data = {}
@@ -145,8 +146,8 @@ PHASES = ("phase", "other_phase")
 class PhaseLabels(pd.Index):
     """Text in which ``1`` finds "1": ``f.sel(phase=1)`` is ``f.sel(phase="1")``.
 
-    It is a pandas index that xarray keeps inside its own, as its index of calendars is. So results align with results
-    that were opened from files, which have the same labels as plain text.
+    It is a pandas index that xarray keeps inside its own, as its index of calendars is. So results
+    align with results that were opened from files, which have the same labels as plain text.
     """
 
     def __new__(cls, data: ArrayLike, name: Any = None, **_: Any) -> Self:

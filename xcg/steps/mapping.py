@@ -52,14 +52,15 @@ def map_over_time(
     names : iterable of str
         Variables and coordinates that `compute` needs; each must have the dimension ``time``.
     compute : callable
-        Takes and returns mappings from names to arrays, time first. It travels to the workers, so it must pickle.
+        Takes and returns mappings from names to arrays, time first. It travels to the workers, so
+        it must pickle.
     results : mapping
         Shape of one step, and type, of everything that `compute` returns.
     label : str
         Name of the tasks.
     on_error : {"raise", "skip"}
-        "skip" fills the steps that cannot be read or computed with NaN (-1 in integers), warns of each when it is
-        computed, and adds the result ``skipped``, True for these steps.
+        "skip" fills the steps that cannot be read or computed with NaN (-1 in integers), warns of
+        each when it is computed, and adds the result ``skipped``, True for these steps.
 
     Returns
     -------
@@ -241,7 +242,8 @@ def _lazy_results(
     lazy, fixed = _in_chunks(inputs)
     name = f"{label}-{tokenize(compute, lazy, fixed, on_error)}"
     chunks = next(iter(lazy.values())).chunks[0]
-    # a key of its own, so that what all tasks share, such as a million points, travels to a worker once
+    # a key of its own, so that what all tasks share, such as a million points, travels to a worker
+    # once
     call, skip = f"call-{name}", SKIPPED in results
     tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
     gathered = Gathered.of(lazy)

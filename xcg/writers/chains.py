@@ -21,7 +21,8 @@ from xcg.writers.formats import hdf5_file
 if TYPE_CHECKING:
     import h5py
 
-# header of Force Chain Finder, spelling and trailing comma included; its stresses are tension-positive
+# header of Force Chain Finder, spelling and trailing comma included; its stresses are
+# tension-positive
 FCF_COLUMNS = (
     "LiggghtsId,X,Y,Z,radius,chainId,minorStress,minorDirX,minorDirY,minorDirZ,"
     "PrincipleStress0,PrincipleStress1,PrincipleStress2,"
@@ -54,16 +55,18 @@ VTK_VARIABLES = (
 def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
     """Write chains in the columns of Force Chain Finder: one row a particle, by id; **tension is positive there**.
 
-    ``minorStress`` is minus the major stress, ``PrincipleStress0`` to ``2`` are minus the principal stresses (here in
-    rising order), ``StressDir0k`` to ``2k`` the direction of the k-th, and ``linkNodes`` the id of the particle that
-    a particle was reached from, "starting" for the first of a chain.
+    ``minorStress`` is minus the major stress, ``PrincipleStress0`` to ``2`` are minus the principal
+    stresses (here in rising order), ``StressDir0k`` to ``2k`` the direction of the k-th, and
+    ``linkNodes`` the id of the particle that a particle was reached from, "starting" for the first
+    of a chain.
 
     Parameters
     ----------
     fc : xarray.Dataset
         A result of `force_chains`.
     path : str or path
-        The file; for several steps a name with ``{step}``, which becomes the number of the time step.
+        The file; for several steps a name with ``{step}``, which becomes the number of the time
+        step.
     overwrite : bool
         Replace files that exist.
 
@@ -146,8 +149,8 @@ class _Mesh:
     def of(cls, step: ChainStep) -> _Mesh:
         """Members of chains as points, links as lines.
 
-        A link across a periodic boundary ends at an image of its second particle, a point of its own that is marked
-        ``image``.
+        A link across a periodic boundary ends at an image of its second particle, a point of its
+        own that is marked ``image``.
         """
         arrays = step.arrays
         contact, i, j = step.links()
@@ -187,16 +190,17 @@ class _Mesh:
 def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
     """Write chains as VTK PolyData: members as points, for glyphs, and links as lines.
 
-    Points hold ``id``, ``radius`` (m), ``chain_id``, ``links``, ``major_stress`` (Pa, compression positive),
-    ``major_direction`` and ``image``, 1 for an end beyond a periodic boundary; lines hold ``chain_id``, ``stress``
-    (mean of both ends, Pa), ``force`` and ``force_magnitude`` (N).
+    Points hold ``id``, ``radius`` (m), ``chain_id``, ``links``, ``major_stress`` (Pa, compression
+    positive), ``major_direction`` and ``image``, 1 for an end beyond a periodic boundary; lines
+    hold ``chain_id``, ``stress`` (mean of both ends, Pa), ``force`` and ``force_magnitude`` (N).
 
     Parameters
     ----------
     fc : xarray.Dataset
         A result of `force_chains`.
     path : str or path
-        The file; for several steps a name with ``{step}``, which becomes the number of the time step.
+        The file; for several steps a name with ``{step}``, which becomes the number of the time
+        step.
     overwrite : bool
         Replace files that exist.
 

@@ -78,9 +78,10 @@ class Encoding:
     def reduced(self, values: NDArray, name: str = "") -> NDArray:
         """Numbers in their type on disk, rounded to the digits that are kept; `name` is the variable's, for messages.
 
-        The relative error of rounding is at most ``0.5 * 10**-digits``, or that of single precision where it is larger:
-        ``ceil(digits * log2(10))`` bits of the mantissa are kept (one more for six digits in single precision), and the
-        rest is rounded to nearest even. NaN and infinity stay what they are.
+        The relative error of rounding is at most ``0.5 * 10**-digits``, or that of single precision
+        where it is larger: ``ceil(digits * log2(10))`` bits of the mantissa are kept (one more for
+        six digits in single precision), and the rest is rounded to nearest even. NaN and infinity
+        stay what they are.
 
         Raises
         ------

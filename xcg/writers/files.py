@@ -163,15 +163,16 @@ def _disk_named(path: Path, part: Path) -> Iterator[None]:
 def whole_folder(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
     """Rename the Zarr folder `part` to `path` at the end.
 
-    What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
-    under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
-    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this.
+    What it replaces is put aside before, and removed after. So one of both is there whole at any
+    moment, if need be under the name ``.<name>.replaced``: where a process was killed in between,
+    the next writer gives it its name back, and removes what such a process left. Only the writer
+    that holds the lock ``.<name>.lock`` does any of this.
 
     Raises
     ------
     FileExistsError
-        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it, or it
-        is a folder that holds anything but Zarr data.
+        If `path` exists and `overwrite` is False, at the start or in the end, or another process is
+        writing it, or it is a folder that holds anything but Zarr data.
     FileNotFoundError
         If its folder does not exist.
     OSError
@@ -228,7 +229,8 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
     Parameters
     ----------
     kept : Path or None
-        A folder that stays after an error, held by one process at a time; None for a temporary one beside `path`.
+        A folder that stays after an error, held by one process at a time; None for a temporary one
+        beside `path`.
 
     Raises
     ------

@@ -197,7 +197,8 @@ def _journal(path: Path) -> Path:
 def hdf5_file(path: Path, mode: str, *, journal: bool = False) -> Iterator[h5py.File]:
     """Open an HDF5 file to make it ("w") or to write into it ("r+"); what the disk refused is raised in the end.
 
-    With a journal the file is changed as a whole: a process that is killed leaves it as it was, for `recover`.
+    With a journal the file is changed as a whole: a process that is killed leaves it as it was, for
+    `recover`.
     """
     import h5py  # slow to import
 
@@ -244,14 +245,16 @@ def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
             name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over
         }
         how |= dict.fromkeys(layout.constant, packed)
-        # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
+        # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any
+        # length.
         how |= {
             str(name): {"dtype": "S1"}
             for name, data in ds.variables.items()
             if data.dtype.kind in "OUT"
         }
         reserve(path, _HEADER)
-        # What this returns would write the zeros of the outline; it is let go, which closes the file.
+        # What this returns would write the zeros of the outline; it is let go, which closes the
+        # file.
         layout.outline().to_netcdf(path, engine="netcdf4", encoding=how, compute=False)
     arrays = [StoredArray(name, name, layout.chunk_shape(name)) for name in layout.over]
     return Hdf5Store(path, arrays, layout)
@@ -262,12 +265,13 @@ NETCDF = Format("NetCDF", _begin_netcdf)
 
 # --- Zarr ------------------------------------------------------------------------------------------------
 
-# Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
+# Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time
+# than its numbers.
 _CHUNK = 4_000_000
 # Bytes of the chunks of all variables, which one task holds.
 _TOGETHER = 128_000_000
-# Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
-# takes longer than writing small chunks.
+# Chunks of one variable are files in one folder: by default each has up to six folders of its own,
+# and making these takes longer than writing small chunks.
 _KEYS = {"name": "default", "separator": "."}
 _NOT_STANDARD = "Consolidated metadata is currently not part"
 
@@ -334,7 +338,8 @@ class _Plain:
 class _Zarr:
     """A Zarr folder, which tasks write to side by side: each has files of its own.
 
-    Plain chunks are written here. Others are left to zarr, which copies each and hands it to a thread.
+    Plain chunks are written here. Others are left to zarr, which copies each and hands it to a
+    thread.
     """
 
     path: Path
@@ -373,7 +378,8 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
         each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
         each |= {name: {"compressors": packed} for name in layout.constant}
         with warnings.catch_warnings():
-            # What xarray looks for first when it opens a store; programs that do not know it pass over it.
+            # What xarray looks for first when it opens a store; programs that do not know it pass
+            # over it.
             warnings.filterwarnings("ignore", _NOT_STANDARD)
             layout.outline().to_zarr(
                 path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False

@@ -107,9 +107,9 @@ def write_series(
 ) -> None:
     """Compute and write steps one by one, as ``name_0000`` and so on with a suffix, and their list as ``name.pvd``.
 
-    All steps are written, in a hidden folder, before the first of them gets its name. An old list goes before its steps
-    are replaced and the new one comes last, so that a list never names steps of two series; old steps that the new
-    series does not have are removed in the end.
+    All steps are written, in a hidden folder, before the first of them gets its name. An old list
+    goes before its steps are replaced and the new one comes last, so that a list never names steps
+    of two series; old steps that the new series does not have are removed in the end.
 
     Parameters
     ----------
@@ -125,7 +125,8 @@ def write_series(
     Raises
     ------
     FileExistsError, FileNotFoundError
-        If a file exists and `overwrite` is False, or the folder is not there; before anything is written.
+        If a file exists and `overwrite` is False, or the folder is not there; before anything is
+        written.
     IsADirectoryError
         If a name is that of a folder; likewise.
     ValueError
@@ -179,8 +180,9 @@ def to_vtu(
 ) -> Path:
     """Write fields onto the mesh whose points or cells they are at, for ParaView.
 
-    Scalars, vectors and tensors become arrays with 1, 3 and 9 components of the mesh's points or cells; a field with
-    phases becomes one array a phase, as in `to_vtkhdf`. Lazy fields are computed step by step.
+    Scalars, vectors and tensors become arrays with 1, 3 and 9 components of the mesh's points or
+    cells; a field with phases becomes one array a phase, as in `to_vtkhdf`. Lazy fields are
+    computed step by step.
 
     Parameters
     ----------
@@ -189,8 +191,8 @@ def to_vtu(
     mesh : str or path
         The file of the mesh.
     path : str or path
-        ``*.vtu``. Of several steps each is a file of its own, ``name_0000.vtu`` and so on, and beside them is
-        ``name.pvd``, which ParaView opens as a series.
+        ``*.vtu``. Of several steps each is a file of its own, ``name_0000.vtu`` and so on, and
+        beside them is ``name.pvd``, which ParaView opens as a series.
     overwrite : bool
         Replace files that exist.
 
@@ -204,8 +206,8 @@ def to_vtu(
     FileExistsError, FileNotFoundError
         If a file exists and `overwrite` is False, or a file or folder is not there.
     ValueError
-        If the fields are not at the points or cells of this mesh: another number of them, or other places; or if some
-        components of vectors are missing, or times are no numbers that rise.
+        If the fields are not at the points or cells of this mesh: another number of them, or other
+        places; or if some components of vectors are missing, or times are no numbers that rise.
     """
     path = Path(path)
     if path.suffix != ".vtu":

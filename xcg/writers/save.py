@@ -20,8 +20,9 @@ from xcg.writers.vtkhdf import VTKHDF, to_vtkhdf
 class Writer(Protocol):
     """Writer of one format: ``write(ds, path, encoding, overwrite=...)``.
 
-    `ds` is a scene, a result or chains, lazy or in memory; `encoding` says how numbers are stored, and
-    ``encoding.reduced(values)`` gives them as they are asked for. The file should appear only when it is whole.
+    `ds` is a scene, a result or chains, lazy or in memory; `encoding` says how numbers are stored,
+    and ``encoding.reduced(values)`` gives them as they are asked for. The file should appear only
+    when it is whole.
     """
 
     def __call__(
@@ -54,8 +55,8 @@ def register_writer(suffix: str, write: Writer) -> None:
     suffix : str
         End of the names that choose it, with its dot.
     write : callable
-        ``write(ds, path, encoding, overwrite=...)``, see `Writer`. `save` has checked that the folder of `path` is
-        there and that the name is free, unless it may be replaced.
+        ``write(ds, path, encoding, overwrite=...)``, see `Writer`. `save` has checked that the
+        folder of `path` is there and that the name is free, unless it may be replaced.
 
     Raises
     ------
@@ -97,41 +98,48 @@ def save(
 ) -> Path:
     """Write a scene or a result, as the name says: NetCDF, HDF5, Zarr or VTKHDF.
 
-    A scene that is opened again with ``xr.open_dataset(path, chunks={})`` or ``xr.open_zarr(path)`` is the same to the
-    last bit, and `ds.cg` works on it. It opens at once, and is read several times as fast as the text it came from.
+    A scene that is opened again with ``xr.open_dataset(path, chunks={})`` or ``xr.open_zarr(path)``
+    is the same to the last bit, and `ds.cg` works on it. It opens at once, and is read several
+    times as fast as the text it came from.
 
-    A lazy Dataset is computed and written one chunk of time after the other by one task each, where xarray's own
-    `to_netcdf` and `to_zarr` make one a variable. So it takes thousands of steps; and it may run on a cluster of
-    processes that see the same folder. While one step is written, others are computed and compressed. A chunk on disk
-    holds the steps of a chunk of the Dataset (one, where it is in memory), or more of them in Zarr where steps are
-    short. Padding of steps with fewer rows takes hardly any room, as it compresses away.
+    A lazy Dataset is computed and written one chunk of time after the other by one task each, where
+    xarray's own `to_netcdf` and `to_zarr` make one a variable. So it takes thousands of steps; and
+    it may run on a cluster of processes that see the same folder. While one step is written, others
+    are computed and compressed. A chunk on disk holds the steps of a chunk of the Dataset (one,
+    where it is in memory), or more of them in Zarr where steps are short. Padding of steps with
+    fewer rows takes hardly any room, as it compresses away.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene or a result, lazy or in memory.
     path : str or path
-        ``*.nc`` for NetCDF 4 (deflate), or ``*.h5`` for the same file, which is HDF5; ``*.zarr`` for a Zarr folder
-        (Zstandard), which is written and read faster, by several tasks at a time; ``*.vtkhdf`` for fields and chains,
-        see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`; ``*.pvd`` for fields as images, one file a step, which
-        ParaView before 5.12 reads, too. It appears only when it is whole.
+        ``*.nc`` for NetCDF 4 (deflate), or ``*.h5`` for the same file, which is HDF5; ``*.zarr``
+        for a Zarr folder (Zstandard), which is written and read faster, by several tasks at a time;
+        ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`;
+        ``*.pvd`` for fields as images, one file a step, which ParaView before 5.12 reads, too. It
+        appears only when it is whole.
     overwrite : bool
         Replace existing files.
     dtype : {"float32", "float64"}, optional
         Type of floating-point numbers on disk; by default their own.
     digits : int, optional
-        Significant digits to keep, 1 to 15: numbers are rounded to a relative error of at most ``0.5 * 10**-digits``,
-        and compress well then. The attribute ``precision`` of each variable says so. By default all are kept.
+        Significant digits to keep, 1 to 15: numbers are rounded to a relative error of at most
+        ``0.5 * 10**-digits``, and compress well then. The attribute ``precision`` of each variable
+        says so. By default all are kept.
     compression : int, optional
-        Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for fields of fewer digits
-        or single precision; none for fields of full precision, which become a fifth smaller only.
+        Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for
+        fields of fewer digits or single precision; none for fields of full precision, which become
+        a fifth smaller only.
     resume : bool
-        Continue a file that an earlier call of this kind began, of the same scene, by the same call, and that was
-        interrupted: steps that are complete are kept. Until the file is whole, it is in a hidden folder beside it,
-        ``.<name>.begun``, which stays when the call fails or its process ends. For NetCDF, HDF5, Zarr and VTKHDF.
+        Continue a file that an earlier call of this kind began, of the same scene, by the same
+        call, and that was interrupted: steps that are complete are kept. Until the file is whole,
+        it is in a hidden folder beside it, ``.<name>.begun``, which stays when the call fails or
+        its process ends. For NetCDF, HDF5, Zarr and VTKHDF.
     progress : bool, optional
-        Show the progress on the standard error: always or never. By default in a terminal or notebook where it takes
-        longer than two seconds. Only lazy variables are counted, except variables that a cluster computes.
+        Show the progress on the standard error: always or never. By default in a terminal or
+        notebook where it takes longer than two seconds. Only lazy variables are counted, except
+        variables that a cluster computes.
 
     Returns
     -------
@@ -145,14 +153,14 @@ def save(
     ImportError
         If Zarr is not installed.
     SceneError
-        If the file to resume was begun for another scene or by another call; the message says what differs. If a
-        finite number is beyond the range of `dtype`; the message names the variable.
+        If the file to resume was begun for another scene or by another call; the message says what
+        differs. If a finite number is beyond the range of `dtype`; the message names the variable.
     TypeError
         If variables are quantities of pint.
     ValueError
-        If the name ends otherwise, `resume` is asked for in another format, `dtype`, `digits` or `compression` is
-        none of those above, or the format does not take it: chains in VTKHDF take none of the three, ``*.pvd`` takes no
-        `compression`.
+        If the name ends otherwise, `resume` is asked for in another format, `dtype`, `digits` or
+        `compression` is none of those above, or the format does not take it: chains in VTKHDF take
+        none of the three, ``*.pvd`` takes no `compression`.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:

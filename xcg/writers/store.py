@@ -1,8 +1,9 @@
 """Writing Datasets step by step, in one way for all formats, and continuing what was interrupted.
 
-One task a chunk of time computes, encodes and writes all variables of it, and keeps none. So memory holds the chunks
-that are being worked on, every input file is parsed once, and a scheduler has one task where xarray's own writers make
-one a variable. Tasks find the file by its name, so that they may run in any process.
+One task a chunk of time computes, encodes and writes all variables of it, and keeps none. So memory
+holds the chunks that are being worked on, every input file is parsed once, and a scheduler has one
+task where xarray's own writers make one a variable. Tasks find the file by its name, so that they
+may run in any process.
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ class StoreLayout:
     ) -> StoreLayout:
         """Prepare a Dataset; `together` chooses the steps in a chunk on disk, by default those in a chunk of it."""
         ds = encoding.noted(storable(ds.drop_encoding()))
-        # texts and dates are left to xarray, which writes them as something else; coordinates in memory are small
+        # texts and dates are left to xarray, which writes them as something else; coordinates in
+        # memory are small
         numbers = {
             name: v
             for name, v in ds.variables.items()
@@ -177,7 +179,8 @@ class Format:
     name : str
         Its name.
     begin : callable
-        ``begin(layout, path, begun)`` lays out a file, unless it is `begun`, and returns its `Store`.
+        ``begin(layout, path, begun)`` lays out a file, unless it is `begun`, and returns its
+        `Store`.
     check : callable
         Refuses a Dataset that the format cannot hold, and brings it into its form.
     together : callable, optional
@@ -260,8 +263,8 @@ def write_files(
     overwrite : bool
         Replace files that exist.
     work : Path, optional
-        Hidden folder for what is not whole yet, which stays after an error and is continued by the next run. By default
-        a temporary one.
+        Hidden folder for what is not whole yet, which stays after an error and is continued by the
+        next run. By default a temporary one.
     about : mapping of str to str
         Distinguishes this run from others of the same Dataset, and names what differs.
     batch : int, optional
@@ -475,8 +478,8 @@ class Log:
 def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict[str, str]:
     """Describe what is written, by names that a message can use.
 
-    Names of dask's tasks represent lazy values: they follow from the files, as they were when they were opened, and
-    from the call.
+    Names of dask's tasks represent lazy values: they follow from the files, as they were when they
+    were opened, and from the call.
     """
     state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding)}
     for name, data in ds.variables.items():

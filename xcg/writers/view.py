@@ -49,26 +49,28 @@ def to_pyvista(
     Parameters
     ----------
     ds : xarray.Dataset
-        A result on evenly spaced nodes along x, y and z, a scene, or a result of `force_chains`. Only this step is
-        computed.
+        A result on evenly spaced nodes along x, y and z, a scene, or a result of `force_chains`.
+        Only this step is computed.
     time : int
         Which step, by position; the last one by default.
     shapes : bool
-        Of scenes and chains: spheres in place of points, and tubes in place of lines, whose radius grows with the force
-        (up to 0.3 mean radii of the grains at the 98th percentile of the forces).
+        Of scenes and chains: spheres in place of points, and tubes in place of lines, whose radius
+        grows with the force (up to 0.3 mean radii of the grains at the 98th percentile of the
+        forces).
     chains : xarray.Dataset, optional
         Of a scene: its result of `force_chains`, to be in the same mesh.
 
     Returns
     -------
     pyvista.ImageData, pyvista.MultiBlock or pyvista.PolyData
-        Of a result, an image: fields are point data with 1, 3 or 9 components (xx, xy, xz, yx, ...), as in
-        `to_vtkhdf`; of phases one array each. Nodes where a field is unknown hold NaN, which `view` leaves out and
-        ``image.threshold(scalars=...)`` takes away.
+        Of a result, an image: fields are point data with 1, 3 or 9 components (xx, xy, xz, yx,
+        ...), as in `to_vtkhdf`; of phases one array each. Nodes where a field is unknown hold NaN,
+        which `view` leaves out and ``image.threshold(scalars=...)`` takes away.
 
-        Of a scene, blocks: "particles", "contacts", "chains" and "box", those there are, with the scene's variables. A
-        contact is two lines, from the centre of each of its grains to the contact point, so that none crosses a
-        periodic box; they also hold ``force_magnitude`` (N). Of chains, their links, with the arrays of `to_vtp`.
+        Of a scene, blocks: "particles", "contacts", "chains" and "box", those there are, with the
+        scene's variables. A contact is two lines, from the centre of each of its grains to the
+        contact point, so that none crosses a periodic box; they also hold ``force_magnitude`` (N).
+        Of chains, their links, with the arrays of `to_vtp`.
 
         ``user_dict`` of a mesh or block has the ``units`` of its arrays, and ``time``.
 
@@ -77,7 +79,8 @@ def to_pyvista(
     ImportError
         If PyVista is not installed.
     ValueError
-        If the step does not exist, or the fields form no image: on a cylinder, at points, or on uneven nodes.
+        If the step does not exist, or the fields form no image: on a cylinder, at points, or on
+        uneven nodes.
 
     Examples
     --------
@@ -236,17 +239,17 @@ def view(
 ) -> pyvista.Plotter:
     """Draw one step of a result, a scene or force chains in 3D, with PyVista.
 
-    A volume is cut along three planes through its middle, without nodes where the field is unknown; a plane is drawn in
-    space. A scene is its grains, a result of `force_chains` its links.
+    A volume is cut along three planes through its middle, without nodes where the field is unknown;
+    a plane is drawn in space. A scene is its grains, a result of `force_chains` its links.
 
     Parameters
     ----------
     ds : xarray.Dataset
         As `to_pyvista` takes it.
     field : str, optional
-        What colours show: a field, a variable of the grains, or an array of chains. By default the first field but
-        `sample_count`; the velocity of grains, or their diameter; the stress of links. Of a vector or tensor it is
-        the magnitude.
+        What colours show: a field, a variable of the grains, or an array of chains. By default the
+        first field but `sample_count`; the velocity of grains, or their diameter; the stress of
+        links. Of a vector or tensor it is the magnitude.
     time : int
         Which step, by position; the last one by default.
     component, direction : str, optional
@@ -262,8 +265,9 @@ def view(
     clim : tuple of float, optional
         Ends of the colours.
     plotter : pyvista.Plotter, optional
-        Where to draw, without showing it. By default a new one, which is shown: in a notebook as a picture, or one to
-        turn with the mouse where ``pip install 'pyvista[jupyter]'`` was done, else in a window.
+        Where to draw, without showing it. By default a new one, which is shown: in a notebook as a
+        picture, or one to turn with the mouse where ``pip install 'pyvista[jupyter]'`` was done,
+        else in a window.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """VTKHDF: results as one temporal image, for ParaView (5.12 and later) and ``vtkHDFReader``.
 
-The file holds what the reader was found to read back, not all that its description allows: axes with one node
-do not appear in the shape of arrays, and a file with a single step has no time axis either. Of a single step
-VTK does not report the time; it is in ``Steps/Values`` all the same.
+The file holds what the reader was found to read back, not all that its description allows: axes
+with one node do not appear in the shape of arrays, and a file with a single step has no time axis
+either. Of a single step VTK does not report the time; it is in ``Steps/Values`` all the same.
 """
 
 from __future__ import annotations
@@ -45,21 +45,22 @@ def to_vtkhdf(
 ) -> Path:
     """Write a result as one VTKHDF file, an image with time steps.
 
-    Scalars, vectors (``component``) and tensors (``component``, ``direction``) become point data with 1, 3
-    and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases becomes one array a
-    phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1". Results with fewer axes become
-    images with one node along the others, at the coordinate given by ``at`` or at 0. Integers stay integers.
-    Attributes of a field (units, long_name) are on its array, attributes of `fields` on the group ``/xcg``.
+    Scalars, vectors (``component``) and tensors (``component``, ``direction``) become point data
+    with 1, 3 and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases
+    becomes one array a phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1".
+    Results with fewer axes become images with one node along the others, at the coordinate given by
+    ``at`` or at 0. Integers stay integers. Attributes of a field (units, long_name) are on its
+    array, attributes of `fields` on the group ``/xcg``.
 
-    Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk is gone from memory
-    when the next one comes and every input file is parsed once. Under a distributed scheduler the workers write, and
-    must see the same folder.
+    Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk
+    is gone from memory when the next one comes and every input file is parsed once. Under a
+    distributed scheduler the workers write, and must see the same folder.
 
     Parameters
     ----------
     fields : xarray.Dataset
-        A result of `xcg.coarse_grain`: dimensions among time, phase, x, y, z, component and direction, with
-        evenly spaced nodes.
+        A result of `xcg.coarse_grain`: dimensions among time, phase, x, y, z, component and
+        direction, with evenly spaced nodes.
     path : str or path
         The file to write, by custom ``*.vtkhdf``. It appears only when it is whole.
     overwrite : bool
@@ -67,8 +68,8 @@ def to_vtkhdf(
     dtype, digits
         Type and significant digits of floating-point numbers, as in `xcg.save`.
     compression : int, optional
-        Level of gzip, 1 to 9, or 0 for none; by default 1 for fields of fewer digits or single precision, else none,
-        which writes as fast as the disk takes it.
+        Level of gzip, 1 to 9, or 0 for none; by default 1 for fields of fewer digits or single
+        precision, else none, which writes as fast as the disk takes it.
 
     Returns
     -------
@@ -82,9 +83,9 @@ def to_vtkhdf(
     FileNotFoundError
         If its folder does not exist.
     ValueError
-        If `dtype`, `digits` or `compression` is unknown.
-        If the fields do not form an image: unknown dimensions, nodes that are not evenly spaced, no time
-        steps, or values that are not numbers.
+        If `dtype`, `digits` or `compression` is unknown. If the fields do not form an image:
+        unknown dimensions, nodes that are not evenly spaced, no time steps, or values that are not
+        numbers.
     """
     options = {"dtype": dtype, "digits": digits, "compression": compression}
     given = [f"{name}=" for name, value in options.items() if value is not None]

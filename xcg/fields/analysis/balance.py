@@ -170,13 +170,14 @@ class BalanceRequest(SharedOptions):
     Parameters
     ----------
     width : float or str, optional
-        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). A spacing of a quarter
-        of the width or less resolves the kernel.
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). A
+        spacing of a quarter of the width or less resolves the kernel.
     at : mapping, optional
         Refused unless empty: no derivative is taken along a fixed axis.
     of : list of str, optional
-        What is balanced: any of "force", "torque" and "power" at each step, and of "mass", "momentum", "spin" and
-        "energy" between steps. By default force, mass and momentum, as far as the scene allows.
+        What is balanced: any of "force", "torque" and "power" at each step, and of "mass",
+        "momentum", "spin" and "energy" between steps. By default force, mass and momentum, as far
+        as the scene allows.
     """
 
     width: float | str | None = None
@@ -190,24 +191,28 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
 
     With div by central differences of fourth order between the nodes,
 
-    - ``force_residual`` = div sigma^c + sum_i F_i Psi - t, at each step: zero for the exact divergence, so that
-      it shows how well the mesh resolves the kernel;
-    - ``torque_residual`` = div C + sum_i T_i Psi - c, likewise, with C the couple stress, T_i the torque of the contact
-      forces on a grain, and c the couple of contact forces at the contact points;
-    - ``power_residual`` = div q_c + sum_i (F_i.v_i + T_i.omega_i) Psi + Gamma - w, likewise, with q_c the contact
-      energy flux, Gamma the dissipation rate and w the power of moving walls;
+    - ``force_residual`` = div sigma^c + sum_i F_i Psi - t, at each step: zero for the exact
+      divergence, so that it shows how well the mesh resolves the kernel;
+    - ``torque_residual`` = div C + sum_i T_i Psi - c, likewise, with C the couple stress, T_i the
+      torque of the contact forces on a grain, and c the couple of contact forces at the contact
+      points;
+    - ``power_residual`` = div q_c + sum_i (F_i.v_i + T_i.omega_i) Psi + Gamma - w, likewise, with
+      q_c the contact energy flux, Gamma the dissipation rate and w the power of moving walls;
     - ``mass_residual`` = d rho/dt + div p, between consecutive steps;
-    - ``momentum_residual`` = d p/dt + div(rho V V + sigma) - rho g - t, between consecutive steps (with g);
-    - ``spin_residual`` = d s/dt + div(sum I omega v Psi + C) - c, likewise, with s the spin density;
-    - ``energy_residual`` = d e/dt + div(sum e_i v_i Psi + q_c) - p.g + Gamma - w, likewise (with g), with e the density
-      of the kinetic energy.
+    - ``momentum_residual`` = d p/dt + div(rho V V + sigma) - rho g - t, between consecutive steps
+      (with g);
+    - ``spin_residual`` = d s/dt + div(sum I omega v Psi + C) - c, likewise, with s the spin
+      density;
+    - ``energy_residual`` = d e/dt + div(sum e_i v_i Psi + q_c) - p.g + Gamma - w, likewise (with
+      g), with e the density of the kinetic energy.
 
-    Rates are differences of two steps, the other terms their mean, so that these fall with the square of the time
-    between the steps; consecutive frames of a usual series are far too far apart.
+    Rates are differences of two steps, the other terms their mean, so that these fall with the
+    square of the time between the steps; consecutive frames of a usual series are far too far
+    apart.
 
     With `by`, each phase has its residuals: t is then what walls and the other phases do to it
-    (``interphase_force``), and the flux of its momentum is p_a V + V J_a + sigma_a, with V the bulk's velocity, which
-    its stress is about, and J_a = rho_a (V_a - V) (``segregation_flux``).
+    (``interphase_force``), and the flux of its momentum is p_a V + V J_a + sigma_a, with V the
+    bulk's velocity, which its stress is about, and J_a = rho_a (V_a - V) (``segregation_flux``).
 
     Parameters
     ----------
@@ -218,20 +223,23 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The residuals (N m-3, N m-2, W m-3, kg m-3 s-1), and for each ``<name>_norm`` (time): its root mean square over
-        the nodes, relative to that of its largest term. Between steps, ``time`` is that in the middle.
+        The residuals (N m-3, N m-2, W m-3, kg m-3 s-1), and for each ``<name>_norm`` (time): its
+        root mean square over the nodes, relative to that of its largest term. Between steps,
+        ``time`` is that in the middle.
 
     Raises
     ------
     SceneError
         If the scene lacks what the fields need, or its times are not known or do not rise.
     ValueError
-        If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset; if
-        `of` names no such balance or a quantity that the scene lacks, or torque, power, spin or energy with `by`.
+        If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or
+        with a preset; if `of` names no such balance or a quantity that the scene lacks, or torque,
+        power, spin or energy with `by`.
 
     Notes
     -----
-    Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic (1997).
+    Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic
+    (1997).
     """
     if asked.at:
         raise ValueError(

@@ -31,9 +31,9 @@ def derive_director(
 ) -> xr.Dataset:
     """Add the director of each grain: an axis of its body, turned by its quaternion; lazy where the scene is.
 
-    ``n = q a q*`` with q = (w, x, y, z) the rotation from the body's axes to the axes of space, as LAMMPS
-    (``c_q[1]`` ... of ``compute property/atom quatw quati quatj quatk``) and MFiX write it. Take the longest axis of a
-    prolate body, and the shortest of an oblate one.
+    ``n = q a q*`` with q = (w, x, y, z) the rotation from the body's axes to the axes of space, as
+    LAMMPS (``c_q[1]`` ... of ``compute property/atom quatw quati quatj quatk``) and MFiX write it.
+    Take the longest axis of a prolate body, and the shortest of an oblate one.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def derive_director(
     Returns
     -------
     xarray.Dataset
-        The scene with ``director`` (component), of length 1. If it holds angular velocities, ``body_angular_velocity``
-        (component, 1/s) is added: their components along the axes of the body, so that its z is the spin about the
-        body's z axis, and x and y are tumbling.
+        The scene with ``director`` (component), of length 1. If it holds angular velocities,
+        ``body_angular_velocity`` (component, 1/s) is added: their components along the axes of the
+        body, so that its z is the spin about the body's z axis, and x and y are tumbling.
 
     Raises
     ------
@@ -116,7 +116,8 @@ def derive_superquadric(
         int x^2   = 1/2 a^3 b c e1 e2 B(3 e2/2, e2/2) B(e1/2, 2 e1 + 1)      (y^2 with b^3)
         int z^2   = 2 a b c^3 e1 e2 B(e2/2, e2/2 + 1) B(3 e1/2, e1 + 1)
 
-    Source: Jaklic, Leonardis & Solina (2000), Segmentation and Recovery of Superquadrics, chapter 2.
+    Source: Jaklic, Leonardis & Solina (2000), Segmentation and Recovery of Superquadrics, chapter
+    2.
 
     Parameters
     ----------
@@ -125,17 +126,18 @@ def derive_superquadric(
     half_axes : three names
         Of a, b and c.
     exponents : two names or numbers, optional
-        n1 and n2, by default ``exponent_1`` and ``exponent_2`` where the scene holds them, else 2. Ellipsoids have 2
-        and 2, boxes with sharp edges large ones, such as 1e6.
+        n1 and n2, by default ``exponent_1`` and ``exponent_2`` where the scene holds them, else 2.
+        Ellipsoids have 2 and 2, boxes with sharp edges large ones, such as 1e6.
     density : float, optional
         Of the material (kg/m^3). Without it the scene's masses are kept, or else its densities.
 
     Returns
     -------
     xarray.Dataset
-        The scene with ``volume`` (m^3), ``mass`` (kg), ``density``, ``diameter`` (m) of the sphere of equal volume,
-        ``principal_inertia`` (component, kg m^2) about the body's axes, and their mean ``moment_of_inertia``, which the
-        fields of rotation take: exact where the three are equal.
+        The scene with ``volume`` (m^3), ``mass`` (kg), ``density``, ``diameter`` (m) of the sphere
+        of equal volume, ``principal_inertia`` (component, kg m^2) about the body's axes, and their
+        mean ``moment_of_inertia``, which the fields of rotation take: exact where the three are
+        equal.
 
     Raises
     ------
@@ -228,11 +230,12 @@ _LARGE_SHARE = 0.25  # of a period
 def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     """Add velocities from positions by differences in time; lazy where the scene is.
 
-    ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id; one-sided in the first and last step, and
-    where a particle is missing before or after. Exact for constant acceleration and even steps. Across periodic edges
-    particles are followed by ``image`` of the scene. Without it the image nearest relative to the box is taken, and
-    steps have to be so close that no particle moves by half a period: from there on the nearest image is another one,
-    and the velocity is wrong.
+    ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id; one-sided in the first
+    and last step, and where a particle is missing before or after. Exact for constant acceleration
+    and even steps. Across periodic edges particles are followed by ``image`` of the scene. Without
+    it the image nearest relative to the box is taken, and steps have to be so close that no
+    particle moves by half a period: from there on the nearest image is another one, and the
+    velocity is wrong.
 
     Parameters
     ----------
@@ -242,8 +245,8 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The scene with ``velocity`` (m/s), in place of a former one; NaN for particles that are in no neighbouring step:
-        leave these out, ``ds.where(ds.velocity.notnull().all("component"))``.
+        The scene with ``velocity`` (m/s), in place of a former one; NaN for particles that are in
+        no neighbouring step: leave these out, ``ds.where(ds.velocity.notnull().all("component"))``.
 
     Raises
     ------
@@ -253,8 +256,8 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     Warns
     -----
     SceneWarning
-        When it is computed, if a particle moves by more than a quarter of a period between two steps, and the scene
-        has no ``image``.
+        When it is computed, if a particle moves by more than a quarter of a period between two
+        steps, and the scene has no ``image``.
 
     Examples
     --------

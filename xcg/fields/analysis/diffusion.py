@@ -38,49 +38,53 @@ def mean_squared_displacement(
 ) -> xr.Dataset:
     """Mean squared displacement of the grains over several lags, and their self-diffusion (computes, step by step).
 
-    Grains are followed by their ids from step to step, across periodic edges by ``image`` of the scene, else by the
-    image that moves least relative to the box, and each step and the one `lag` steps later are a pair. As many steps
-    as the longest lag are in memory.
+    Grains are followed by their ids from step to step, across periodic edges by ``image`` of the
+    scene, else by the image that moves least relative to the box, and each step and the one `lag`
+    steps later are a pair. As many steps as the longest lag are in memory.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene of several steps at equal distances.
     lags : int or list of int, optional
-        Numbers of steps; one number for all up to it. By default 1, 2, 4, ... up to half of the steps.
+        Numbers of steps; one number for all up to it. By default 1, 2, 4, ... up to half of the
+        steps.
     by : str, optional
-        An integer variable of the particles: adds the dimension ``phase`` with "bulk" first. A grain is of the phase
-        that it has at the first step of a pair.
+        An integer variable of the particles: adds the dimension ``phase`` with "bulk" first. A
+        grain is of the phase that it has at the first step of a pair.
     groups : list of int, optional
         All values of `by`, where they are not known without reading.
     remove_drift : bool
         Subtract, at each step, the mean displacement of all grains (default).
     fit : (float, float), optional
-        First and last lag (s) of the range where the mean squared displacement is linear in the lag: asks for
-        self-diffusion.
+        First and last lag (s) of the range where the mean squared displacement is linear in the
+        lag: asks for self-diffusion.
 
     Returns
     -------
     xarray.Dataset
-        ``mean_squared_displacement`` (lag, phase), the sum over the axes of the scene, ``displacement_products`` (..,
-        component, direction), the mean of u_a u_b, and ``pair_count``, how many displacements are in them; with `fit`
-        ``self_diffusion`` (phase, component, direction), half of the slope of ``displacement_products`` in a straight
-        line by least squares, and ``diffusion_coefficient``, its trace over the number of dimensions. Standard errors
-        are ``<name>_error``, from blocks of the first steps of pairs as in `time_average`.
+        ``mean_squared_displacement`` (lag, phase), the sum over the axes of the scene,
+        ``displacement_products`` (.., component, direction), the mean of u_a u_b, and
+        ``pair_count``, how many displacements are in them; with `fit` ``self_diffusion`` (phase,
+        component, direction), half of the slope of ``displacement_products`` in a straight line by
+        least squares, and ``diffusion_coefficient``, its trace over the number of dimensions.
+        Standard errors are ``<name>_error``, from blocks of the first steps of pairs as in
+        `time_average`.
 
     Raises
     ------
     SceneError
-        If times are not known, the steps are not at equal distances, or one has no grain of the step before.
+        If times are not known, the steps are not at equal distances, or one has no grain of the
+        step before.
     ValueError
         If a lag or the range of the fit does not fit the series.
 
     Notes
     -----
-    ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside the motion of the
-    box; in a flow that differs from place to place, those of the flow are in them: take ``d2min`` and
-    ``self_diffusion`` of `displacement`, which leave out its linear part. Grains that leave and come back are new ones;
-    frozen ones do not count.
+    ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside
+    the motion of the box; in a flow that differs from place to place, those of the flow are in
+    them: take ``d2min`` and ``self_diffusion`` of `displacement`, which leave out its linear part.
+    Grains that leave and come back are new ones; frozen ones do not count.
 
     Examples
     --------

@@ -54,12 +54,13 @@ def plot(
 ) -> Axes:
     """Draw one field of a result: a profile along one axis, or a map over two.
 
-    Profiles show one line for each component of a vector or for each phase, and a band of one standard error on both
-    sides where the result has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
-    where the field is unknown. A map of a vector shows its magnitude, and its direction as arrows, which are left out
-    where they would be dots (below a tenth of the 98th percentile of all). A map over r and theta lies in the plane of
-    the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume, the slice
-    in the middle of its shortest axis is drawn.
+    Profiles show one line for each component of a vector or for each phase, and a band of one
+    standard error on both sides where the result has errors (`time_average`). The axis z stands
+    upright. Maps show numbers as colours, white where the field is unknown. A map of a vector shows
+    its magnitude, and its direction as arrows, which are left out where they would be dots (below a
+    tenth of the 98th percentile of all). A map over r and theta lies in the plane of the circle;
+    one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
+    the slice in the middle of its shortest axis is drawn.
 
     Parameters
     ----------
@@ -70,26 +71,28 @@ def plot(
     time : int
         Which step, by position; the last one by default.
     component, direction : str, optional
-        "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw. A tensor needs
-        both.
+        "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw.
+        A tensor needs both.
     phase : int or str, optional
         Which phase; the bulk by default in maps, all phases in profiles.
     at : mapping, optional
         Where a volume is cut, for example ``{"y": 10.0}`` (m; the nearest nodes are drawn).
     arrows : str, optional
-        The vector field that arrows show on a map. By default a map of a vector shows that vector ("auto"), and other
-        maps have no arrows; None for no arrows.
+        The vector field that arrows show on a map. By default a map of a vector shows that vector
+        ("auto"), and other maps have no arrows; None for no arrows.
     shading : {"smooth", "flat"}
-        "smooth" interpolates linearly between the nodes of a map that are known; "flat" gives each node one colour.
+        "smooth" interpolates linearly between the nodes of a map that are known; "flat" gives each
+        node one colour.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
     cmap : str, optional
-        Colours of a map, by the names of matplotlib. By default "viridis", or "RdBu_r" with white for zero where both
-        signs matter: of the 2nd and the 98th percentile of the numbers that are not zero one is negative, one is
-        positive, and the smaller is at least a tenth of the larger.
+        Colours of a map, by the names of matplotlib. By default "viridis", or "RdBu_r" with white
+        for zero where both signs matter: of the 2nd and the 98th percentile of the numbers that are
+        not zero one is negative, one is positive, and the smaller is at least a tenth of the
+        larger.
     vmin, vmax : float, optional
-        Ends of the colours of a map; the smallest and largest number by default. If both signs matter, one end is minus
-        the other.
+        Ends of the colours of a map; the smallest and largest number by default. If both signs
+        matter, one end is minus the other.
 
     Returns
     -------
@@ -100,7 +103,8 @@ def plot(
     ImportError
         If matplotlib is not installed.
     ValueError
-        If the result has no such field, no axes to draw along, or a part has to be named, or an argument is wrong.
+        If the result has no such field, no axes to draw along, or a part has to be named, or an
+        argument is wrong.
 
     Examples
     --------
@@ -147,7 +151,8 @@ def movie(
     Parameters
     ----------
     f : xarray.Dataset
-        A result with several steps, lazy or in memory. What is drawn of all steps is held in memory.
+        A result with several steps, lazy or in memory. What is drawn of all steps is held in
+        memory.
     path : str or path
         ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
     field, component, direction, phase, at, arrows, shading, cmap, vmin, vmax
@@ -157,7 +162,8 @@ def movie(
     dpi : float
         Dots in an inch; a frame is 7 by 5 inches.
     progress : bool, optional
-        Show the progress on the standard error; by default in a terminal or notebook where it takes long.
+        Show the progress on the standard error; by default in a terminal or notebook where it takes
+        long.
 
     Returns
     -------

@@ -45,12 +45,13 @@ class SweepRequest(SharedOptions):
     fields : str, quantity, or list of these, optional
         Names of fields, or quantities, as in `coarse_grain`.
     at : mapping, optional
-        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``), or DataArrays
-        as in `coarse_grain`. Axes not named are averaged, unless ``axes`` resolves them; None averages over the whole
-        box.
+        Points: one number an axis, or lists of the same length, one entry a point (dimension
+        ``point``), or DataArrays as in `coarse_grain`. Axes not named are averaged, unless ``axes``
+        resolves them; None averages over the whole box.
     threshold : float
-        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles. Also the largest bias
-        of a width that is not too wide, relative to the largest value of the field.
+        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
+        Also the largest bias of a width that is not too wide, relative to the largest value of the
+        field.
     """
 
     widths: Sequence[float | str]
@@ -64,8 +65,9 @@ class SweepRequest(SharedOptions):
 def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths: the bias of each width, and the plateau of each field.
 
-    The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below `threshold` there; it
-    takes three widths or more. Lazy where the scene is; computed in one go, all widths share one pass over the files.
+    The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below
+    `threshold` there; it takes three widths or more. Lazy where the scene is; computed in one go,
+    all widths share one pass over the files.
 
     Parameters
     ----------
@@ -76,10 +78,11 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The fields with the dimension ``width`` (m), and for each ``<field>_bias``, what the width adds to the field by
-        smearing it; ``<field>_extrapolated``, the field less its bias; ``<field>_too_wide``, whether the bias exceeds
-        `threshold` times the largest value of the field in the step. Of three widths or more also ``<field>_slope``,
-        ``<field>_plateau_width`` (m, NaN without a plateau) and ``<field>_plateau`` (the value there).
+        The fields with the dimension ``width`` (m), and for each ``<field>_bias``, what the width
+        adds to the field by smearing it; ``<field>_extrapolated``, the field less its bias;
+        ``<field>_too_wide``, whether the bias exceeds `threshold` times the largest value of the
+        field in the step. Of three widths or more also ``<field>_slope``, ``<field>_plateau_width``
+        (m, NaN without a plateau) and ``<field>_plateau`` (the value there).
 
     Raises
     ------
@@ -88,11 +91,12 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
 
     Notes
     -----
-    A kernel of the width w smears a field f to ``f_w = f + (mu_2 / 2) laplace f + O(w^4)``, its second moment ``mu_2``
-    in proportion to w^2. Two widths give the bias ``f_w - f = (f_w' - f_w) w^2 / (w'^2 - w^2)``, of each width with
-    the next wider one (the widest with the one before). It is right to a third where it is below a fifth of the field;
-    beside walls, surfaces and bands thinner than the width it is large, but no more than a sign that the width is too
-    large there. The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
+    A kernel of the width w smears a field f to ``f_w = f + (mu_2 / 2) laplace f + O(w^4)``, its
+    second moment ``mu_2`` in proportion to w^2. Two widths give the bias ``f_w - f = (f_w' - f_w)
+    w^2 / (w'^2 - w^2)``, of each width with the next wider one (the widest with the one before). It
+    is right to a third where it is below a fifth of the field; beside walls, surfaces and bands
+    thinner than the width it is large, but no more than a sign that the width is too large there.
+    The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
     """
     measured = describe(ds).sizes
     lengths = sorted({resolve_width(width, measured) for width in asked.widths})
@@ -245,7 +249,8 @@ class ChoiceRequest(SharedOptions):
     target : float
         Largest error wanted, relative to the size of each field.
     widths : list of float or str
-        Three or more widths to measure at (m), or multiples of sizes; by default seven from 0.5 to 4 d43.
+        Three or more widths to measure at (m), or multiples of sizes; by default seven from 0.5 to
+        4 d43.
     sample : int
         Number of frames, spread over the scene, that bias and noise are measured on.
     """
@@ -282,28 +287,31 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        With the dimension ``width`` (m), relative to the root mean square of each field: ``<field>_bias``,
-        ``<field>_noise`` of one frame, ``<field>_total``, the error of the average over `frames` frames, and ``total``,
-        the largest of the fields'. All are root mean squares over the nodes, weighted by the number of particles; NaN
-        where more than a tenth of the particles are at nodes where the field is unknown. As numbers: ``best_width`` (m)
-        with ``best_bias``, ``best_noise`` (of the average) and ``best_total``; ``best_spacing`` (m), the widest spacing
-        at which linear interpolation between nodes adds less than 5 % to the error; ``target_width`` (m) and
-        ``target_frames``, the width that reaches `target` with the fewest frames and their number, NaN where none does.
+        With the dimension ``width`` (m), relative to the root mean square of each field:
+        ``<field>_bias``, ``<field>_noise`` of one frame, ``<field>_total``, the error of the
+        average over `frames` frames, and ``total``, the largest of the fields'. All are root mean
+        squares over the nodes, weighted by the number of particles; NaN where more than a tenth of
+        the particles are at nodes where the field is unknown. As numbers: ``best_width`` (m) with
+        ``best_bias``, ``best_noise`` (of the average) and ``best_total``; ``best_spacing`` (m), the
+        widest spacing at which linear interpolation between nodes adds less than 5 % to the error;
+        ``target_width`` (m) and ``target_frames``, the width that reaches `target` with the fewest
+        frames and their number, NaN where none does.
 
     Raises
     ------
     ValueError
-        If an argument is wrong, or a field without an error of a single frame (a density, contact stress) is asked for
-        in a scene of one frame.
+        If an argument is wrong, or a field without an error of a single frame (a density, contact
+        stress) is asked for in a scene of one frame.
 
     Notes
     -----
-    A narrow kernel sees few particles, a wide one smears gradients. The error of the average over n frames is
-    ``sqrt(bias(w)^2 + noise(w)^2 / n)``. The bias comes from the differences between neighbouring widths, less their
-    noise, as a power of the width that is fitted to them: 2 in smooth flow, as `width_sweep` assumes at each node, and
-    about 1 where walls or jumps lead. The noise is the error of one frame (``coarse_grain(errors=True)``) or the
-    scatter of the frames, whichever is larger: slow changes of the flow count as noise. Both are interpolated as powers
-    of the width.
+    A narrow kernel sees few particles, a wide one smears gradients. The error of the average over n
+    frames is ``sqrt(bias(w)^2 + noise(w)^2 / n)``. The bias comes from the differences between
+    neighbouring widths, less their noise, as a power of the width that is fitted to them: 2 in
+    smooth flow, as `width_sweep` assumes at each node, and about 1 where walls or jumps lead. The
+    noise is the error of one frame (``coarse_grain(errors=True)``) or the scatter of the frames,
+    whichever is larger: slow changes of the flow count as noise. Both are interpolated as powers of
+    the width.
 
     Examples
     --------
@@ -410,7 +418,8 @@ def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, ND
 def _integrate(change: NDArray, widths: NDArray) -> NDArray:
     """Return the bias of each width from its changes between widths: a power of the width that is fitted to them.
 
-    The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c (w_k+1^p - w_k^p)``.
+    The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c
+    (w_k+1^p - w_k^p)``.
     """
     there = change > 0
     power = 2.0

@@ -1,7 +1,8 @@
 """Without a kernel: the solid volume in the cells of a mesh, and the granular temperature in slices.
 
-Each grain's own volume is shared exactly among the cells that it overlaps. Slices are overlapping planes or bins; both
-are coarser than `xcg.coarse_grain` and are here for comparison with what was published with them.
+Each grain's own volume is shared exactly among the cells that it overlaps. Slices are overlapping
+planes or bins; both are coarser than `xcg.coarse_grain` and are here for comparison with what was
+published with them.
 """
 
 from __future__ import annotations
@@ -86,30 +87,35 @@ def cell_volumes(
 ) -> xr.Dataset:
     """Share the volume of each grain among the cells of a mesh that it overlaps, exactly; lazy where the scene is.
 
-    No kernel is chosen: a sphere counts in a cell by the part of it that lies inside, in closed form, so that the solid
-    volume of all cells is that of the grains to rounding. This is what fluid solvers of coupled runs (CFD-DEM) ask for.
-    Fields jump where grains leave cells; smooth fields and stress take a kernel, see `coarse_grain`.
+    No kernel is chosen: a sphere counts in a cell by the part of it that lies inside, in closed
+    form, so that the solid volume of all cells is that of the grains to rounding. This is what
+    fluid solvers of coupled runs (CFD-DEM) ask for. Fields jump where grains leave cells; smooth
+    fields and stress take a kernel, see `coarse_grain`.
 
     Parameters
     ----------
     ds : xarray.Dataset
-        A scene with ``diameter`` and ``volume``. Discs (a scene of one layer whose volumes differ from spheres)
-        are shared by their areas; other shapes as spheres of their diameter.
+        A scene with ``diameter`` and ``volume``. Discs (a scene of one layer whose volumes differ
+        from spheres) are shared by their areas; other shapes as spheres of their diameter.
     spacing : float or mapping
-        Size of the cells (m), for all axes or by axis. Periodic axes without bounds take the nearest that divides them.
+        Size of the cells (m), for all axes or by axis. Periodic axes without bounds take the
+        nearest that divides them.
     axes : str, optional
-        Axes that are divided into cells, all of the scene by default; cells reach through the box along the others.
+        Axes that are divided into cells, all of the scene by default; cells reach through the box
+        along the others.
     bounds : mapping, optional
-        First and last centre of the cells by axis (m), as in `coarse_grain`; by default cells cover all grains.
+        First and last centre of the cells by axis (m), as in `coarse_grain`; by default cells cover
+        all grains.
     by, groups, on_error
         As in `coarse_grain`.
 
     Returns
     -------
     xarray.Dataset
-        On the centres of the cells, (time, axes, phase): ``volume_fraction``, ``void_fraction``, ``number_density``
-        (m-3, parts of grains counted by their share), ``density``, and, where the scene has velocities,
-        ``momentum_density`` and ``velocity``, the mean weighted by the mass inside.
+        On the centres of the cells, (time, axes, phase): ``volume_fraction``, ``void_fraction``,
+        ``number_density`` (m-3, parts of grains counted by their share), ``density``, and, where
+        the scene has velocities, ``momentum_density`` and ``velocity``, the mean weighted by the
+        mass inside.
 
     Raises
     ------
@@ -265,32 +271,33 @@ def slice_temperature(
     axis : str
         The axis that slices follow each other along.
     method : {"planes", "bins"}
-        "planes": slices overlap, each holds ``2 planes + 1`` planes; on plane m a grain weighs by the area ``A_im`` of
-        its cut, ``V_m = S A_im v_i / S A_im``, and the slice takes
-        ``T = S_m w_m S_i A_im |v_i - V_m|^2 / (D S_m w_m S_i A_im)`` with weights ``w_m = 1 - |m| / (planes + 1)``.
-        After Zhang & Kamrin (2017).
-        "bins": slices touch, a grain belongs to the one that holds its centre, ``T = S m_i |v_i - V|^2 / (D S m_i)``
-        about the velocity V of the bin, as LAMMPS computes it by chunks.
+        "planes": slices overlap, each holds ``2 planes + 1`` planes; on plane m a grain weighs by
+        the area ``A_im`` of its cut, ``V_m = S A_im v_i / S A_im``, and the slice takes ``T = S_m
+        w_m S_i A_im |v_i - V_m|^2 / (D S_m w_m S_i A_im)`` with weights ``w_m = 1 - |m| / (planes +
+        1)``. After Zhang & Kamrin (2017). "bins": slices touch, a grain belongs to the one that
+        holds its centre, ``T = S m_i |v_i - V|^2 / (D S m_i)`` about the velocity V of the bin, as
+        LAMMPS computes it by chunks.
     width : float, optional
         Thickness of a slice (m), d43 by default.
     spacing : float, optional
         Distance of centres (m): half the width for planes; bins touch and take none.
     bounds : two floats, optional
-        First and last centre for planes, edges of the first and last bin for bins (m). By default the edges of the box
-        (of the first step) along a periodic axis, else the extent of the grains. Along a periodic axis every image of a
-        grain counts, wherever its position is written.
+        First and last centre for planes, edges of the first and last bin for bins (m). By default
+        the edges of the box (of the first step) along a periodic axis, else the extent of the
+        grains. Along a periodic axis every image of a grain counts, wherever its position is
+        written.
     planes : int
         Planes on each side of a slice's centre.
     on_error : {"raise", "skip"}
-        What to do about a step that cannot be read or computed: stop with its error, or leave it NaN, warn of it, and
-        mark it in the coordinate ``skipped`` (time).
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        NaN, warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
     xarray.Dataset
-        ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m s-1, and
-        ``sample_count`` (time, axis), the grains in each slice. The temperature is NaN for slices with fewer than
-        two, the velocity for empty ones.
+        ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m
+        s-1, and ``sample_count`` (time, axis), the grains in each slice. The temperature is NaN for
+        slices with fewer than two, the velocity for empty ones.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Functions of formulas: of arrays of numbers, or of symbols that write down the steps which numbers would take.
 
-A symbol is a number at a node that is not known yet. Formulas run on arrays of either kind, element for element the
-same; a program of steps is traced by running them once on symbols. Operations that symbols lack raise
-UnknownOperation; such formulas are left to NumPy.
+A symbol is a number at a node that is not known yet. Formulas run on arrays of either kind, element
+for element the same; a program of steps is traced by running them once on symbols. Operations that
+symbols lack raise UnknownOperation; such formulas are left to NumPy.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Trace:
     ) -> NDArray:
         """Return symbols (phase, 1, ...) for a moment at one node: of the bulk, the sum over groups, and of each group.
 
-        It is made of these columns, in sums of each group, or of each pair of a group with another or with walls.
+        It is made of these columns, in sums of each group, or of each pair of a group with another
+        or with walls.
         """
         shape = (max(1, groups), *((groups + 1,) if groups and paired else ()))
         keys = product(range(math.prod(shape)), columns.ravel().tolist())
@@ -109,8 +110,9 @@ class Symbol:
         return self.record.add(loops.SQUARE_ROOT, self.number)
 
 
-# What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
-# over axes are not among it, as NumPy adds numbers in another order than symbols.
+# What gives the same bits on symbols as on numbers: arithmetic element by element, and putting
+# elements elsewhere. Sums over axes are not among it, as NumPy adds numbers in another order than
+# symbols.
 _ARITHMETIC = {
     np.add,
     np.subtract,
@@ -191,8 +193,8 @@ def ratio(a: NDArray, b: NDArray) -> NDArray:
 def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
     """Return the mean of what grains have, from sums over them; NaN where both are zero, as where nothing reaches.
 
-    Weights are below zero where parts of the kernel are. The mean that belongs to them is p / rho there, too: what is
-    about it, such as the kinetic stress, is then what the balances ask for.
+    Weights are below zero where parts of the kernel are. The mean that belongs to them is p / rho
+    there, too: what is about it, such as the kinetic stress, is then what the balances ask for.
     """
     return sums / weights.reshape(weights.shape + (1,) * (sums.ndim - weights.ndim))
 
@@ -267,7 +269,8 @@ def dot(a: NDArray, b: NDArray) -> NDArray:
 
 def double_dot(a: NDArray, b: NDArray) -> NDArray:
     """Return a_ij b_ij."""
-    # term by term: the order in which numpy sums over axes depends on the number of nodes, and with it the last bit
+    # term by term: the order in which numpy sums over axes depends on the number of nodes, and with
+    # it the last bit
     return sum(
         (a[..., i, j] * b[..., i, j] for i in range(3) for j in range(3)),
         start=np.zeros(b.shape[:-2]),

@@ -1,10 +1,11 @@
 """Averages of results over axes and over time, with standard errors.
 
-Averages of ratios are ratios of averages, by the rule on each field's row in the registry. Sums (`additive` fields)
-are averaged as they are. A ratio, such as a velocity, is averaged with the sum in its denominator as its `weight`:
-this is the ratio of the averaged sums. What is not linear in these (magnitudes, friction, inertial number) is
-computed anew from the averages. The sums have to be in the result beside the ratios: `needed_for_averages` says which
-these are, and an error which are missing.
+Averages of ratios are ratios of averages, by the rule on each field's row in the registry. Sums
+(`additive` fields) are averaged as they are. A ratio, such as a velocity, is averaged with the sum
+in its denominator as its `weight`: this is the ratio of the averaged sums. What is not linear in
+these (magnitudes, friction, inertial number) is computed anew from the averages. The sums have to
+be in the result beside the ratios: `needed_for_averages` says which these are, and an error which
+are missing.
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with dr
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     """Average a result over its other axes, nodes weighing the same, or by their radius in a cylinder.
 
-    This is for results that are there already; the exact marginal profile, without a mesh along the other axes, is
-    ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for the ratios' small parts.
+    This is for results that are there already; the exact marginal profile, without a mesh along the
+    other axes, is ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for
+    the ratios' small parts.
 
     Parameters
     ----------
@@ -53,10 +55,11 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Fields without the other axes; ratios are ratios of averaged sums. Where the result has errors of one step
-        (``coarse_grain(errors=True)``), errors of the average: of the noise, with as many places as supports
-        of the kernel, ``n = A int Psi^2 / int psi^2`` (psi the marginal along the axis that is kept), or of the scatter
-        of the places over sqrt(n - 1); the larger, and ``<name>_error_from`` says which.
+        Fields without the other axes; ratios are ratios of averaged sums. Where the result has
+        errors of one step (``coarse_grain(errors=True)``), errors of the average: of the noise,
+        with as many places as supports of the kernel, ``n = A int Psi^2 / int psi^2`` (psi the
+        marginal along the axis that is kept), or of the scatter of the places over sqrt(n - 1); the
+        larger, and ``<name>_error_from`` says which.
 
     Raises
     ------
@@ -90,11 +93,12 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
 def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
     """Average a result over time, or over moving windows, with standard errors from block averages.
 
-    Steps of a simulation are correlated, so the scatter of single steps over sqrt(n) is too small an error. Means of
-    blocks of 1, 2, 4, ... steps give errors that grow with the block until blocks are independent: the error is that
-    of the smallest block beyond which it no longer grows (Flyvbjerg & Petersen 1989), each value by itself, ratios by
-    the jackknife over blocks of their sums. Where the series is too short to reach that plateau (fewer than 16 blocks
-    left), the last error is a lower bound.
+    Steps of a simulation are correlated, so the scatter of single steps over sqrt(n) is too small
+    an error. Means of blocks of 1, 2, 4, ... steps give errors that grow with the block until
+    blocks are independent: the error is that of the smallest block beyond which it no longer grows
+    (Flyvbjerg & Petersen 1989), each value by itself, ratios by the jackknife over blocks of their
+    sums. Where the series is too short to reach that plateau (fewer than 16 blocks left), the last
+    error is a lower bound.
 
     Parameters
     ----------
@@ -108,16 +112,18 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     Returns
     -------
     xarray.Dataset
-        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without `time`, or with the
-        mean time of each window. Where the result has errors of one step (``coarse_grain(errors=True)``), the larger of
-        the two, and ``<name>_error_from`` says which: noise of independent steps, or their scatter.
+        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without
+        `time`, or with the mean time of each window. Where the result has errors of one step
+        (``coarse_grain(errors=True)``), the larger of the two, and ``<name>_error_from`` says
+        which: noise of independent steps, or their scatter.
 
     Raises
     ------
     SceneError
         If results of different options were joined, or the result has lost its options.
     ValueError
-        If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
+        If there is no time, the window does not fit, or a sum that a ratio needs is not in the
+        result.
     """
     f, noise = _without_noise(with_facts(with_time(f)))
     if "time" not in f.dims:

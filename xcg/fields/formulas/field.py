@@ -33,7 +33,8 @@ class Options:
     shape : tuple of int
         Nodes along x, y, z, for finite differences.
     spacing : tuple of float
-        Distance of nodes along x, y, z (m), for finite differences; 0 along axes that are not resolved.
+        Distance of nodes along x, y, z (m), for finite differences; 0 along axes that are not
+        resolved.
     wrapped : tuple of bool
         The axes along which the last node is a neighbour of the first.
     gradient : str
@@ -59,12 +60,12 @@ class Options:
     lag : int, optional
         Frames from each frame to that which it is compared with; given in scenes of displacements.
     averaged_gradient : str
-        Derivatives along averaged axes: "zero", "box" (rates of a sheared box), or "unknown", as no axis is resolved or
-        fixed and an averaged one is not periodic.
+        Derivatives along averaged axes: "zero", "box" (rates of a sheared box), or "unknown", as no
+        axis is resolved or fixed and an averaged one is not periodic.
     own : tuple
-        Fields from outside xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
-        variables, see `xcg.fields.formulas.variables.OwnField`, and fields that users registered, see `OwnRow`. What
-        computes a plan in another process finds them here.
+        Fields from outside xcg, each with a `name`, its `row`, and `moments` by name: of the
+        scene's own variables, see `xcg.fields.formulas.variables.OwnField`, and fields that users
+        registered, see `OwnRow`. What computes a plan in another process finds them here.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -119,11 +120,12 @@ class Field:
     fields, moments : tuple of str
         What it needs.
     additive : bool
-        Whether it is a sum: the partial fields of the phases add up to the bulk, and averages over nodes or steps are
-        means.
+        Whether it is a sum: the partial fields of the phases add up to the bulk, and averages over
+        nodes or steps are means.
     weight : str
-        The additive field that weighs its averages, where it is a ratio: the one in the denominator. A field that is
-        neither additive nor weighted is computed anew from averages of the fields it needs.
+        The additive field that weighs its averages, where it is a ratio: the one in the
+        denominator. A field that is neither additive nor weighted is computed anew from averages of
+        the fields it needs.
     by_bulk : bool
         Whether `weight` is that of the bulk, also for phases.
     harmonic : bool
@@ -197,8 +199,8 @@ class Quantity:
     Parameters
     ----------
     variable : str
-        A variable of the scene: a scalar, a vector (``component``) or a tensor (``component``, ``direction``), of
-        particles or of contacts.
+        A variable of the scene: a scalar, a vector (``component``) or a tensor (``component``,
+        ``direction``), of particles or of contacts.
     weight : {"mass", "volume", "number"}, optional
         What particles count by; contacts count by number.
     name : str, optional
@@ -231,8 +233,8 @@ class Quantity:
 class Mean(Quantity):
     """The mean of a variable, ``sum u q Psi / sum u Psi``, in the variable's unit; u is the mass by default.
 
-    The result has the variable's name, or ``mean_<variable>`` where that is the name of a field, as of ``density``.
-    NaN where nothing reaches.
+    The result has the variable's name, or ``mean_<variable>`` where that is the name of a field, as
+    of ``density``. NaN where nothing reaches.
 
     Parameters
     ----------
@@ -267,7 +269,8 @@ class Sum(Quantity):
 class Variance(Quantity):
     """The variance of each component of a variable, ``sum u (q - <q>)^2 Psi / sum u Psi``; u is the mass by default.
 
-    The result is ``variance_<variable>``, about the bulk's mean also for phases. NaN where nothing reaches.
+    The result is ``variance_<variable>``, about the bulk's mean also for phases. NaN where nothing
+    reaches.
 
     Parameters
     ----------
@@ -285,8 +288,9 @@ class Variance(Quantity):
 class Flux(Quantity):
     """The flux that fluctuations carry, ``sum u (q - <q>)(v - V) Psi``; u is the mass by default.
 
-    The result is ``flux_<variable>``, a vector for a scalar, and for a vector a tensor (``component`` of the variable,
-    ``direction`` of the velocity). The mean and V are the bulk's also for phases, so that partial fluxes add up.
+    The result is ``flux_<variable>``, a vector for a scalar, and for a vector a tensor
+    (``component`` of the variable, ``direction`` of the velocity). The mean and V are the bulk's
+    also for phases, so that partial fluxes add up.
 
     Parameters
     ----------
@@ -304,10 +308,11 @@ class Flux(Quantity):
 class Conduction(Quantity):
     """The flux of what flows along contacts, as heat or charge do: ``q = sum_c Q [(r_i - c) S_i + (c - r_j) S_j]``.
 
-    The variable is a scalar of contacts, the rate Q that i receives from j (W for heat); j loses as much. S_i and S_j
-    are the integrals of Psi from the contact point c to the centres, so that ``sum_i Psi_i sum_j Q_ij = -div q`` holds
-    exactly: with `Flux` and the rate of the grains' content the balance closes. The flux is from j to i where Q > 0.
-    Contacts with walls have the part of their grain only, and what walls give is ``sum_w Q Psi(r - c)``. The result is
+    The variable is a scalar of contacts, the rate Q that i receives from j (W for heat); j loses as
+    much. S_i and S_j are the integrals of Psi from the contact point c to the centres, so that
+    ``sum_i Psi_i sum_j Q_ij = -div q`` holds exactly: with `Flux` and the rate of the grains'
+    content the balance closes. The flux is from j to i where Q > 0. Contacts with walls have the
+    part of their grain only, and what walls give is ``sum_w Q Psi(r - c)``. The result is
     ``conduction_<variable>``, a vector, per area (W m-2).
 
     Parameters
@@ -321,7 +326,8 @@ class Conduction(Quantity):
 
     Notes
     -----
-    Written as the contact stress is: Goldhirsch (2010), with Q in place of the force; walls: Weinhart et al. (2012).
+    Written as the contact stress is: Goldhirsch (2010), with Q in place of the force; walls:
+    Weinhart et al. (2012).
 
     Examples
     --------

@@ -55,7 +55,8 @@ class Program:
     ) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
-        They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
+        They are taken in an `order` (nodes,), such as that of their places: memory is then written
+        line by line.
 
         Raises
         ------
@@ -151,8 +152,9 @@ def _arrays_of(sums: BlockSums) -> tuple[list[NDArray], dict[str, tuple[int, Lay
 def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> Program | None:
     """Trace the algebra of some fields, of the bulk and of groups.
 
-    Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
-    field that they need, takes operations that the loop does not know, or other nodes.
+    Fields that cannot be traced are left out, and None is returned where all are: those whose
+    formula, or that of a field that they need, takes operations that the loop does not know, or
+    other nodes.
     """
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
@@ -189,8 +191,8 @@ def _allocate(
 ) -> Program:
     """Assign the steps that lead to results to rows of numbers; rows are reused once nothing needs them.
 
-    `results` holds the steps that lead to the components of each store. What is stored together is stored as soon as
-    it is there.
+    `results` holds the steps that lead to the components of each store. What is stored together is
+    stored as soon as it is there.
     """
     uses = _uses(recorded, results)
     row, constants, kept = _rows_for_good(recorded, sorted(uses))

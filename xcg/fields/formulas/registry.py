@@ -1,8 +1,9 @@
 """The registry of fields: one row each, with its dimensions, units, formula, the moments it needs, and the algebra.
 
-The rows are in `xcg.fields.formulas.rows`, a module for each topic. A row's function takes ``f`` (the fields it needs),
-``s`` (the moments it needs, see `xcg.fields.sums.moments`) and ``o`` (`Options`). All arrays are (phase, node, ...),
-with phase 0 the bulk; fluctuations of every phase are about the velocity of the bulk, so that partial fields add up.
+The rows are in `xcg.fields.formulas.rows`, a module for each topic. A row's function takes ``f``
+(the fields it needs), ``s`` (the moments it needs, see `xcg.fields.sums.moments`) and ``o``
+(`Options`). All arrays are (phase, node, ...), with phase 0 the bulk; fluctuations of every phase
+are about the velocity of the bulk, so that partial fields add up.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.
 REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(REGISTERED, _ROWS))
-# Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
+# Other ways to a field: the option that chooses, and the row for each of its values that is not the
+# default.
 WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS
 
 
@@ -155,19 +157,21 @@ def register_field(
 ) -> None:
     """Register a custom field, which `coarse_grain` then takes by its name.
 
-    Any NumPy will do. Arithmetic and square roots, element by element, run in the compiled program of the other fields;
-    a formula with anything else runs in NumPy, block by block, with the same bits. `coarse_grain` without names
-    computes the fields of xcg only. A name may be registered again, which replaces the former field.
+    Any NumPy will do. Arithmetic and square roots, element by element, run in the compiled program
+    of the other fields; a formula with anything else runs in NumPy, block by block, with the same
+    bits. `coarse_grain` without names computes the fields of xcg only. A name may be registered
+    again, which replaces the former field.
 
     Parameters
     ----------
     name : str
         The name for ``fields=`` and in the result.
     compute : callable
-        ``compute(f, s, o)`` gives the field, an array (phase, node), followed by 3 for a vector, (3, 3) for a tensor.
-        ``f.<name>`` are the fields that it needs, ``s.<name>`` the moments, in the same form, and ``o`` the options
-        (`xcg.fields.formulas.field.Options`), such as the axes ``o.plane`` of the scene. Phase 0 is the bulk. Nodes
-        where nothing reaches hold zeros, and NaN in what is divided by a density.
+        ``compute(f, s, o)`` gives the field, an array (phase, node), followed by 3 for a vector,
+        (3, 3) for a tensor. ``f.<name>`` are the fields that it needs, ``s.<name>`` the moments, in
+        the same form, and ``o`` the options (`xcg.fields.formulas.field.Options`), such as the axes
+        ``o.plane`` of the scene. Phase 0 is the bulk. Nodes where nothing reaches hold zeros, and
+        NaN in what is divided by a density.
     rank : int
         0 for a scalar, 1 for a vector, 2 for a tensor.
     units : str, optional
@@ -183,14 +187,15 @@ def register_field(
     additive : bool
         Whether it is a sum: partial fields of phases add up to the bulk, and averages are means.
     weight : str
-        For a ratio, the field that weighs its averages: the one in the denominator. A field that is neither additive
-        nor weighted is computed anew from averages of the fields that it needs.
+        For a ratio, the field that weighs its averages: the one in the denominator. A field that is
+        neither additive nor weighted is computed anew from averages of the fields that it needs.
 
     Raises
     ------
     ValueError
-        If the name is taken, what the field needs does not exist, or the formula fails on a trial of a few nodes: it
-        raises, returns another shape, changes what it is given, or gives a node values that depend on other nodes.
+        If the name is taken, what the field needs does not exist, or the formula fails on a trial
+        of a few nodes: it raises, returns another shape, changes what it is given, or gives a node
+        values that depend on other nodes.
 
     Examples
     --------

@@ -1,10 +1,11 @@
 """Any variable of particles or contacts as a field: its sum, its mean, its variance, and the flux it is carried by.
 
-With q the variable, u a weight and <q> the mean at the node: ``sum u q Psi``, ``<q> = sum u q Psi / sum u Psi``,
-``sum u (q - <q>)^2 Psi / sum u Psi`` and ``sum u (q - <q>)(v - V) Psi``, over particles. Variables of contacts are
-summed at the contact points, each contact once. What is about a mean is summed as velocity is, relative to a value at
-each node, so that nothing large is subtracted from something equally large. What flows along contacts is summed along
-their branches, as stress is.
+With q the variable, u a weight and <q> the mean at the node: ``sum u q Psi``, ``<q> = sum u q Psi /
+sum u Psi``, ``sum u (q - <q>)^2 Psi / sum u Psi`` and ``sum u (q - <q>)(v - V) Psi``, over
+particles. Variables of contacts are summed at the contact points, each contact once. What is about
+a mean is summed as velocity is, relative to a value at each node, so that nothing large is
+subtracted from something equally large. What flows along contacts is summed along their branches,
+as stress is.
 """
 
 from __future__ import annotations
@@ -54,8 +55,9 @@ from xcg.scene.schema import (
 class _MeanError(Variance):
     """The standard error of a mean in one step, ``sqrt(variance / N_eff)``, as of independent values of the particles.
 
-    The variance is about the mean of each phase, and unbiased: ``sum u (q - <q>)^2 Psi / (sum u Psi - sum (u Psi)^2 /
-    sum u Psi)``; ``N_eff = (sum u Psi)^2 / sum (u Psi)^2``. See `xcg.fields.formulas.rows.errors`.
+    The variance is about the mean of each phase, and unbiased: ``sum u (q - <q>)^2 Psi / (sum u Psi
+    - sum (u Psi)^2 / sum u Psi)``; ``N_eff = (sum u Psi)^2 / sum (u Psi)^2``. See
+    `xcg.fields.formulas.rows.errors`.
     """
 
     prefix = ""
@@ -260,7 +262,8 @@ def own_fields(
 ) -> dict[int, OwnField | registry.OwnRow]:
     """Return the requested fields that are quantities of a variable, or rows, by their index in the list.
 
-    Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the variable.
+    Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the
+    variable.
 
     Raises
     ------
@@ -297,7 +300,8 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     Raises
     ------
     SceneError
-        If the scene has no such variable, or the variable has other dimensions than one of particles or contacts.
+        If the scene has no such variable, or the variable has other dimensions than one of
+        particles or contacts.
     ValueError
         If the quantity is not defined for it.
     """
@@ -424,7 +428,8 @@ def _times(unit: str, exponent: int, other: str) -> str:
 
 # a component of a variable, numbered row by row; None for zeros
 _Number = tuple[str, int] | None
-# of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc; of errors also the weight's square
+# of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc; of errors also
+# the weight's square
 _ABOUT = (
     loops.MASS,
     *(loops.MOMENTUM + k for k in range(3)),
@@ -501,7 +506,8 @@ def _mean_error(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -
 def _flux(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return S u (q - b)(v - V) = S u q v - b S u v - V (S u q - b S u).
 
-    V is relative to the velocity that the main pass refers to at the node, which is that of the same grain.
+    V is relative to the velocity that the main pass refers to at the node, which is that of the
+    same grain.
     """
     fluxes = []
     drift = f._drift[:1]

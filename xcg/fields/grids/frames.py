@@ -51,8 +51,9 @@ def corners(lower: NDArray, upper: NDArray) -> NDArray:
 class Rotated:
     """Axes x, y, z chosen by the user, for the argument ``frame``; right-handed, at right angles.
 
-    One or two of them are given. Of two, the first of z, x, y is kept as it is, and of the other its part at a right
-    angle to that. Of one, the second is the scene's own z, or x where that is z, likewise.
+    One or two of them are given. Of two, the first of z, x, y is kept as it is, and of the other
+    its part at a right angle to that. Of one, the second is the scene's own z, or x where that is
+    z, likewise.
 
     Parameters
     ----------
@@ -68,10 +69,10 @@ class Rotated:
 
     Notes
     -----
-    Everything in the request and in the result is in these axes: ``axes``, ``at``, ``bounds``, ``extent``,
-    ``pressure_dims``, coordinates, and the labels x, y, z of ``component`` and ``direction``. All is as if the scene
-    itself were turned. Results hold the axes, row by row, and the origin as the attributes ``frame_axes`` and
-    ``frame_origin``.
+    Everything in the request and in the result is in these axes: ``axes``, ``at``, ``bounds``,
+    ``extent``, ``pressure_dims``, coordinates, and the labels x, y, z of ``component`` and
+    ``direction``. All is as if the scene itself were turned. Results hold the axes, row by row, and
+    the origin as the attributes ``frame_axes`` and ``frame_origin``.
 
     Examples
     --------
@@ -143,12 +144,12 @@ class Cylindrical:
     origin : sequence of float
         A place on it, where z is 0 (m).
     x : sequence of float, optional
-        Direction in which theta is 0; its part at a right angle to the axis counts. By default the scene's x, or y
-        where x is the axis.
+        Direction in which theta is 0; its part at a right angle to the axis counts. By default the
+        scene's x, or y where x is the axis.
     error : float
-        Largest error of averages over theta, relative to the most that one grain adds; it sets the number of angles.
-        Kernels that jump at their cutoff do not meet it, as the attribute ``theta_error`` of results estimates the
-        error.
+        Largest error of averages over theta, relative to the most that one grain adds; it sets the
+        number of angles. Kernels that jump at their cutoff do not meet it, as the attribute
+        ``theta_error`` of results estimates the error.
 
     Raises
     ------
@@ -157,11 +158,12 @@ class Cylindrical:
 
     Notes
     -----
-    ``axes`` is made of "r", "t" (theta) and "z": "r", "rz", "rt", "rtz"; ``at``, ``bounds`` and ``spacing`` name r,
-    theta (rad) and z. Axes that are not named are averaged: theta over the circle, or over ``bounds["theta"]``, z as
-    in `xcg.coarse_grain`. ``component`` and ``direction`` are r, theta and z. At each angle the sums are turned
-    into these axes, then they are averaged over theta, and fields follow from the averages: so the velocity gradient
-    holds V_theta / r by itself, and a rigid rotation has no shear rate and no temperature. On the axis itself r and
+    ``axes`` is made of "r", "t" (theta) and "z": "r", "rz", "rt", "rtz"; ``at``, ``bounds`` and
+    ``spacing`` name r, theta (rad) and z. Axes that are not named are averaged: theta over the
+    circle, or over ``bounds["theta"]``, z as in `xcg.coarse_grain`. ``component`` and ``direction``
+    are r, theta and z. At each angle the sums are turned into these axes, then they are averaged
+    over theta, and fields follow from the averages: so the velocity gradient holds V_theta / r by
+    itself, and a rigid rotation has no shear rate and no temperature. On the axis itself r and
     theta have no direction: vectors and tensors are NaN there.
 
     Examples
@@ -216,12 +218,14 @@ def is_cylindrical(ds: xr.Dataset) -> bool:
 def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     """Return a scene in a frame, lazily where it is lazy: its variables, its box and its gravity; attributes name it.
 
-    A box keeps its edges along axes that are among the new ones. Other periodic axes become vectors of a lattice.
+    A box keeps its edges along axes that are among the new ones. Other periodic axes become vectors
+    of a lattice.
 
     Raises
     ------
     SceneError
-        If the axes lead out of the plane of a scene of one layer, or some components of a variable are not there.
+        If the axes lead out of the plane of a scene of one layer, or some components of a variable
+        are not there.
     """
     # in the scene's own, a row each
     axes = (frame if isinstance(frame, Rotated) else frame.rotated).axes

@@ -146,9 +146,9 @@ def make_grid(
 ) -> Grid:
     """Place nodes.
 
-    Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
-    its period evenly, so its spacing is the nearest that fits. Cells without bounds lie side by side: from edge to edge
-    of a period, and around the particles.
+    Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes
+    that divide its period evenly, so its spacing is the nearest that fits. Cells without bounds lie
+    side by side: from edge to edge of a period, and around the particles.
 
     Parameters
     ----------
@@ -271,8 +271,8 @@ def warn_beyond(
 
 # --- points ----------------------------------------------------------------------------------------------
 
-# Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
-# measured, see docs/measurements.md.
+# Cells hold about this many points, but are no wider and no narrower than these shares of the
+# support's radius: measured, see docs/measurements.md.
 _IN_A_CELL = 16
 _WIDEST, _NARROWEST = 1.0, 0.35
 # They are flat, as the run of points within reach begins and ends with a cell.
@@ -367,7 +367,8 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     Parameters
     ----------
     at : mapping
-        Coordinates (m) along some axes: DataArrays, which broadcast against each other, and numbers.
+        Coordinates (m) along some axes: DataArrays, which broadcast against each other, and
+        numbers.
     plane : str
         The axes that the scene has.
     cutoff : float
@@ -376,8 +377,8 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     Raises
     ------
     ValueError
-        For unknown axes; arrays without names of dimensions, or with result dimensions; arrays whose labels or sizes
-        differ; coordinates that are not finite.
+        For unknown axes; arrays without names of dimensions, or with result dimensions; arrays
+        whose labels or sizes differ; coordinates that are not finite.
     """
     check_places("", dict.fromkeys(at, 0.0), {}, plane)  # names only
     arrays = _aligned({a: _array(a, at[a]) for a in COMPONENTS if a in at})
@@ -477,8 +478,9 @@ def _sorted(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Sort points (3, n) by cell; points of one cell keep their order.
 
-    Returns the first point of each cell (cells + 1,), the place of each point among the sorted ones (n,), these
-    (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are unsigned.
+    Returns the first point of each cell (cells + 1,), the place of each point among the sorted ones
+    (n,), these (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are
+    unsigned.
     """
     many, count = len(rows), math.prod(shape.tolist())
     start, (cell, order, rank) = np.zeros(count + 2, "int64"), np.empty((3, many), "int64")
@@ -492,7 +494,8 @@ def _sorted(
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
     """Divide points (3, n) into parts of at most about `most` that are neighbours in space, as (rows, points).
 
-    Parts whose points are far apart are divided further, so that cells narrower than the support separate them.
+    Parts whose points are far apart are divided further, so that cells narrower than the support
+    separate them.
     """
     many = len(rows)
     if not many:

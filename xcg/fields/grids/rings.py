@@ -70,8 +70,8 @@ class RingBlock:
     def averages(self, at_angles: BlockSums) -> BlockSums:
         """Return sums at the nodes: averages of those at all their angles, turned into (r, theta, z) before.
 
-        Numbers relative to a velocity are brought to one velocity first, in these axes the same at all angles of a
-        node.
+        Numbers relative to a velocity are brought to one velocity first, in these axes the same at
+        all angles of a node.
         """
         # passes that refer to one velocity share the array
         common: dict[int, tuple[NDArray, NDArray]] = {}
@@ -376,8 +376,9 @@ def _part_of_circle(bounds: Mapping[str, Sequence[float]]) -> tuple[float, float
 def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
     """Distance of neighbours on a ring (m) for which sums over them meet an error, and the error that they do meet.
 
-    The error of the trapezoidal rule on a line through the support, at any distance from its middle and with its nodes
-    anywhere, is at most this share of the integral over the line through the middle.
+    The error of the trapezoidal rule on a line through the support, at any distance from its middle
+    and with its nodes anywhere, is at most this share of the integral over the line through the
+    middle.
     """
     offset = np.linspace(0.0, 0.98, 41)
     shift = (np.arange(32) + 0.5) / 32

@@ -1,8 +1,9 @@
 """The accessible fraction averaged along axes: the accessible share of these axes, smeared along the others.
 
-Smearing and averaging commute: with L(r') the share of the averaged axes that is accessible at the place r' on the
-seen axes, the average is ``chi(r) = int Psi(r - r') L(r') dr'``, where Psi is the kernel's marginal on the seen axes.
-L comes from parallel rays, which stand on a lattice and cross the walls at exact places.
+Smearing and averaging commute: with L(r') the share of the averaged axes that is accessible at the
+place r' on the seen axes, the average is ``chi(r) = int Psi(r - r') L(r') dr'``, where Psi is the
+kernel's marginal on the seen axes. L comes from parallel rays, which stand on a lattice and cross
+the walls at exact places.
 """
 
 from __future__ import annotations
@@ -90,7 +91,8 @@ def open_ends(
 def _lattice(ranges: Sequence[tuple[int, float, float]], count: int) -> Iterator[NDArray]:
     """Yield points (n, 3) that are spread evenly over ranges of one or two axes, and over each of these axes alone.
 
-    Coordinates on the first axis are equally spaced; those on the second are multiples of the golden ratio, modulo one.
+    Coordinates on the first axis are equally spaced; those on the second are multiples of the
+    golden ratio, modulo one.
     """
     for first in range(0, count, _RAYS_AT_A_TIME):
         number = np.arange(first, min(count, first + _RAYS_AT_A_TIME)) + 0.5
@@ -262,8 +264,9 @@ class AveragedFraction:
     def _open_shares(self, cells: _SeenCells, advance: Callable[[int], object]) -> NDArray:
         """Return the mean over each cell of the share of the averaged axes that is accessible.
 
-        Where an accessible part of a ray begins or ends in a cell, the part of the cell beyond is added or subtracted
-        there, and the rest in the next cell, so that the sum along the column is exact.
+        Where an accessible part of a ray begins or ends in a cell, the part of the cell beyond is
+        added or subtracted there, and the rest in the next cell, so that the sum along the column
+        is exact.
         """
         low, high = cells.bounds(-1)
         rays_a_column = cells.rays // cells.columns

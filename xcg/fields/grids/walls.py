@@ -1,7 +1,8 @@
 """Walls as geometry: planes, cylinders and triangulated surfaces.
 
-A wall is a surface with a side where the grains are; normals point to that side. It says which part of space is
-accessible (`xcg.fields.accessible`), and has cells for fields of its stress (`xcg.fields.analysis.surfaces`).
+A wall is a surface with a side where the grains are; normals point to that side. It says which part
+of space is accessible (`xcg.fields.accessible`), and has cells for fields of its stress
+(`xcg.fields.analysis.surfaces`).
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ class Wall(ABC):
         is_open : array of bool (n,)
             Whether the start is on the side of the grains.
         distance : array (n, k)
-            Distances of the crossings (m) in any order, infinity for none. Those beyond `reach` may be left out.
+            Distances of the crossings (m) in any order, infinity for none. Those beyond `reach` may
+            be left out.
         """
         directions = np.broadcast_to(np.eye(3)[axis], (len(starts), 1, 3))
         return self.distance(starts) > 0, self.crossings(starts, directions, reach)[:, 0]
@@ -146,13 +148,15 @@ class Plane(Wall):
     normal : three floats
         Its normal, to the side of the grains, of any length.
     bounds : pair of pairs of floats, optional
-        First and last coordinate of its cells along its two axes (m), by default as far as the grains reach. The axes
-        are two of x, y and z where it is across the third, else ``u`` and ``v``, counted from the point.
+        First and last coordinate of its cells along its two axes (m), by default as far as the
+        grains reach. The axes are two of x, y and z where it is across the third, else ``u`` and
+        ``v``, counted from the point.
 
     Raises
     ------
     ValueError
-        If point or normal are not three finite numbers, the normal is zero, or bounds are not two rising pairs.
+        If point or normal are not three finite numbers, the normal is zero, or bounds are not two
+        rising pairs.
     """
 
     point: Sequence[float]
@@ -253,7 +257,8 @@ class Plane(Wall):
 class Cylinder(Wall):
     """The side of a circular cylinder.
 
-    It has no ends as a wall: add planes for a floor or a lid. `low` and `high` bound the cells of its stress.
+    It has no ends as a wall: add planes for a floor or a lid. `low` and `high` bound the cells of
+    its stress.
 
     Attributes
     ----------
@@ -407,7 +412,8 @@ class Surface(Wall):
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If the file is of another kind or holds no triangle, or corners are missing, not finite or in one line.
+        If the file is of another kind or holds no triangle, or corners are missing, not finite or
+        in one line.
     """
 
     def __init__(
@@ -496,8 +502,9 @@ class Surface(Wall):
     def crossings_along(self, starts: NDArray, axis: int, reach: float) -> tuple[NDArray, NDArray]:
         """Return where rays from `starts` (n, 3) along x, y or z cross the surface.
 
-        The sides of a ray follow from the triangle that its line crosses first. A line that crosses none is outside of
-        a closed surface. Beside an open one, it is on the side of its point at half the height of the surface.
+        The sides of a ray follow from the triangle that its line crosses first. A line that crosses
+        none is outside of a closed surface. Beside an open one, it is on the side of its point at
+        half the height of the surface.
         """
         across = [k for k in range(3) if k != axis]
         order = np.argsort(starts[:, across[0]])

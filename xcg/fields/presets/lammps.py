@@ -1,9 +1,10 @@
 """LAMMPS' own coarse-graining, ``compute continuum/chunk``: ``coarse_grain(preset="lammps")``.
 
-Its names, with "_" in place of "/" (``stress/contacts/*`` is ``stress_contacts``), its signs (tension is positive), and
-its kernel, the shifted Gaussian of as many dimensions as there are axes. Each is algebra on fields of xcg. What it
-defines in a way of its own, and is not followed, is listed in the documentation. Formulas: documentation of the
-compute (LAMMPS pull request 5092), which follows Goldhirsch (2010).
+Its names, with "_" in place of "/" (``stress/contacts/*`` is ``stress_contacts``), its signs
+(tension is positive), and its kernel, the shifted Gaussian of as many dimensions as there are axes.
+Each is algebra on fields of xcg. What it defines in a way of its own, and is not followed, is
+listed in the documentation. Formulas: documentation of the compute (LAMMPS pull request 5092),
+which follows Goldhirsch (2010).
 """
 
 from __future__ import annotations
@@ -200,9 +201,9 @@ def lammps_mesh(
 ) -> dict[str, Any]:
     """Arguments for `xcg.coarse_grain` that place nodes at the centres of LAMMPS' bins, and take its kernel.
 
-    They are the nodes of ``compute ID all chunk/atom bin/3d x lower delta y lower delta z lower delta units box`` and
-    ``compute ID all continuum/chunk chunkID cutoff width ...``: of bins of equal size from the origin on, and as many
-    as cover the box.
+    They are the nodes of ``compute ID all chunk/atom bin/3d x lower delta y lower delta z lower
+    delta units box`` and ``compute ID all continuum/chunk chunkID cutoff width ...``: of bins of
+    equal size from the origin on, and as many as cover the box.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
 """Pysammos's names for fields, its variants of them, and its mesh: ``coarse_grain(preset="pysammos")``.
 
-Its names carry their variant: ``inertial_number_Sxy_Pxy_d32`` takes the shear rate in the plane xy, the pressure
-(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values follow the registry. Formulas:
-Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from it is listed in the documentation.
+Its names carry their variant: ``inertial_number_Sxy_Pxy_d32`` takes the shear rate in the plane xy,
+the pressure (sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values
+follow the registry. Formulas: Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from
+it is listed in the documentation.
 """
 
 from __future__ import annotations
@@ -319,9 +320,9 @@ def pysammos_mesh(
 ) -> dict[str, Any]:
     """Arguments for `xcg.coarse_grain` that place nodes as Pysammos does.
 
-    It divides the range from first to last into the fewest equal parts that are no longer than c / 2, so that both
-    are nodes. Its automatic range leaves ``2.5 c + 0.5 dmax`` off the extent of the particles on each side, and axes
-    that are not resolved are cut in the middle of that extent.
+    It divides the range from first to last into the fewest equal parts that are no longer than c /
+    2, so that both are nodes. Its automatic range leaves ``2.5 c + 0.5 dmax`` off the extent of the
+    particles on each side, and axes that are not resolved are cut in the middle of that extent.
 
     Parameters
     ----------

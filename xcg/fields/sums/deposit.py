@@ -190,7 +190,8 @@ def _pass(
 ) -> Pass:
     """Prepare grains, or other points, with their flow columns and columns of constants.
 
-    With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
+    With `others`, `phase` is the number of a pair of phases, the first times `others` plus the
+    second.
     """
     spec = step.spec
     position = images.position
@@ -248,7 +249,8 @@ def _fill(
 class BlockSums:
     """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
 
-    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
+    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where
+    nothing reaches.
     """
 
     of: Sums
@@ -260,8 +262,8 @@ class BlockSums:
     def moments(self) -> dict[str, NDArray]:
         """Moments at the nodes: arrays (phase, node, ...).
 
-        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
-        loop over nodes.
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on
+        small tensors is a loop over nodes.
         """
         reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
         moments = {"reference": np.ascontiguousarray(reference.T).T}

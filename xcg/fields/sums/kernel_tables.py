@@ -1,7 +1,7 @@
 """Tables of the profiles of registered kernels: polynomials for values at points, and for integrals along lines.
 
-Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few polynomials within
-radii each, whose integrals are closed forms (`xcg.compiled.polynomials`).
+Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few
+polynomials within radii each, whose integrals are closed forms (`xcg.compiled.polynomials`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ _MOST_ERROR = 1e-10  # of values at points, relative to the largest
 _MOST_LINE_ERROR = 1e-7
 _PANELS = 2000
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
-# Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
+# Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many
+# times that of a value.
 _LARGEST_TERMS = 5e3
 _JUMP, _AT_END = 1e-4, 1.0 - 1e-12  # relative to the largest value; where the last jump shows
 _NEARLY = 0.97  # of the way that a piece may reach: as far as this the lowest degree is taken
@@ -60,7 +61,8 @@ def _largest(profile: Profile) -> float:
 def _integral(function: Callable[[float], float], begin: float, end: float) -> float:
     from scipy.integrate import quad  # slow to import, and only few kernels need it
 
-    # with its full output it does not warn, of profiles of fewer digits: `check_table` tells how far they are off
+    # with its full output it does not warn, of profiles of fewer digits: `check_table` tells how
+    # far they are off
     return quad(function, begin, end, epsabs=1e-14, epsrel=1e-13, limit=500, full_output=1)[0]
 
 
@@ -147,8 +149,9 @@ def rims_of(profile: Profile) -> list[float]:
 def table_of(profile: Profile, codimension: int) -> NDArray:
     """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.
 
-    In codimension 1 both are over half of the chord, sqrt(1 - q^2), as loops take them: the quotient is as smooth up to
-    the cutoff as the profile. With them come the shells that lines take, where there are any.
+    In codimension 1 both are over half of the chord, sqrt(1 - q^2), as loops take them: the
+    quotient is as smooth up to the cutoff as the profile. With them come the shells that lines
+    take, where there are any.
     """
     degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]

@@ -1,7 +1,8 @@
 """Smoothing functions: Lucy, Gaussian, Heaviside, and a user's own.
 
-A kernel belongs to a number of dimensions k, in which its integral is 1. Seen in m < k of them it acts through its
-*marginal*, the kernel integrated over the axes that are left out; the marginal of the 3D Lucy is not the 1D Lucy.
+A kernel belongs to a number of dimensions k, in which its integral is 1. Seen in m < k of them it
+acts through its *marginal*, the kernel integrated over the axes that are left out; the marginal of
+the 3D Lucy is not the 1D Lucy.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Kernel:
     Raises
     ------
     ValueError
-        If neither is given, both contradict each other, a length is not positive, or dimension is not 1, 2 or 3.
+        If neither is given, both contradict each other, a length is not positive, or dimension is
+        not 1, 2 or 3.
     """
 
     name = ""
@@ -153,7 +155,8 @@ class Kernel:
         values : array (cells,) or (cells, cells)
             Values of cells along one axis or two.
         places : array (n, axes)
-            Places (m), counted from the centre of the first cell. The support about each is within the cells.
+            Places (m), counted from the centre of the first cell. The support about each is within
+            the cells.
         size : float
             Edge of the cells (m).
         """
@@ -198,7 +201,8 @@ class Kernel:
 class Lucy(Kernel):
     """Lucy's kernel, ``105 / (16 pi c^3) (1 - 6 q^2 + 8 q^3 - 3 q^4)`` with q = r / c and c = 2 w in 3D.
 
-    Twice continuously differentiable, so that its fields satisfy the differential balance laws. Source: Lucy (1977).
+    Twice continuously differentiable, so that its fields satisfy the differential balance laws.
+    Source: Lucy (1977).
 
     Parameters
     ----------
@@ -217,9 +221,9 @@ class Lucy(Kernel):
 class Gaussian(Kernel):
     """A Gaussian cut at c = 3 w (or another `cutoff`), normalised with its cut; it jumps there by 1.1 % of its peak.
 
-    With `shifted`, its value at the cutoff is taken off, ``exp(-r^2 / 2 w^2) - exp(-c^2 / 2 w^2)``, so that it is
-    continuous: its gradient is then exact, and jumps at the cutoff. This is the kernel of LAMMPS' ``compute
-    continuum/chunk``.
+    With `shifted`, its value at the cutoff is taken off, ``exp(-r^2 / 2 w^2) - exp(-c^2 / 2 w^2)``,
+    so that it is continuous: its gradient is then exact, and jumps at the cutoff. This is the
+    kernel of LAMMPS' ``compute continuum/chunk``.
 
     Parameters
     ----------
@@ -268,7 +272,8 @@ class Gaussian(Kernel):
             ball = {1: 2.0, 2: math.pi, 3: 4 * math.pi / 3}[dimension]
             y = 0.5 / s**2
             integral -= ball * tail
-            # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
+            # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2
+            # n))
             if y < 1:
                 terms = accumulate(
                     (2 * y / (dimension + 2 * n) for n in range(1, 25)), operator.mul
@@ -332,22 +337,23 @@ def register_kernel(
     Parameters
     ----------
     name : str
-        The name for ``kernel=``. It may be registered again, which replaces the former kernel; names of kernels of
-        the package are refused.
+        The name for ``kernel=``. It may be registered again, which replaces the former kernel;
+        names of kernels of the package are refused.
     profile : callable
-        ``P(q)`` for an array q = r / c in [0, 1); it need not be normalised. Values, marginals and gradients are
-        kept as polynomials of degree 7 on 64 intervals: where P is smooth, values to 1e-11 and derivatives to 1e-7 of
-        the largest. (A cusp at q = 0, as of exp(-5 q), leaves 1e-6 in the marginal in a plane.) A warning says where
-        values of P itself are off by more than 1e-10, or where P jumps inside.
-        Integrals along segments are closed forms, right to a few 1e-12 of the largest value (and to rounding over the
-        length of segments below a tenth of c), where up to eight polynomials of q, each between two radii, are P to
-        1e-12. Registration determines these polynomials. Other profiles, such as one that ends like a root, take a long
+        ``P(q)`` for an array q = r / c in [0, 1); it need not be normalised. Values, marginals and
+        gradients are kept as polynomials of degree 7 on 64 intervals: where P is smooth, values to
+        1e-11 and derivatives to 1e-7 of the largest. (A cusp at q = 0, as of exp(-5 q), leaves 1e-6
+        in the marginal in a plane.) A warning says where values of P itself are off by more than
+        1e-10, or where P jumps inside. Integrals along segments are closed forms, right to a few
+        1e-12 of the largest value (and to rounding over the length of segments below a tenth of c),
+        where up to eight polynomials of q, each between two radii, are P to 1e-12. Registration
+        determines these polynomials. Other profiles, such as one that ends like a root, take a long
         quadrature; a warning says where it is off by more than 1e-7.
     ratio : float
         Cutoff over width.
     smoothness : int
-        Continuous derivatives of the kernel, the cutoff included, and -1 for one that jumps; from 1 on the kernel
-        gradient is exact.
+        Continuous derivatives of the kernel, the cutoff included, and -1 for one that jumps; from 1
+        on the kernel gradient is exact.
 
     Returns
     -------
@@ -357,8 +363,8 @@ def register_kernel(
     Raises
     ------
     ValueError
-        If the name is that of a kernel of the package, the ratio or the smoothness is invalid, or the profile is not
-        finite from 0 on, below 1, or has no positive integral.
+        If the name is that of a kernel of the package, the ratio or the smoothness is invalid, or
+        the profile is not finite from 0 on, below 1, or has no positive integral.
     """
     _check_registration(name, profile, ratio, smoothness)
     # an object for each registration, as what is kept of profiles goes by them

@@ -95,8 +95,8 @@ def surface_velocities(
 ) -> tuple[NDArray, NDArray]:
     """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
 
-    Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the particles as
-    they are written, or to the images that touch at the point.
+    Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the
+    particles as they are written, or to the images that touch at the point.
     """
     found = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
@@ -202,29 +202,32 @@ class Moment:
     Attributes
     ----------
     variables : tuple of str
-        Scene variables that it needs besides positions. With "velocity", `column` is also evaluated with the velocities
-        of images in sheared boxes.
+        Scene variables that it needs besides positions. With "velocity", `column` is also evaluated
+        with the velocities of images in sheared boxes.
     formula : str
         What is summed.
     shape : tuple of int
         Components of the result at a node.
     level : int
-        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or of contacts.
+        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or
+        of contacts.
     first : int
         Its first flow column.
     column : callable, optional
         ``column(frame, contacts) -> (n, ...)``, the q_i, where they do not depend on the node.
-        Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
-        columns of a separate pass, so that their squares and products are kept relative to each node.
+        Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of
+        velocity in the flow columns of a separate pass, so that their squares and products are kept
+        relative to each node.
     contacts : bool
         Whether contacts are needed, in whole.
     at_contacts : bool
         Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
     along_branches : bool
-        Whether `column` gives what each side of a contact carries along its branch, (2, contacts, 3) for i and j;
-        without a column that is the force.
+        Whether `column` gives what each side of a contact carries along its branch, (2, contacts,
+        3) for i and j; without a column that is the force.
     layout : tuple
-        Columns of the components, counted from the first, where they do not stand one after the other.
+        Columns of the components, counted from the first, where they do not stand one after the
+        other.
     paired : bool
         Whether it is summed for each pair of phases, walls being the last of the other phases.
     optional : tuple of str

@@ -1,8 +1,8 @@
 """Nodes at which fields are evaluated: what loops and results take of them, their blocks, and what reaches them.
 
-Blocks are filled one by one, or by several threads within one step. Threads are for scenes in memory or of one chunk of
-time, as several chunks share the processors. What grains and contacts may reach of the nodes is checked before loops
-start, which rely on it.
+Blocks are filled one by one, or by several threads within one step. Threads are for scenes in
+memory or of one chunk of time, as several chunks share the processors. What grains and contacts may
+reach of the nodes is checked before loops start, which rely on it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.scene.schema import COMPONENTS
 
-# Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
+# Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks,
+# not of all nodes.
 BLOCK_NODES = 110_000
-# Where there are more nodes than this in the box around a grain's support, sums have left the cache when the next grain
-# comes to the same nodes: blocks then have so few that their sums stay there.
+# Where there are more nodes than this in the box around a grain's support, sums have left the cache
+# when the next grain comes to the same nodes: blocks then have so few that their sums stay there.
 FINE = 1000
 CACHED, FEWEST_NODES = 10_000_000, 10_000  # bytes; nodes, however many numbers each has
 
@@ -80,7 +81,8 @@ class NodeBlock(Protocol):
 class MeshBlock:
     """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
 
-    `half` is half of the extent of the cells around them (m); 0 along all axes where values are those at the nodes.
+    `half` is half of the extent of the cells around them (m); 0 along all axes where values are
+    those at the nodes.
     """
 
     low: tuple[int, int, int]
@@ -143,7 +145,8 @@ class Grid:
     averaged : str
         Axes that are integrated over and divided by their extent.
     origin, lower, upper : array (3,)
-        The place that loops take others relative to, and bounds of the nodes, or of their cells (m).
+        The place that loops take others relative to, and bounds of the nodes, or of their cells
+        (m).
     text : mapping
         Where the nodes are, in words.
     cuts : mapping
@@ -153,7 +156,8 @@ class Grid:
     fitted : str
         Axes whose bounds follow from the particles' extent.
     half : array (3,)
-        Half of the extent of the cells that values are averages over (m); 0 where they are those at the nodes.
+        Half of the extent of the cells that values are averages over (m); 0 where they are those at
+        the nodes.
     parts : sequence of Block, optional
         The nodes that stand apart, divided; None for a mesh, which is divided when it is filled.
     undirected : array
@@ -161,9 +165,10 @@ class Grid:
     attrs : mapping
         Attributes of results that describe the nodes.
 
-    Other attributes follow from these: `count`, the number of nodes; `active`, a mask (3,) of the axes along which
-    distance to a node counts, resolved or fixed; `shape`, the number of nodes along x, y, z, of scattered ones as if in
-    a row; `steps`, the distance by which loops count nodes (3,), infinity where they do not.
+    Other attributes follow from these: `count`, the number of nodes; `active`, a mask (3,) of the
+    axes along which distance to a node counts, resolved or fixed; `shape`, the number of nodes
+    along x, y, z, of scattered ones as if in a row; `steps`, the distance by which loops count
+    nodes (3,), infinity where they do not.
     """
 
     dims: tuple[str, ...]
@@ -235,7 +240,8 @@ class Grid:
         ]
 
 
-# Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
+# Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and
+# nodes not be counted.
 _FAR = 2.0**50
 # Periodic images of one grain or branch that reach one node,
 _MOST_IMAGES = 10_000
@@ -247,7 +253,8 @@ _MOST_OVER_MESH = 10_000
 _LONG = 64.0
 # and refused where they are as long within it.
 _TOO_LONG = 2.0**15
-# A node is numbered within a row in single precision where a branch spans no more spacings than this.
+# A node is numbered within a row in single precision where a branch spans no more spacings than
+# this.
 _SINGLE = 2.0**20
 _BRANCHES = slice(BRANCH, FORCE)
 # How far from the nodes a long branch is cut: beyond 1 nothing of it counts.
@@ -360,8 +367,8 @@ class Mesh:
         segments : array (n, SEGMENT)
             As from `list_segments`; changed in place.
         ends : array (2, n, 3)
-            The contact point and the partner's centre of each segment (m). The branch of a segment leads to one of
-            them, which has digits that the difference from a far start has lost.
+            The contact point and the partner's centre of each segment (m). The branch of a segment
+            leads to one of them, which has digits that the difference from a far start has lost.
         source : str
             Names the step.
 
@@ -403,7 +410,8 @@ class Mesh:
     ) -> tuple[NDArray, NDArray, NDArray]:
         """First and last point, (n, 3) each, of the part of lines that is near the mesh, and its share (n, 1).
 
-        Points are counted from the end that is nearer to the mesh, so that none of its digits are lost.
+        Points are counted from the end that is nearer to the mesh, so that none of its digits are
+        lost.
         """
         lower, upper = self.lower - _MARGIN, self.upper + _MARGIN
 

@@ -33,7 +33,8 @@ from xcg.fields.sums.nodes import Mesh, NodeBlock
 from xcg.fields.sums.step import AnyKernel, Fill, Layout, Pass, StepRows, alike
 from xcg.scene.schema import Frame
 
-# From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
+# From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the
+# largest.
 SINGLE = 1e-4
 
 
@@ -44,7 +45,8 @@ def _quicker(
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
     if spread is kinds.TABULATED and table is not None:
-        # closed forms of one or two shells take less time than two points, of three less than four; not so in planes
+        # closed forms of one or two shells take less time than two points, of three less than four;
+        # not so in planes
         shells = np.count_nonzero(table[kinds.SHELLS, RADIUS])
         return RULES if kind == kinds.TABLE + 1 or shells == 0 else RULES[: 0 if shells <= 2 else 1]
     return RULES[:1]  # marginals take more time a point than a polynomial
@@ -61,8 +63,9 @@ def _limits(
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
-    The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
-    a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
+    The error of a rule depends on nothing but the branch length over the cutoff and the place of
+    the node, so that a scan over both bounds it for every scene. A twentieth is kept in hand for
+    places between those scanned.
     """
     array = None if table is None else np.frombuffer(table).reshape(table_shape).copy()
     rows = 1 if seen == 1 else 24
@@ -87,8 +90,9 @@ def _limits(
 def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
     """Longest branch (cutoffs) for which 2, 4, ... Gauss-Legendre points keep the promise `rtol`.
 
-    The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over all places. Kernels
-    that jump have no such bound and always take the closed form (an empty array), as does ``rtol=0``.
+    The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over
+    all places. Kernels that jump have no such bound and always take the closed form (an empty
+    array), as does ``rtol=0``.
     """
     if rtol == 0 or kernel.smoothness < 0 or seen == 0:
         return np.zeros(0)

@@ -24,7 +24,8 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 
 AnyKernel: TypeAlias = KernelCode | CellKernel
-# adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the
+# reference velocity
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
 
 
@@ -50,9 +51,10 @@ class DepositSpec:
     groups : tuple of int
         Its values, one phase each.
 
-    Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff of each (m);
-    `distinct`, each cutoff once, rising; `origin`, the place that loops take others relative to (m);
-    `of_grains`, the moments of the main pass over grains, and `level`, the flow columns of that pass.
+    Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff
+    of each (m); `distinct`, each cutoff once, rising; `origin`, the place that loops take others
+    relative to (m); `of_grains`, the moments of the main pass over grains, and `level`, the flow
+    columns of that pass.
     """
 
     rows: Mapping[str, Moment]
@@ -125,8 +127,8 @@ class Layout:
     ----------
     groups, columns : int
     moments : mapping
-        Columns that each moment is made of (a symmetric tensor names six of them nine times), with a factor, or
-        one for each group.
+        Columns that each moment is made of (a symmetric tensor names six of them nine times), with
+        a factor, or one for each group.
     level : int
         How many columns are flow columns; they are the first ones.
     apart : bool
@@ -185,8 +187,8 @@ _AT_ONE_PLACE = "taken_up"  # relative velocities, which are those of the images
 class Images:
     """Positions of rows of the data.
 
-    Periodic images along axes are found node by node. In boxes that are tilted, or whose images move, each image is a
-    place of its own.
+    Periodic images along axes are found node by node. In boxes that are tilted, or whose images
+    move, each image is a place of its own.
 
     Attributes
     ----------
@@ -278,7 +280,8 @@ class StepRows:
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
 
-        They are those in the middle of the box, for every image of a grain, as images along these axes are one.
+        They are those in the middle of the box, for every image of a grain, as images along these
+        axes are one.
         """
         gradient = lattice.gradient_along(~self.spec.grid.active)
         if gradient is None:
@@ -326,7 +329,8 @@ class StepRows:
         values = row.column(frame, self.contacts)[which]
         values = values.reshape(len(at.position), math.prod(values.shape[1:]))
         if at.drift is not None and "velocity" in row.variables:
-            # images that move alike take one call, as a grain's value may be a sum over its contacts
+            # images that move alike take one call, as a grain's value may be a sum over its
+            # contacts
             for drift, here in alike(at.drift):
                 found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)[
                     which
@@ -338,7 +342,8 @@ class StepRows:
     def contact_points(self) -> tuple[Images, NDArray, NDArray, NDArray]:
         """Return the place of each contact, its phase, its share in the contact, and its row; (n,).
 
-        A contact between two phases is half one's and half the other's, so that phases add up to the bulk.
+        A contact between two phases is half one's and half the other's, so that phases add up to
+        the bulk.
         """
         c = self.contacts
         first = np.flatnonzero(c.first_row >= 0)

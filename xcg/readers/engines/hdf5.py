@@ -1,7 +1,7 @@
 """HDF5 of any layout: ``mapping=`` assigns datasets to the variables of the scene.
 
-A step is a group, whose name holds ``{time}`` or ``{step}``; or an entry along the first dimension of all datasets; or
-a file. Datasets of vectors have two or three columns.
+A step is a group, whose name holds ``{time}`` or ``{step}``; or an entry along the first dimension
+of all datasets; or a file. Datasets of vectors have two or three columns.
 """
 
 from __future__ import annotations
@@ -297,7 +297,8 @@ def _values(file: h5py.File, path: str, ref: StepRef, part: int | None) -> NDArr
 def _numbers_of_members(file: h5py.File, path: str, first: str, ref: StepRef) -> NDArray:
     """Return for each row the number of the member of a group that it is from.
 
-    The number is the name of the member; names that are words are numbered in their order, from 1 on.
+    The number is the name of the member; names that are words are numbered in their order, from 1
+    on.
     """
     group = path.removesuffix("*")
     members = _members(file, first)

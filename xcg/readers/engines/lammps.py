@@ -46,8 +46,8 @@ class Dumps(Columnar):
     ) -> list[StepRef]:
         """List the steps of ``dump custom`` files, or of local dumps with contacts.
 
-        A file is read through only where it may hold several steps: not where its name holds the number of its
-        first step and its size is that of one step.
+        A file is read through only where it may hold several steps: not where its name holds the
+        number of its first step and its size is that of one step.
         """
         atoms = not contacts
         return index_steps(
@@ -240,8 +240,8 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     """Return whether a step is the only one in its file, from its name and the length of some of its rows.
 
-    Of a compressed file, these are the first ones. Another step after it makes the file longer, or is seen among the
-    last bytes of a plain one.
+    Of a compressed file, these are the first ones. Another step after it makes the file longer, or
+    is seen among the last bytes of a plain one.
     """
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
     if ref.step not in numbers or ref.rows == 0 or rest < 0:

@@ -1,7 +1,8 @@
 """LAMMPS dumps in NetCDF (``dump netcdf``, ``dump netcdf/mpiio``), in the conventions of AMBER.
 
-``time`` counts steps, and its ``scale_factor`` is the time between two of them. Lengths of the box are 0 along axes
-that are not periodic. Rows of atoms that were lost hold the fill value as their id.
+``time`` counts steps, and its ``scale_factor`` is the time between two of them. Lengths of the box
+are 0 along axes that are not periodic. Rows of atoms that were lost hold the fill value as their
+id.
 """
 
 from __future__ import annotations
@@ -160,8 +161,8 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
 
 # --- classic NetCDF --------------------------------------------------------------------------------------
 #
-# CDF-1, CDF-2 and CDF-5 are read without the library, and their counts are checked first. Source: the NetCDF Classic
-# Format Specification, and that of CDF-5 (Unidata).
+# CDF-1, CDF-2 and CDF-5 are read without the library, and their counts are checked first. Source:
+# the NetCDF Classic Format Specification, and that of CDF-5 (Unidata).
 
 
 MARKS = (b"CDF\x01", b"CDF\x02", b"CDF\x05")  # how a file begins

@@ -1,7 +1,8 @@
 """Dumps of LIGGGHTS. Columns of contacts have the order of the words of their compute.
 
-``compute pair/gran/local`` and ``wall/gran/local`` write the values of the words that they are given, whatever the
-order of these, in the order of `WORDS`. The columns have numbers for names (``c_cpl[1] c_cpl[2] ...``).
+``compute pair/gran/local`` and ``wall/gran/local`` write the values of the words that they are
+given, whatever the order of these, in the order of `WORDS`. The columns have numbers for names
+(``c_cpl[1] c_cpl[2] ...``).
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ WORDS = {
     "ms_id": 2,
     "heatFlux": 1,
 }
-# Words that are guessed from the number of columns: those of LIGGGHTS without words, and the usual ones.
+# Words that are guessed from the number of columns: those of LIGGGHTS without words, and the usual
+# ones.
 _DEFAULT = ("pos", "vel", "id", "force", "torque", "history", "contactArea")
 _USUAL = {12: ("pos", "id", "force"), 13: ("pos", "id", "force", "delta")}
 _FEWEST_OF_DEFAULT = 23
@@ -168,8 +170,9 @@ def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
         if word in places:
             slots[slot] = (ref.columns[places[word] + offset],)
 
-    # Positions give the normal, with other digits than the particles' where a pair crosses a periodic boundary. The
-    # flag of such pairs is not read: it misses some and marks others that do not cross.
+    # Positions give the normal, with other digits than the particles' where a pair crosses a
+    # periodic boundary. The flag of such pairs is not read: it misses some and marks others that do
+    # not cross.
     is_wall = ref.kind == "wall"
     for k, axis in enumerate(COMPONENTS):
         fill(f"end_i_{axis}", "pos", 3 + k if is_wall else k)

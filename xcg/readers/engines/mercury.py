@@ -1,7 +1,7 @@
 """MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts), and the head of ``.restart``.
 
-Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair is listed in ``.fstat`` once
-or twice; of two rows, the one with i < j is read, as the other has fewer digits.
+Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair is listed in
+``.fstat`` once or twice; of two rows, the one with i < j is read, as the other has fewer digits.
 """
 
 from __future__ import annotations
@@ -92,8 +92,9 @@ class Mercury(Columnar):
     ) -> list[StepRef]:
         """List the steps, numbered from 0 over all files.
 
-        As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries of the restart file
-        replace the edges in the headers of ``.data`` along axes where these are the same in all steps.
+        As no header of ``.fstat`` counts the rows, ids are read to count them. Periodic boundaries
+        of the restart file replace the edges in the headers of ``.data`` along axes where these are
+        the same in all steps.
         """
         for path in paths:
             if ".restart" not in os.path.basename(path) or not is_restart(path):
@@ -171,8 +172,8 @@ class Mercury(Columnar):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step; walls keep their negative numbers.
 
-        Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
-        other way.
+        Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and
+        t point the other way.
         """
         rows = read_table(ref, _CONTACT[1:], None, options)
         keep = _once(rows["i"], rows["j"])

@@ -1,6 +1,7 @@
 """Head of a MercuryDPM ``.restart``: gravity, dimensions, densities and boundaries.
 
-Read are versions 2 and 3 (``restart_version 2``: ``dim``, ``rho``, ``WallsPeriodic``), 0.14 and 1.0.
+Read are versions 2 and 3 (``restart_version 2``: ``dim``, ``rho``, ``WallsPeriodic``), 0.14 and
+1.0.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class Restart:
     density : mapping
         Density of each species.
     edges : mapping
-        Edges of the box along periodic axes, by the number of the axis; None for those of the ``.data`` file.
+        Edges of the box along periodic axes, by the number of the axis; None for those of the
+        ``.data`` file.
     vectors : mapping
         Vectors to the next images, by the number of the axis, where they do not point along it.
     """

@@ -2,17 +2,19 @@
 
 What its contacts hold was checked on its output, against the positions of the particles.
 
-- Contacts of spheres hold no contact point: the points of the mesh are the middle of the two centres, and
-  ``FORCE_CHAIN_CONTACT_POINT`` is off by one overlap. It follows from centres and radii.
-- Contacts of superquadrics have theirs in ``FORCE_CHAIN_CONTACT_POINT``; the points of the mesh lie midway between it
-  and a centre.
-- ``FORCE_CHAIN_ORIENTATION`` is ``FN / |FN|``: it points from j to i, except in the hundredth of the contacts
-  whose damping outweighs repulsion, where it points the other way. Of superquadrics it is another direction. So it is
-  not read as the normal.
-- Contacts are one time step older than positions, so a point may lie a period away from a particle i that just crossed.
+- Contacts of spheres hold no contact point: the points of the mesh are the middle of the two
+  centres, and ``FORCE_CHAIN_CONTACT_POINT`` is off by one overlap. It follows from centres and
+  radii.
+- Contacts of superquadrics have theirs in ``FORCE_CHAIN_CONTACT_POINT``; the points of the mesh lie
+  midway between it and a centre.
+- ``FORCE_CHAIN_ORIENTATION`` is ``FN / |FN|``: it points from j to i, except in the hundredth of
+  the contacts whose damping outweighs repulsion, where it points the other way. Of superquadrics it
+  is another direction. So it is not read as the normal.
+- Contacts are one time step older than positions, so a point may lie a period away from a particle
+  i that just crossed.
 - Many contacts stand twice: see `xcg.readers.engines.mfix_contacts`.
-- ``QUATERNION`` (w, x, y, z) turns the axes of the body to those of space, and half-axes are those of the phase times
-  ``SQP_POLY_SCALE``: so contact points of superquadrics lie on their surfaces.
+- ``QUATERNION`` (w, x, y, z) turns the axes of the body to those of space, and half-axes are those
+  of the phase times ``SQP_POLY_SCALE``: so contact points of superquadrics lie on their surfaces.
 """
 
 from __future__ import annotations
@@ -122,7 +124,8 @@ class Mfix(Vtk):
         Raises
         ------
         SceneError
-            If the file is damaged or changed since it was indexed, or ids are too large for Float32.
+            If the file is damaged or changed since it was indexed, or ids are too large for
+            Float32.
         """
         frame = super().read_particles(ref, options)
         frame |= _shapes(ref, {array: frame.pop(array) for array in _SHAPE if array in frame})
@@ -141,14 +144,16 @@ class Mfix(Vtk):
         Returns
         -------
         dict
-            Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, spheres first.
-            Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres;
-            `names` that map an array to ``contact_point`` are believed. ``row_of_file`` (n,) counts rows of the file.
+            Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file,
+            spheres first. Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle
+            of the centres of two spheres; `names` that map an array to ``contact_point`` are
+            believed. ``row_of_file`` (n,) counts rows of the file.
 
         Raises
         ------
         SceneError
-            If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
+            If the file is damaged or changed since it was indexed, or holds superquadrics without
+            contact points.
         """
         if not ref.rows:  # files without contacts may lack the arrays
             names = self.contact_variables(ref, options)
@@ -176,7 +181,8 @@ class Mfix(Vtk):
 def _shapes(ref: StepRef, arrays: Frame) -> Frame:
     """Return quaternions, half-axes and exponents of superquadrics.
 
-    Which of the two exponents m and n is which could not be checked: there are none where these differ.
+    Which of the two exponents m and n is which could not be checked: there are none where these
+    differ.
     """
     frame: Frame = {}
     if _QUATERNION in arrays:

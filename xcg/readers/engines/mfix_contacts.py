@@ -3,15 +3,16 @@
 Three kinds of rows were found in its output, checked against the positions of the particles and the
 ``Collision_force`` on each.
 
-- **Spheres** stand once, except across a cyclic boundary, where most pairs stand twice, with ids swapped. Their normal
-  forces are each other's negative to the last bit. In a fifth of these pairs the tangential forces are not (by up to
-  half of the force): MFiX keeps two histories of sliding, and each row is what it applied to its own ``ID1``. Hence
-  rows are matched by ids and normal force, and the pair gets the mean of the two forces, which leaves the stress as
-  MFiX had it.
-- **Superquadrics** (SuperDEM) stand once for each of their two sides. Most of these rows are the same, ids in the same
-  order, except for the side that they describe. Across a cyclic boundary ids are swapped, forces differ by some per
-  cent besides their sign, and points stand one period apart. Such bodies are convex: rows of one pair of ids whose
-  points agree, but for the period, are one contact.
+- **Spheres** stand once, except across a cyclic boundary, where most pairs stand twice, with ids
+  swapped. Their normal forces are each other's negative to the last bit. In a fifth of these pairs
+  the tangential forces are not (by up to half of the force): MFiX keeps two histories of sliding,
+  and each row is what it applied to its own ``ID1``. Hence rows are matched by ids and normal
+  force, and the pair gets the mean of the two forces, which leaves the stress as MFiX had it.
+- **Superquadrics** (SuperDEM) stand once for each of their two sides. Most of these rows are the
+  same, ids in the same order, except for the side that they describe. Across a cyclic boundary ids
+  are swapped, forces differ by some per cent besides their sign, and points stand one period apart.
+  Such bodies are convex: rows of one pair of ids whose points agree, but for the period, are one
+  contact.
 - **Copies** of a row occur in some files, too.
 """
 
@@ -27,17 +28,19 @@ from xcg.scene.schema import COMPONENTS, Frame
 
 EXACT = 2**24  # ids are Float32: whole numbers are exact below
 _ROUNDING = 16 * float(np.finfo("f4").eps)
-# Points of one contact agree to this share of the distance from its point to a centre: to rounding in MFiX's output.
+# Points of one contact agree to this share of the distance from its point to a centre: to rounding
+# in MFiX's output.
 _SAME_PLACE = 0.5
 
 
 def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArray:
     """Return a mask of the contacts of superquadrics, from what MFiX writes for each row.
 
-    For a superquadric, the points of the mesh are midway between a centre and ``FORCE_CHAIN_CONTACT_POINT``, and
-    ``FORCE_CHAIN_LENGTH`` is the distance of these two. For spheres of radii R1, R2 and overlap h, they are midway
-    between the centres, ``|R1 - R2 + 2 h| / 2`` from ``FORCE_CHAIN_CONTACT_POINT``, and the length is the distance of
-    the centres, ``R1 + R2 - h``.
+    For a superquadric, the points of the mesh are midway between a centre and
+    ``FORCE_CHAIN_CONTACT_POINT``, and ``FORCE_CHAIN_LENGTH`` is the distance of these two. For
+    spheres of radii R1, R2 and overlap h, they are midway between the centres, ``|R1 - R2 + 2 h| /
+    2`` from ``FORCE_CHAIN_CONTACT_POINT``, and the length is the distance of the centres, ``R1 + R2
+    - h``.
 
     Parameters
     ----------
@@ -79,7 +82,8 @@ def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
     Parameters
     ----------
     apart : array (m, 3)
-        From `distances_of_twins`: a period along the axes across whose edges a contact stands, else nearly zero.
+        From `distances_of_twins`: a period along the axes across whose edges a contact stands, else
+        nearly zero.
     place : array (n, 3)
         Points of all contacts.
     """
@@ -95,15 +99,17 @@ def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
 def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     """Drop exact copies of rows and join mirrored ones.
 
-    A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from the same
-    overlap and relative velocity, so that their Float32 values agree to the last bit. A pair may touch at
-    several points (concave grains); these have different marks, or else are distinguished by their order in
-    space, which the shift by a period between mirrored rows leaves as it is.
+    A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from
+    the same overlap and relative velocity, so that their Float32 values agree to the last bit. A
+    pair may touch at several points (concave grains); these have different marks, or else are
+    distinguished by their order in space, which the shift by a period between mirrored rows leaves
+    as it is.
 
     Parameters
     ----------
     contacts : Frame
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n,
+        3).
     mark : array (n, 3) or (n,)
         What the two rows share: a vector that changes sign (normal force), or a scalar (overlap).
     place : array (n, 3)
@@ -112,8 +118,8 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     Returns
     -------
     Frame
-        One row a contact, in the given order. Of mirrored rows the one with the lower id first is kept, with
-        the mean of the two forces: ``(F - F_mirrored) / 2``.
+        One row a contact, in the given order. Of mirrored rows the one with the lower id first is
+        kept, with the mean of the two forces: ``(F - F_mirrored) / 2``.
     """
     i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
     shared = _of_shared_pairs(i, j)  # most pairs stand once: no need to sort them further
@@ -131,7 +137,8 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     rows = shared[order]
     contact = _runs_along([key[order] for key in contact_keys])
     side = _runs_along([contact, swapped[rows]])
-    # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th of them.
+    # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th
+    # of them.
     rank = np.arange(len(rows)) - np.searchsorted(side, side)
     mirrored = swapped[rows] & (rank < np.bincount(contact, ~swapped[rows])[contact])
     kept = rows[(np.searchsorted(contact, contact) + rank)[mirrored]]
@@ -152,7 +159,8 @@ def both_sides_once(
     Parameters
     ----------
     contacts : Frame
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n,
+        3).
     place : array (n, 3)
         Contact points (m).
     length : array (n,)
@@ -163,8 +171,8 @@ def both_sides_once(
     Returns
     -------
     Frame
-        One row a contact: of its rows the first, with the mean of their points, of their overlaps, and of their forces,
-        turned to act on the same particle.
+        One row a contact: of its rows the first, with the mean of their points, of their overlaps,
+        and of their forces, turned to act on the same particle.
     """
     i, j = contacts["contact_i"], contacts["contact_j"]
     shared = _of_shared_pairs(i, j)

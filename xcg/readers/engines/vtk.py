@@ -113,11 +113,12 @@ class Vtk(Engine):
         Parameters
         ----------
         paths : sequence of str
-            Files of one region; or lists of them (``.pvd``, ``.series``), whose times are taken where the files say
-            none; or files that name the pieces of a step (``.pvtu``, ``.pvtp``).
+            Files of one region; or lists of them (``.pvd``, ``.series``), whose times are taken
+            where the files say none; or files that name the pieces of a step (``.pvtu``,
+            ``.pvtp``).
         options : ReadOptions
-            ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
-            ``extra["timestep"]`` gives times to files without them.
+            ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not
+            exist. ``extra["timestep"]`` gives times to files without them.
 
         Raises
         ------
@@ -127,7 +128,8 @@ class Vtk(Engine):
         Warns
         -----
         SceneWarning
-            For files that are missing or hold no grains, which are skipped, and arrays of cells that are not read.
+            For files that are missing or hold no grains, which are skipped, and arrays of cells
+            that are not read.
         """
         refs = list_steps(paths, options)
         of_cells = [array for ref in refs[:1] for array in ref.columns if array.endswith(OF_CELLS)]
@@ -264,15 +266,17 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
     Parameters
     ----------
     path : str or path
-        A file that VTK reads: ``.vtu``, ``.vtp``, ``.vts``, ``.vtr``, ``.vti``, ``.vtk``, ``.stl``, ``.obj``, ``.ply``.
+        A file that VTK reads: ``.vtu``, ``.vtp``, ``.vts``, ``.vtr``, ``.vti``, ``.vtk``, ``.stl``,
+        ``.obj``, ``.ply``.
     centers : bool
-        Take the centres of cells (VTK's parametric centres, as ParaView's filter "Cell Centers"), where codes of finite
-        volumes keep their fields; else the points.
+        Take the centres of cells (VTK's parametric centres, as ParaView's filter "Cell Centers"),
+        where codes of finite volumes keep their fields; else the points.
 
     Returns
     -------
     dict
-        Coordinates ``x``, ``y`` and ``z`` (m) with the dimension ``cell`` or ``point``, in the order of the file.
+        Coordinates ``x``, ``y`` and ``z`` (m) with the dimension ``cell`` or ``point``, in the
+        order of the file.
 
     Raises
     ------

@@ -55,7 +55,8 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     Raises
     ------
     SceneError
-        If files are missing or damaged, none holds grains, or the pieces of a step hold different arrays.
+        If files are missing or damaged, none holds grains, or the pieces of a step hold different
+        arrays.
 
     Warns
     -----

@@ -1,8 +1,9 @@
 """YADE: text by scripts of its users (docs/other_codes.md has one) and by ``yade.export``.
 
-Lines of comments come first. One names the columns; ``fn(3)`` means three columns. One may hold the time, the number of
-the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose columns are the vectors to the next images.
-Others are comments. Positions are not wrapped. The forces that YADE keeps act on the second body of a contact.
+Lines of comments come first. One names the columns; ``fn(3)`` means three columns. One may hold the
+time, the number of the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose
+columns are the vectors to the next images. Others are comments. Positions are not wrapped. The
+forces that YADE keeps act on the second body of a contact.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Legacy VTK files (``# vtk DataFile``), text or binary: PolyData and unstructured grids, read without VTK.
 
-Headers of arrays stand between the values, so the whole file is looked through, without parsing its numbers: in binary
-files values are skipped by their size, in text files up to the next line of words.
+Headers of arrays stand between the values, so the whole file is looked through, without parsing its
+numbers: in binary files values are skipped by their size, in text files up to the next line of
+words.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     Raises
     ------
     SceneError
-        If this is no legacy VTK file, it is damaged or shorter than promised; or lines are wanted, and there are cells
-        of other kinds beside them.
+        If this is no legacy VTK file, it is damaged or shorter than promised; or lines are wanted,
+        and there are cells of other kinds beside them.
     """
     with open_binary(path) as file:
         scanner = _Scanner(file, path)
@@ -152,7 +153,8 @@ class _Contents:
     types : Array or None
         Types of the cells of an unstructured grid.
     arrays : dict
-        Arrays with their rows, of points, of cells, and of the file (""), by the keyword above them.
+        Arrays with their rows, of points, of cells, and of the file (""), by the keyword above
+        them.
     counts : dict
         Rows that these arrays should have.
     """

@@ -1,7 +1,8 @@
 """Tables of numbers: bodies of text, CSV and Parquet.
 
-Text becomes columns block by block, in all threads where nothing else is read. CSV has commas, semicolons, tabs or
-blanks between values. Of Parquet, pyarrow reads the columns and row groups that are wanted.
+Text becomes columns block by block, in all threads where nothing else is read. CSV has commas,
+semicolons, tabs or blanks between values. Of Parquet, pyarrow reads the columns and row groups that
+are wanted.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ def parse_table(
     Raises
     ------
     SceneError
-        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
-        names the first such row, counted from 0.
+        If rows are missing, too many, or too short or long, or a wanted value is not a number; the
+        message names the first such row, counted from 0.
     """
     places = np.array([columns.index(column) for column in wanted], np.int64)
     pieces = (
@@ -294,7 +295,8 @@ def scan_csv(
 def _header_line(scanner: Scanner) -> bytes:
     """Return the line that names the columns, and pass over comments above and below it.
 
-    It is the first line without "#", or, where that holds numbers, the last comment of as many words.
+    It is the first line without "#", or, where that holds numbers, the last comment of as many
+    words.
     """
     comments = _comments(scanner)
     below = scanner.sample(_LONGEST_ROW)
@@ -389,7 +391,8 @@ def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[
     table = read_table(
         ref, wanted, ref.rows, options, _translated(body_of(ref), ref.kind, separators)
     )
-    # as many values as columns, but more separators: cells are empty, and values may stand in other columns
+    # as many values as columns, but more separators: cells are empty, and values may stand in other
+    # columns
     more = sum(separators) - ref.rows * (len(ref.columns) - 1)
     if separators and more not in (0, ref.rows):
         raise SceneError(

@@ -1,8 +1,8 @@
 """The data arrays of VTK XML files, decoded without VTK: raw, base64 or text, compressed or not.
 
-VTK's own reader allocates what a header promises before it looks for the data, and ends the interpreter where that
-fails. Here the length that stands before every block is compared with the number of values first, so that nothing
-larger than the file's own data is ever made.
+VTK's own reader allocates what a header promises before it looks for the data, and ends the
+interpreter where that fails. Here the length that stands before every block is compared with the
+number of values first, so that nothing larger than the file's own data is ever made.
 """
 
 from __future__ import annotations

@@ -48,7 +48,8 @@ class Array:
     form : str
         "raw" or "base64" with the length before the values, "binary" without it, or "ascii".
     start, stop : int
-        Bytes of the file, unpacked where it is compressed, where its data begin, and where they end at the latest.
+        Bytes of the file, unpacked where it is compressed, where its data begin, and where they end
+        at the latest.
     of_vertices : bool
         Whether its rows are vertices, in their order, and not points.
     """
@@ -71,9 +72,11 @@ class Piece:
     rows : int
         Number of points, or of lines.
     arrays : tuple of Array
-        The coordinates of the points, then the arrays of points and of vertices; or the arrays of the lines.
+        The coordinates of the points, then the arrays of points and of vertices; or the arrays of
+        the lines.
     vertices : Array or None
-        Points of the vertices, the last component of each row, where there is one vertex for each point.
+        Points of the vertices, the last component of each row, where there is one vertex for each
+        point.
     unread : tuple of str
         Names of arrays of cells that belong to no single point.
     """
@@ -97,7 +100,8 @@ class Header:
     time : float or None
         Physical time (s), where the file states it.
     pieces : tuple of Piece
-        Parts whose rows follow one another; those without rows are left out, unless all are without.
+        Parts whose rows follow one another; those without rows are left out, unless all are
+        without.
     encoding : VtkEncoding
         Byte order, type of lengths, and compression.
     fields : mapping
@@ -105,7 +109,8 @@ class Header:
     of_lines : bool
         Whether rows are lines.
     mesh : str
-        What the file holds in place of grains, such as "1616 polygons"; empty for grains or contacts.
+        What the file holds in place of grains, such as "1616 polygons"; empty for grains or
+        contacts.
     """
 
     path: str

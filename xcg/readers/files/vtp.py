@@ -92,7 +92,8 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
     Raises
     ------
     SceneError
-        Unless this is VTK XML of one of these kinds, without entities, whose elements close in order.
+        Unless this is VTK XML of one of these kinds, without entities, whose elements close in
+        order.
     """
     parser = expat.ParserCreate("iso-8859-1")  # all bytes are characters; see `_utf8`
     elements: list[_Element] = []
@@ -173,14 +174,14 @@ def read_header(path: str, *, lines: bool = False) -> Header:
 
     Where `lines` are wanted and cells have arrays, rows are lines, and the arrays belong to cells.
 
-    Only the first kilobytes are read where data are appended; files with values in the XML (old ASCII output)
-    are scanned as a whole, because the names of their arrays are spread over them.
+    Only the first kilobytes are read where data are appended; files with values in the XML (old
+    ASCII output) are scanned as a whole, because the names of their arrays are spread over them.
 
     Raises
     ------
     SceneError
-        If this is not VTK PolyData or an unstructured grid, or shorter than promised; or lines are wanted, and there
-        are cells of other kinds beside them.
+        If this is not VTK PolyData or an unstructured grid, or shorter than promised; or lines are
+        wanted, and there are cells of other kinds beside them.
     """
     data, body, size = _text(path)
     xml = _parsed(path, data, "PolyData", "UnstructuredGrid", *_GRIDS)

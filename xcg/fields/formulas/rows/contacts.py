@@ -1,21 +1,22 @@
 """Contacts and phases: stress, traction of walls, fabric and its anisotropy, and how phases act on each other.
 
-With n the normal of a contact, l its branch along n (from centre to centre, at a wall to the contact point), f its
-force and f_t the tangential part, <> the mean over contacts at the node, dev the deviator, k = 15/2 (4 in a plane),
+With n the normal of a contact, l its branch along n (from centre to centre, at a wall to the
+contact point), f its force and f_t the tangential part, <> the mean over contacts at the node, dev
+the deviator, k = 15/2 (4 in a plane),
 
     Phi = <n n>,  X_b = <l n n> / <l>,  X_n = <f.n n n> / <f.n>,  X_t = <f_t n> / <f.n>.
 
-The density of contacts by direction is then (1 + a_c : n n) / 4 pi with a_c = k dev Phi, in the lowest harmonics;
-branch lengths and normal forces vary as 1 + a_b : n n and 1 + a_n : n n with a_b = k dev (X_b - Phi) and
-a_n = k dev (X_n - Phi), and tangential forces as a_t . n - (n . a_t . n) n with a_t = 5 dev X_t (4 in a plane), to
-first order in the anisotropies.
+The density of contacts by direction is then (1 + a_c : n n) / 4 pi with a_c = k dev Phi, in the
+lowest harmonics; branch lengths and normal forces vary as 1 + a_b : n n and 1 + a_n : n n with a_b
+= k dev (X_b - Phi) and a_n = k dev (X_n - Phi), and tangential forces as a_t . n - (n . a_t . n) n
+with a_t = 5 dev X_t (4 in a plane), to first order in the anisotropies.
 
-Sources: Rothenburg & Bathurst (1989), Geotechnique 39, 601 (plane); Ouadfel & Rothenburg (2001), Mech. Mater. 33, 201,
-and Guo & Zhao (2013), Comput. Geotech. 47, 1 (space); anisotropies from these sums: Azema, Radjai & Saussine (2009),
-Mech. Mater. 41, 729. Strong contacts: Radjai et al. (1998), Phys. Rev. Lett. 80, 61. Constraints
-over degrees of freedom: Kruyt (2010), C. R. Mecanique 338, 596; partners from which grains bear load: Thornton (2000),
-Geotechnique 50, 43. Phases: Weinhart, Luding & Thornton (2013), AIP Conf. Proc. 1542; Gray & Thornton (2005), Proc. R.
-Soc. A 461.
+Sources: Rothenburg & Bathurst (1989), Geotechnique 39, 601 (plane); Ouadfel & Rothenburg (2001),
+Mech. Mater. 33, 201, and Guo & Zhao (2013), Comput. Geotech. 47, 1 (space); anisotropies from these
+sums: Azema, Radjai & Saussine (2009), Mech. Mater. 41, 729. Strong contacts: Radjai et al. (1998),
+Phys. Rev. Lett. 80, 61. Constraints over degrees of freedom: Kruyt (2010), C. R. Mecanique 338,
+596; partners from which grains bear load: Thornton (2000), Geotechnique 50, 43. Phases: Weinhart,
+Luding & Thornton (2013), AIP Conf. Proc. 1542; Gray & Thornton (2005), Proc. R. Soc. A 461.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Displacement between two frames, strain and rotation, and the motion that an affine deformation leaves over.
 
-In a scene of displacements (`xcg.displacement`) a grain's displacement replaces its velocity, so that
-means, gradients and fluctuations are computed as for the flow.
+In a scene of displacements (`xcg.displacement`) a grain's displacement replaces its velocity, so
+that means, gradients and fluctuations are computed as for the flow.
 """
 
 from __future__ import annotations

@@ -22,7 +22,8 @@ from xcg.fields.formulas.algebra import (
 )
 from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
 
-# of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I Psi)^2
+# of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I
+# Psi)^2
 WEIGHT, _FIRST, _SECOND, SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
 
 
@@ -78,7 +79,8 @@ def _mean_energy(f: Any, s: Any, o: Options) -> NDArray:
 def _kinetic_heat_flux(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of (m v'^2 + I omega^2) / 2 v' Psi, v' = u - b, expanded in the moments relative to the node.
 
-    sum m v'^2 v' = sum m u^2 u - 2 (sum m u u).b - b sum m u^2 + b^2 sum m u + (2 b.sum m u - b^2 sum m) b
+    sum m v'^2 v' = sum m u^2 u - 2 (sum m u u).b - b sum m u^2 + b^2 sum m u + (2 b.sum m u - b^2
+    sum m) b
     """
     b = zero_if_unknown(f._drift[:1])
     square, first = dot(b, b), s.momentum

@@ -1,10 +1,11 @@
 """Errors of one step: standard deviations of fields whose sums are over independent fluctuations of the grains.
 
-Grains are where they are, and each has a velocity ``v_i = V + G x_i + e_i``, x_i = r_i - r_bar, the e_i independent
-with the covariance ``Theta = sum w_i e_i e_i / rho_T``, w_i = m_i Psi. A field that is a weighted sum of the e_i has
-the variance ``sum_i a_i^2 Theta``: ``T_k / N_eff`` of V, and ``T_k S_ll`` of G, ``S = M^-1 (sum w_i^2 x_i x_i) M^-1``.
-Of squares of the e_i, Isserlis' (Wick's) theorem gives it. Where neighbours move together, as in dense slow flow, fewer
-grains are independent, and errors are larger than these.
+Grains are where they are, and each has a velocity ``v_i = V + G x_i + e_i``, x_i = r_i - r_bar, the
+e_i independent with the covariance ``Theta = sum w_i e_i e_i / rho_T``, w_i = m_i Psi. A field that
+is a weighted sum of the e_i has the variance ``sum_i a_i^2 Theta``: ``T_k / N_eff`` of V, and ``T_k
+S_ll`` of G, ``S = M^-1 (sum w_i^2 x_i x_i) M^-1``. Of squares of the e_i, Isserlis' (Wick's)
+theorem gives it. Where neighbours move together, as in dense slow flow, fewer grains are
+independent, and errors are larger than these.
 """
 
 from __future__ import annotations
@@ -87,8 +88,8 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     """Error of |Gamma| = sqrt(Q), Q = 2 Gamma:Gamma, to second order: var Q = 16 Gamma C Gamma - 8 tr C^2.
 
-    C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself adds to the
-    first, at most three quarters of it.
+    C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself
+    adds to the first, at most three quarters of it.
     """
     rate, theta, slopes = (
         restricted(t, o.shear_axes) for t in (f.shear_rate_tensor, f._covariance, f._slopes)
@@ -105,8 +106,8 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
 def _left(f: Any, s: Any, o: Options) -> NDArray:
     """1 / N_left of the fluctuations that the fit leaves: between rho / (N_eff rho_T), of equal weights, and 1 / N_eff.
 
-    The fit takes most from the grains of the largest weight. Of random packings, the geometric mean of both is right
-    to 9 % where N_eff > 4 (docs/width.md).
+    The fit takes most from the grains of the largest weight. Of random packings, the geometric mean
+    of both is right to 9 % where N_eff > 4 (docs/width.md).
     """
     return f._share * np.sqrt(ratio(s.mass, f._free))
 

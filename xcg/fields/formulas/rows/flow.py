@@ -167,9 +167,10 @@ def _taken_by_mean(f: Any, s: Any, o: Options) -> NDArray:
 def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     """Return the mass density lost to the degrees of freedom of the fit, rho - rho_T, by phase.
 
-    The fit gives grain i the velocity ``sum_j H_ij v_j`` with ``H_ij = w_j (1 / rho + y_i A x_j)``, w = m Psi, x and y
-    relative to x_bar and to the point of the fit, A = M^+. Of independent fluctuations it takes, from the grains i of
-    a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
+    The fit gives grain i the velocity ``sum_j H_ij v_j`` with ``H_ij = w_j (1 / rho + y_i A x_j)``,
+    w = m Psi, x and y relative to x_bar and to the point of the fit, A = M^+. Of independent
+    fluctuations it takes, from the grains i of a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for
+    the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
     """
     point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
     centre = zero_if_unknown(mean_of(s.offset[:1], s.mass[:1]))

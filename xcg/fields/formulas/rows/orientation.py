@@ -1,8 +1,9 @@
 """Grains that are not round: how their axes are aligned, from the director n of each.
 
-A director has no head: n and -n are one. With D the dimension of the scene and <> the mean over grains, each counted
-once, Q = (D <n n> - I) / (D - 1) is 0 for directors of all directions and has the largest eigenvalue 1 where all are
-along one. Source: de Gennes & Prost (1993), The Physics of Liquid Crystals.
+A director has no head: n and -n are one. With D the dimension of the scene and <> the mean over
+grains, each counted once, Q = (D <n n> - I) / (D - 1) is 0 for directors of all directions and has
+the largest eigenvalue 1 where all are along one. Source: de Gennes & Prost (1993), The Physics of
+Liquid Crystals.
 """
 
 from __future__ import annotations
