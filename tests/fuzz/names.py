@@ -73,8 +73,9 @@ def damage(data: bytes, rng: random.Random, others: Sequence[bytes] = ()) -> byt
         rng.shuffle(table[kind])
     if rng.random() < 0.5:
         table["equal"] = False
+        disturb = rng.choice([_copy, _lose])
         for _ in range(rng.choice([1, 1, 2, 3])):
-            _disturb(table[rng.choice(list(TABLES))], table["form"], rng)
+            disturb(table[rng.choice(list(TABLES))], table["form"], rng)
     return json.dumps(table).encode()
 
 
@@ -89,15 +90,18 @@ def spell(name: str, form: str, rng: random.Random) -> str:
     return "".join(letters)
 
 
-def _disturb(columns: list, form: str, rng: random.Random) -> None:
-    """Copy a column, with equal or other values, under its own or another spelling; or misspell one."""
+def _copy(columns: list, form: str, rng: random.Random) -> None:
+    """Copy a column with equal or other values, under its own or another spelling."""
+    name, slot, _ = rng.choice(columns)
+    copied = rng.choice([name, name.swapcase(), spell(name, form, rng)])
+    columns.insert(rng.randrange(len(columns)), [copied, slot, rng.choice([1.0, 1.5])])
+
+
+def _lose(columns: list, form: str, rng: random.Random) -> None:
+    """Change a letter of a name, or leave a column out."""
     place = rng.randrange(len(columns))
-    name, slot, _ = columns[place]
-    way = rng.choice(["copy", "copy", "letter", "leave out"])
-    if way == "copy":
-        copied = rng.choice([name, name.swapcase(), spell(name, form, rng)])
-        columns.insert(rng.randrange(len(columns)), [copied, slot, rng.choice([1.0, 1.5])])
-    elif way == "letter":
+    name = columns[place][0]
+    if rng.random() < 0.5:
         letter = rng.randrange(len(name))
         columns[place][0] = name[:letter] + rng.choice("abexyz1_") + name[letter + 1 :]
     else:
@@ -132,7 +136,9 @@ def use(folder: Path) -> None:
 
 
 def _is_named(variable: str, table: Mapping, messages: str) -> bool:
-    """Return whether a warning names a column of a variable."""
+    """Return whether a warning names a variable, or a column of it."""
+    if f"of the {variable.replace('_', ' ')}" in messages:
+        return True
     columns = [*table["particles"], *table["contacts"]]
     slots = {"diameter": "radius"}.get(variable, variable)
     return any(repr(name) in messages for name, slot, _ in columns if slot.startswith(slots))
