@@ -73,9 +73,12 @@ def damage(data: bytes, rng: random.Random, others: Sequence[bytes] = ()) -> byt
         rng.shuffle(table[kind])
     if rng.random() < 0.5:
         table["equal"] = False
-        disturb = rng.choice([_copy, _lose])
-        for _ in range(rng.choice([1, 1, 2, 3])):
-            disturb(table[rng.choice(list(TABLES))], table["form"], rng)
+        kinds = rng.choices(list(TABLES), k=rng.choice([1, 1, 2, 3]))
+        if rng.random() < 0.3:
+            _lose(table[kinds[0]], rng)
+        else:
+            for kind in kinds:
+                _copy(table[kind], table["form"], rng)
     return json.dumps(table).encode()
 
 
@@ -97,7 +100,7 @@ def _copy(columns: list, form: str, rng: random.Random) -> None:
     columns.insert(rng.randrange(len(columns)), [copied, slot, rng.choice([1.0, 1.5])])
 
 
-def _lose(columns: list, form: str, rng: random.Random) -> None:
+def _lose(columns: list, rng: random.Random) -> None:
     """Change a letter of a name, or leave a column out."""
     place = rng.randrange(len(columns))
     name = columns[place][0]
