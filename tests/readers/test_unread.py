@@ -27,6 +27,7 @@ FILES = {
     "data.lmp": (b"LAMMPS data file\n\n2 atoms\n1 atom types\n", "data file.*write_dump"),
     "data.comments": (b"\n# grains\n\n 10  atoms\n", "data file"),
     "data.late": (b"made by a script\n\n  0 bonds\n 4 atoms\n", "data file"),
+    "liggghts.restart": (b"\0\0\0\0\x5a\0\0\0Version LIGGGHTS-PUBLIC 3.8.0", "read_restart"),
     "run.restart": (b"LammpS RestartT\0\0\0", "restart file.*-restart2dump"),
     "log.lammps": (b"LAMMPS (29 Aug 2024)\n", "log file"),
     "log.liggghts": (b"LIGGGHTS (Version LIGGGHTS-PUBLIC 3.8.0)\n", "log file"),

@@ -237,6 +237,17 @@ def _warn_of_lost_motion(filled: Mapping[str, str], read: Mapping[str, str], ref
         )
 
 
+def _warn_of_missing_height(read: Mapping[str, str], ref: StepRef) -> None:
+    """Warn of positions without a z beside velocities with one."""
+    if "velocity_z" in read and "position_z" not in read and "scaled_z" not in read:
+        warn_user(
+            f"{source_of(ref)}: no z of the position among the columns {' '.join(ref.columns)}, and "
+            f"{read['velocity_z']!r} is one of the velocity: positions get z = 0, as of one layer; map the "
+            f"column, names={{'its column': 'position_z'}}, or drop {read['velocity_z']!r} and the others of "
+            "the velocity"
+        )
+
+
 def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: StepRef) -> None:
     """Add the components of a place that follow from fractions of the box.
 
@@ -565,6 +576,7 @@ class Columnar(Engine):
         refs = self.list_steps(paths, options, contacts=False)
         read = self.particle_columns(refs[0], options)
         warn_of_unread(refs[0], read, options, contacts=False)
+        _warn_of_missing_height(read, refs[0])
         _warn_of_lost_motion(assign(refs[0], self.PARTICLE_SLOTS, options), read, refs[0])
         return refs
 

@@ -58,6 +58,12 @@ _FORMATS = (
         rb"LammpS RestartT",
     ),
     UnreadFormat(
+        "a restart file of LIGGGHTS",
+        "read it in LIGGGHTS by read_restart, and write 'dump p all custom 1 p.liggghts id type x y z "
+        "ix iy iz vx vy vz radius density' and 'run 0'",
+        rb"\0{4}(?s:.)\0{3}Version LIGGGHTS",
+    ),
+    UnreadFormat(
         "a log file of LAMMPS or LIGGGHTS",
         "give the files of its 'dump custom' instead",
         rb"(?:LAMMPS|LIGGGHTS) \(",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ import vtk
 from vtk.util.numpy_support import numpy_to_vtk
 
 import xcg
+from tests import dumps
 
 STEP = 0.01  # m that every grain moves along x in one step
 
@@ -303,3 +305,32 @@ def test_arrays_of_vtk_are_named_as_columns_are(tmp_path, names):
     assert ds.particle_id.values.tolist() == [[8, 9]]
     np.testing.assert_allclose(ds.diameter, [[0.2, 0.4]])
     np.testing.assert_array_equal(ds.velocity[0], velocity)
+
+
+def test_a_lost_height_beside_a_velocity_along_z_is_named(tmp_path):
+    for file, separator in (("p.csv", ","), ("p.txt", " ")):
+        path = tmp_path / file
+        rows = ["id x y height vx vy vz radius", "1 0 0 5 1 2 3 0.1", "2 1 1 6 1 2 3 0.1"]
+        path.write_text("".join(row.replace(" ", separator) + "\n" for row in rows))
+        with pytest.warns(xcg.SceneWarning, match="no z of the position.*'vz'"):
+            xcg.open_scene(path, density=1.0)
+        ds = xcg.open_scene(path, density=1.0, names={"height": "position_z"})
+        np.testing.assert_array_equal(ds.position[0, :, 2], [5.0, 6.0])
+
+
+def test_a_dump_with_a_column_twice_opens_beside_named_contacts(tmp_path):
+    grains = dumps.dump_text(["1 1 1 0 0 0 1", "2 1 1 2 0 0 1"], "id type type x y z radius")
+    (tmp_path / "p.dump").write_text(grains)
+    for columns, message in (
+        ("id1 id2 fx fy fz", ""),
+        ("id1 id2 fx FX fy fz", "both 'fx' and 'FX' may be 'contact_force_x'"),
+    ):
+        row = "1 2 -3 " + ("-9 " if message else "") + "0 0"
+        (tmp_path / "c.dump").write_text(dumps.pairs_text([row], columns))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            ds = xcg.open_scene(
+                tmp_path / "p.dump", contacts=tmp_path / "c.dump", density=1.0
+            ).load()
+        np.testing.assert_array_equal(ds.contact_force[0], [[-3.0, 0, 0]])
+        assert message in " ".join(str(warning.message) for warning in caught)

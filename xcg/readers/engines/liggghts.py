@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.readers import names
+from xcg.readers.columns import warn_of_unread
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered
 from xcg.readers.files.text import body_of, source_of
@@ -61,9 +62,8 @@ class Liggghts(Dumps):
     }
 
     def recognises(self, path: str) -> bool:
-        """Return whether the first lines identify a dump; local ones have numbered columns."""
-        body = body_columns(path)
-        return body is not None and (body[0] == "ATOMS" or is_numbered(body[1]))
+        """Return whether the first lines identify a dump; LAMMPS comes first."""
+        return body_columns(path) is not None
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``pair/gran/local`` files."""
@@ -78,6 +78,8 @@ class Liggghts(Dumps):
         """Check the columns of the first step, and guessed words with some of its rows."""
         first = next((ref for ref in refs if ref.rows), refs[0])
         filled = self.contact_columns(first, options)
+        if not is_numbered(first.columns):
+            warn_of_unread(first, filled, options, contacts=True)
         if not _words_of(first, options) and (guess := _guess(first, options)):
             _check_guess(first, guess)
         if "normal_force_x" in filled and "tangential_force_x" not in filled:

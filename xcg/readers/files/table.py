@@ -420,7 +420,7 @@ def _opened(path: str) -> Iterator[Any]:
     try:
         with parquet.ParquetFile(path) as file:
             yield file
-    except (pyarrow.ArrowException, OSError) as error:
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise SceneError(
@@ -433,10 +433,13 @@ def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str
     with _opened(path) as file:
         names = tuple(file.schema_arrow.names)
         wanted = sorted(set(clock_of(names).values()))
+        rows = file.metadata.num_rows
         table = file.read(columns=wanted)
-        return TableIndex(
-            names, file.metadata.num_rows, {name: _numbers(table, name, path) for name in wanted}
-        )
+        if wanted and table.num_rows != rows:
+            raise SceneError(
+                f"{path}: {table.num_rows} rows, but its metadata promise {rows}; the file is damaged"
+            )
+        return TableIndex(names, rows, {name: _numbers(table, name, path) for name in wanted})
 
 
 def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
