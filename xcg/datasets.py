@@ -294,7 +294,9 @@ def random_scene(
     i, j = pairs[:, 0], pairs[:, 1]
     force = rng.normal(size=(len(pairs), 3)) * moving
     branch = minimum_image(position[i] - position[j], np.where(period > 0, period, np.inf))
-    point = position[i] - 0.5 * branch
+    # at the same share of both radii, as where spheres touch
+    share = diameter[i] / (diameter[i] + diameter[j])
+    point = position[i] - share[:, None] * branch
     for k, axis in enumerate("xyz"[:seen]):
         if walls and axis not in periodic:
             near = np.flatnonzero(position[:, k] < 0.5 * diameter)

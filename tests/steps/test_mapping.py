@@ -86,7 +86,7 @@ def to_vtu(ds, folder):
 )  # fmt: skip
 def test_bodies_are_read_once(tmp_path, reads, task):
     particles, contacts = write_series(tmp_path)
-    ds = xcg.open_scene(particles, contacts=contacts, chunks=2)
+    ds = xcg.open_scene(particles, contacts=contacts, chunks=2, timestep=1e-3)
     task(ds, tmp_path)
     assert {step for _, step in reads} == set(ds.step.values.tolist())
     assert set(reads.values()) == {1}

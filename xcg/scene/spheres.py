@@ -228,7 +228,10 @@ class SphereContacts:
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""
-        same = self._sample.rows[self._sample.overlap == self._sample.touching]
+        rows = self._sample.rows
+        position = self.particles["position"]
+        apart = position[self.row_i[rows]] - position[self.row_j[rows]]
+        same = rows[~self.lattice.shortest(apart).any(axis=1)]
         contacts = self.contacts
         warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], self.source)
 

@@ -127,6 +127,7 @@ def test_too_many_periodic_images_raise():
     np.testing.assert_allclose(few.number_density, 3 / 0.006**3, rtol=0.01)
 
 
+@pytest.mark.filterwarnings("ignore:.*off the surfaces of both")
 @pytest.mark.parametrize(
     ("position", "options", "message"),
     [
