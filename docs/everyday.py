@@ -33,7 +33,7 @@ HEADER = (
     "0 {edge}\n0 {edge}\n0 {edge}\nITEM: ATOMS id type x y z vx vy vz radius mass\n"
 )
 TIMED = """
-import json, resource, time
+import json, re, time
 begin = time.perf_counter()
 {imports}
 loaded = time.perf_counter()
@@ -42,7 +42,7 @@ end = time.perf_counter()
 print(json.dumps({{
     "imports": loaded - begin,
     "job": end - loaded,
-    "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "memory": int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024,
     "check": float(check),
 }}))
 """
@@ -58,14 +58,26 @@ f = ds.cg.coarse_grain(["velocity", "density"], axes="z").compute()
 rho, v = f.density, f.velocity.sel(component="x")
 check = (rho * v).sum() / rho.sum()
 """
-SCRIPT_IMPORTS = "import glob, itertools\nimport numpy as np, pandas as pd"
+SCRIPT_IMPORTS = "import glob, io, itertools\nimport numpy as np, pandas as pd"
 SCRIPT_PROFILE = """
+momentum, mass = np.zeros(60), np.zeros(60)
+for path in sorted(glob.glob({files})):
+    with open(path) as file:
+        header = list(itertools.islice(file, 9))
+    t = pd.read_csv(path, sep=" ", skiprows=9, names=header[8].split()[2:])
+    edges = np.linspace(*map(float, header[7].split()), 61)
+    momentum += np.histogram(t.z, edges, weights=t.mass * t.vx)[0]
+    mass += np.histogram(t.z, edges, weights=t.mass)[0]
+velocity, check = momentum / mass, momentum.sum() / mass.sum()
+"""
+SCRIPT_STEPS = """
 momentum, mass = np.zeros(60), np.zeros(60)
 for path in sorted(glob.glob({files})):
     with open(path) as file:
         while header := list(itertools.islice(file, 9)):
             names, rows = header[8].split()[2:], int(header[3])
-            t = pd.read_csv(file, sep=" ", names=names, nrows=rows, engine="c")
+            body = io.StringIO("".join(itertools.islice(file, rows)))
+            t = pd.read_csv(body, sep=" ", names=names)
             edges = np.linspace(*map(float, header[7].split()), 61)
             momentum += np.histogram(t.z, edges, weights=t.mass * t.vx)[0]
             mass += np.histogram(t.z, edges, weights=t.mass)[0]
@@ -82,7 +94,7 @@ pipeline.modifiers.append(SpatialBinningModifier(
 means = []
 for frame in range(pipeline.source.num_frames):
     data = pipeline.compute(frame)
-    means.append(data.tables["binning"].y.mean())
+    means.append(data.tables["binning"].y[...].mean())
 check = sum(means) / len(means)
 """
 XCG_MAP = """
@@ -127,7 +139,9 @@ for path in sorted(glob.glob({files})):
     mass += np.histogram(z, edges, weights=m)[0]
 check = momentum.sum() / mass.sum()
 """
-XCG_VTP = XCG_PROFILE.replace('units="reduced"', "times=[0.0, 1.0]")
+EDGE = float((500_000 / SOLID * np.pi / 6) ** (1 / 3))  # files of no dump hold no box
+XCG_BOX = XCG_PROFILE.replace('"reduced"', f'"reduced", box=[[0.0, {EDGE}]] * 3, periodic="xy"')
+XCG_VTP = XCG_BOX.replace(" periodic", " times=[0.0, 1.0], periodic")
 XCG_MOVIE = """
 ds = xcg.open_scene({files}, units="reduced")
 f = ds.cg.coarse_grain(["velocity", "density"], axes="xz")
@@ -142,7 +156,8 @@ SCRIPT_MOVIE = """
 frames = []
 with open({files}) as file:
     while header := list(itertools.islice(file, 9)):
-        t = pd.read_csv(file, sep=" ", names=header[8].split()[2:], nrows=int(header[3]), engine="c")
+        body = io.StringIO("".join(itertools.islice(file, int(header[3]))))
+        t = pd.read_csv(body, sep=" ", names=header[8].split()[2:])
         edges = [np.linspace(*map(float, header[k].split()), 41) for k in (5, 7)]
         momentum = np.histogram2d(t.x, t.z, edges, weights=t.mass * t.vx)[0]
         frames.append(momentum / np.histogram2d(t.x, t.z, edges, weights=t.mass)[0])
@@ -221,7 +236,11 @@ ROWS = (
     Row("profile, one step of 5e5 grains", dumps("half", 500_000, 1), PROFILES),
     Row("profile, one step of 1e6 grains", dumps("one", 1_000_000, 1), PROFILES),
     Row("profile, three files of 1e6 grains", dumps("three", 1_000_000, 1, 3), PROFILES),
-    Row("profile, 40 steps of 2e4 grains in one file", dumps("forty", 20_000, 40), PROFILES),
+    Row(
+        "profile, 40 steps of 2e4 grains in one file",
+        dumps("forty", 20_000, 40),
+        PROFILES | {"script": (SCRIPT_IMPORTS, SCRIPT_STEPS)},
+    ),
     Row(
         "profile, two .vtp files of 5e5 grains",
         vtp,
@@ -230,7 +249,7 @@ ROWS = (
     Row(
         "profile, a CSV of 5e5 grains",
         csv,
-        {"xcg": (IMPORT_XCG, XCG_PROFILE), "script": (SCRIPT_IMPORTS, SCRIPT_CSV)},
+        {"xcg": (IMPORT_XCG, XCG_BOX), "script": (SCRIPT_IMPORTS, SCRIPT_CSV)},
     ),
     Row(
         "map of 60^3, one step of 5e5 grains",

@@ -194,7 +194,7 @@ def run_job(
 
 
 def _remove_images(job: Job, kept: list[Path]) -> None:
-    """Remove the VTKHDF files of a run that this one replaces, but those that it wrote anew."""
+    """Remove the VTKHDF files of a run that this one replaces, except new ones."""
     for path in job.folder.glob(f"{glob.escape(job.name)}*.vtkhdf"):
         is_image = re.fullmatch(rf"{re.escape(job.name)}(_\d+)?", path.stem)
         if is_image and path not in kept and _made_by(path):

@@ -35,7 +35,7 @@ class Arguments:
     Raises
     ------
     SceneError
-        If `missing` or `on_error` is no choice.
+        If `missing` or `on_error` is not one of its choices.
     """
 
     particles: Paths

@@ -227,7 +227,7 @@ def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
 
 
 def _warn_of_lost_motion(filled: Mapping[str, str], read: Mapping[str, str], ref: StepRef) -> None:
-    """Warn of images or unwrapped positions that are not used, as those of an axis are missing."""
+    """Warn of images or unwrapped positions that are not used, as an axis is missing."""
     motion = ("image_", "unwrapped_")
     columns = [column for slot, column in filled.items() if slot.startswith(motion)]
     if columns and not any(slot.startswith(motion) for slot in read):

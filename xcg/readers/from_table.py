@@ -230,7 +230,7 @@ def _frames(
 
 
 def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str, Any]) -> None:
-    """Warn of columns that are probably not ignored on purpose, as of those of a file."""
+    """Warn of columns that are probably not ignored on purpose, as for files."""
     contacts = ref.path == "contacts"
     table = Table()
     read = (table.contact_columns if contacts else table.particle_columns)(ref, options)

@@ -110,7 +110,7 @@ class Step:
 def read_step(
     engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False
 ) -> Frame:
-    """Parse one body in the file's units, or those of its pieces one after the other."""
+    """Parse one body, or its pieces one after the other, in the file's units."""
     if ref.pieces:
         frames = [read_step(engine, options, piece, contacts=contacts) for piece in ref.pieces]
         return {
@@ -200,7 +200,7 @@ class Opened:
         return type(self).__name__
 
     def keep(self, ref: StepRef, frame: Frame) -> None:
-        """Keep the completed particles of a step, unless those that are kept would take too much memory."""
+        """Keep the completed particles of a step, within a limit of memory."""
         frames = [*self._frames.values(), frame]
         if sum(array.nbytes for one in frames for array in one.values()) <= _MOST_OPENED:
             self._frames[ref] = dict(frame)

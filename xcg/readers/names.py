@@ -292,7 +292,7 @@ _BESIDE_CLOCK_WORDS = {
 def resembling(
     columns: Iterable[str], variables: Iterable[str], *, contacts: bool
 ) -> dict[str, str]:
-    """Return columns whose names resemble a variable that is not among those that are read.
+    """Return columns whose names resemble a variable that is not read.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which engine reads a file, as far as its first bytes and its name tell."""
+"""Choice of the engine that reads a file, by its first bytes and its name."""
 
 from __future__ import annotations
 

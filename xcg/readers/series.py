@@ -42,7 +42,7 @@ class Listing:
     reader : Engine
         The engine.
     options : ReadOptions
-        What it is told.
+        Its options.
     files : mapping
         Paths by kind of file.
     refs : mapping
@@ -65,7 +65,7 @@ class Listing:
 
     @property
     def units_are_assumed(self) -> bool:
-        """Whether files that usually name their units do not."""
+        """Return True if files that usually name their units do not."""
         named = any(refs[0].units is not None for refs in self.refs.values())
         return bool(self.reader.UNNAMED_UNITS) and not named
 

@@ -36,7 +36,7 @@ class UnreadFormat:
     suffixes: tuple[str, ...] = ()
 
     def fits(self, head: bytes, suffix: str) -> bool:
-        """Return whether the first bytes and the suffix of a file are those of this format."""
+        """Return whether a file has the first bytes and the suffix of this format."""
         return (not self.suffixes or suffix in self.suffixes) and bool(re.match(self.head, head))
 
 

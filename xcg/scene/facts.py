@@ -120,7 +120,7 @@ def _differences(parts: Sequence[dict[str, Any]]) -> str:
 
 
 def require_facts(ds: xr.Dataset, names: Sequence[str], purpose: str, way_out: str) -> None:
-    """Raise SceneError unless the Dataset has these attributes; the message lists those that are missing."""
+    """Raise SceneError unless the Dataset has these attributes; the message lists the missing ones."""
     missing = [name for name in names if name not in ds.attrs]
     if missing:
         raise SceneError(

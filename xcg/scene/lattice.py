@@ -101,7 +101,7 @@ class Lattice:
 
     @property
     def axes(self) -> NDArray:
-        """Which of a, b, c are in `given`: their indices (k,)."""
+        """Indices (k,) of those vectors a, b, c that are in `given`."""
         return np.flatnonzero(np.isfinite(self.lengths))
 
     def scaled(self, unit: float) -> Lattice:

@@ -327,7 +327,7 @@ def check_sizes(frame: Frame, setup: Setup) -> None:
 
 
 def _warn_of_large_volumes(d: NDArray, volume: NDArray) -> None:
-    """Warn where most volumes (n,) are larger than those of spheres with the diameters (n,)."""
+    """Warn if most volumes (n,) exceed the volumes of spheres with the diameters (n,)."""
     over_sphere = volume / (np.pi / 6 * d**3)
     ratio = np.median(over_sphere) if len(d) else 0.0
     if ratio > 1 + _DIGITS:

@@ -55,7 +55,7 @@ def warn_of_coincident(i: NDArray, j: NDArray, source: str) -> None:
 
 
 def _lengths(vectors: NDArray) -> NDArray:
-    """Lengths (n,) of vectors (n, 3), faster than those of np.linalg.norm for few vectors."""
+    """Lengths (n,) of vectors (n, 3), faster than np.linalg.norm for few vectors."""
     return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
@@ -246,7 +246,7 @@ class SphereContacts:
         return self._pairs(self._sampled_rows)
 
     def _pairs(self, rows: NDArray) -> Pairs:
-        """Return those of some rows whose partners are both known.
+        """Return the pairs among some rows whose partners are both known.
 
         Images are those nearest to the branches in the data, else to the contact points, else the
         shortest.
@@ -269,7 +269,7 @@ class SphereContacts:
         return Pairs(rows, diameter[i] / 2, diameter[j] / 2, branch, side_sum)
 
     def _walls_among(self, rows: NDArray) -> NDArray:
-        """Return those of some rows in which a sphere touches a wall at a known point."""
+        """Return the rows in which a sphere touches a wall at a known point."""
         if "contact_point" not in self.contacts:
             return rows[:0]
         return rows[(self.row_i[rows] >= 0) & (self.contacts["contact_j"][rows] < 0)]

@@ -348,7 +348,7 @@ def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) ->
 
 
 def _with_box(f: xr.Dataset, ds: xr.Dataset, motion: xr.Dataset) -> dict[str, xr.DataArray]:
-    """Return displacement and gradient with those that the box imposes on the grains of a node."""
+    """Add the displacement and gradient that the box imposes on the grains of a node."""
     fields = {}
     gradient = motion["box_gradient"]
     if _GRADIENT in f:

@@ -245,7 +245,7 @@ def _uses(
     recorded: Sequence[tuple[int, tuple[Any, ...]]],
     results: Mapping[tuple[str, int, int], Sequence[int]],
 ) -> Counter[int]:
-    """Return how often the result of each step is used, of those that lead to results."""
+    """Return how often each step that leads to a result is used."""
     uses = Counter(number for numbers in results.values() for number in numbers)
     waiting = list(uses)
     while waiting:

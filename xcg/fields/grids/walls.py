@@ -492,7 +492,7 @@ class Surface(Wall):
 
     @cached_property
     def _encloses(self) -> bool:
-        """Whether each edge is shared by two triangles, so that the surface has an inside and an outside."""
+        """Return True if each edge is shared by two triangles, so that the surface has an inside and an outside."""
         _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         rows = number.reshape(-1, 3)
         first, second = rows.ravel(), np.roll(rows, -1, axis=1).ravel()

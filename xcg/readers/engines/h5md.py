@@ -131,7 +131,7 @@ class _H5mdElement:
         return clock
 
     def row(self, k: int, position: _H5mdElement) -> int | None:
-        """Return the row of the values at a step of the positions; None where there is none."""
+        """Return the row of the values at a step of the positions, None if it is absent."""
         if self.steps is None or position.steps is None:
             return 0 if self.count == 1 else None
         rows = np.flatnonzero(self.steps == position.steps[k])

@@ -157,7 +157,7 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
 
 
 def _first_of(mine: Mapping[str, str]) -> str:
-    """Return the variable of a mapping that tells the steps and the number of rows."""
+    """Return the variable of a mapping that defines the steps and the number of rows."""
     firsts = [name for name in _FIRST if name in mine]
     return firsts[0]
 

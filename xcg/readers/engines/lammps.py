@@ -330,7 +330,7 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
 
 
 def _apart(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of columns of which those that occur before get the number of their column."""
+    """Return unique names of columns: repeated ones get the number of their column."""
     return tuple(
         f"{name}{_TWIN}{place + 1})" if name in names[:place] else name
         for place, name in enumerate(names)

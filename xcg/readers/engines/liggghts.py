@@ -231,7 +231,7 @@ def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
 
 
 def _cosines(vectors: NDArray, directions: NDArray) -> NDArray:
-    """Return the absolute cosines of the angles between vectors (n, 3), without those that are zero."""
+    """Return absolute cosines of the angles between vectors (n, 3); zero vectors are left out."""
     lengths = np.linalg.norm(vectors, axis=1) * np.linalg.norm(directions, axis=1)
     positive = lengths > 0
     return np.abs((vectors * directions).sum(axis=1)[positive]) / lengths[positive]

@@ -85,7 +85,7 @@ class Restart:
 
     @property
     def has_discs(self) -> bool:
-        """Whether grains are discs, whose mass is ``rho pi r^2``."""
+        """Return True if grains are discs, whose mass is ``rho pi r^2``."""
         return self.particle_dimension is not None and self.particle_dimension < 3
 
 
@@ -96,7 +96,7 @@ def is_restart(path: str) -> bool:
 
 
 def restart_beside(data: str) -> str | None:
-    """Return the restart file that belongs to a ``.data`` file, None if there is none.
+    """Return the restart file that belongs to a ``.data`` file, None if it does not exist.
 
     ``run.data`` has ``run.restart``; ``run.data.12`` has that, or else ``run.restart.12``.
     """

@@ -58,7 +58,7 @@ class Table(Columnar):
         return refs
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the column of each slot; the `mass` of trackpy is none unless `names` says so."""
+        """Find the column of each slot; trackpy's `mass` (a brightness) is read only by `names`."""
         columns = super().particle_columns(ref, options)
         if set(ref.columns) >= _OF_TRACKPY and "mass" not in options.names:
             columns.pop("mass", None)

@@ -104,7 +104,7 @@ def _scan(path: str, *, lines: bool) -> list[StepRef]:
 
 
 def _mesh(path: str, mesh: str) -> StepRef:
-    """Return what stands for a file without grains."""
+    """Return an empty step for a file without grains."""
     return StepRef(path, rows=0, step=-1, kind=MESH + mesh)
 
 

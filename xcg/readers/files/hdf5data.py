@@ -18,7 +18,7 @@ _SHOWN = 8  # names in messages
 
 
 def is_hdf5(path: str) -> bool:
-    """Return whether the first bytes are those of HDF5."""
+    """Return whether the file begins with the signature of HDF5."""
     with open(path, "rb") as file:
         return file.read(len(MAGIC)) == MAGIC
 

@@ -310,7 +310,7 @@ def _header_line(scanner: Scanner) -> bytes:
 
 
 def _comments(scanner: Scanner) -> list[bytes]:
-    """Take lines that begin with "#", and return them."""
+    """Read lines that begin with "#", and return them."""
     lines = []
     while scanner.sample(_LONGEST_ROW).removeprefix(codecs.BOM_UTF8).startswith(b"#"):
         lines.append(scanner.line())

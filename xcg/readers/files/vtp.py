@@ -60,7 +60,7 @@ class _Xml:
     comments: list[str]
 
     def pieces(self) -> list[_Xml]:
-        """Split the elements into those of each piece, which begin with the piece itself."""
+        """Split the elements by piece; each list begins with the piece itself."""
         starts = [k for k, element in enumerate(self.elements) if element.name == "Piece"]
         ends = [*starts, len(self.elements)][1:]
         return [
