@@ -322,8 +322,8 @@ def random_scene(
         "periodic": periodic,
         "dimension": dimension,
     }
-    with warnings.catch_warnings():  # points of a few contacts that touch are moved to the surfaces
-        warnings.filterwarnings("ignore", ".*lie midway between the centres")
+    with warnings.catch_warnings():  # points are in the middle of pairs that need not touch
+        warnings.filterwarnings("ignore", ".*contact points lie")
         return scene_from_arrays(position, **(given | options))
 
 
