@@ -134,40 +134,37 @@ def microstructure(
     along r_i - c), each weighing w_c: half for each of its particles in the group, whole at a wall.
     D is the dimension of the scene, V the volume of the region.
 
-    =================================
-    ===================================================================  ========= quantity
-    formula                                                              source
-    =================================
-    ===================================================================  ========= particle_count,
-    contact_count      :math:`N`, :math:`N_c = \sum w_c` volume_fraction
-    :math:`\phi = \sum V_i / V` coordination_number                :math:`Z = \sum z_i / N`
-    (:math:`2 N_c / N` in the bulk)             [1]_ mechanical_coordination_number
-    :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
+    =================================  ===================================================================  =========
+    quantity                           formula                                                              source
+    =================================  ===================================================================  =========
+    particle_count, contact_count      :math:`N`, :math:`N_c = \sum w_c`
+    volume_fraction                    :math:`\phi = \sum V_i / V`
+    coordination_number                :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
+    mechanical_coordination_number     :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
                                        :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
-    rattler_count                      particles of :math:`z_i < D + 1`
-    [2]_ non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N
-    [2]_ connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
-    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is
-    positive mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\|
-    there normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of
-    contacts a bin   [3]_ tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`,
-    the same                       [3]_ cluster_count                      number of clusters,
-    single grains included largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
-    percolation                        1 along axes on which a cluster reaches through the box, else
-    0      [10]_ fabric                             :math:`F = \sum w_c n n / N_c`
-    [4]_ fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:
-    [5]_
+    rattler_count                      particles of :math:`z_i < D + 1`                                     [2]_
+    non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
+    connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
+    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is positive
+    mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\| there
+    normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of contacts a bin   [3]_
+    tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`, the same                       [3]_
+    cluster_count                      number of clusters, single grains included
+    largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
+    percolation                        1 along axes on which a cluster reaches through the box, else 0      [10]_
+    fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
+    fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
-    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts
-    only   [6]_ mean_stress                        :math:`p' = tr \sigma / D` deviator_stress
-    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
+    mean_stress                        :math:`p' = tr \sigma / D`
+    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
                                        :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
                                        axisymmetric states
-    stress_ratio                       :math:`\eta = q / p'` d_max, d50, d_bar
-    largest; half of the volume is smaller;                              [2]_
+    stress_ratio                       :math:`\eta = q / p'`
+    d_max, d50, d_bar                  largest; half of the volume is smaller;                              [2]_
                                        :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
-    particle_density                   :math:`\rho = \sum m_i / \sum V_i` strain_rate
-    :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
+    particle_density                   :math:`\rho = \sum m_i / \sum V_i`
+    strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
                                        2D: :math:`\sqrt{2 e:e}`
     volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
                                        engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
