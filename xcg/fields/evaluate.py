@@ -248,14 +248,14 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {}
-        if name in _AXES:
+        if name in _AXES and scene.cylindrical:
+            attrs = {"units": length} | _CYLINDRICAL[name]
+        elif name in _AXES:
             attrs = {
                 "units": length,
                 "long_name": f"position along {name}",
                 "axis": name.upper(),
             }
-            if scene.cylindrical:
-                attrs = {"units": length} | _CYLINDRICAL[name]
             if name in wrapped:
                 attrs["period"] = wrapped[name]  # also of a part of the nodes
         coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
