@@ -175,4 +175,5 @@ def _in_own_names(
     """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
     if request.preset not in PRESETS:
         raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
-    return PRESETS[request.preset](scene, request)
+    of_fields, rename = PRESETS[request.preset](scene, request)
+    return replace(of_fields, for_averages=False), rename

@@ -53,10 +53,9 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
-        What is computed: what was asked for, and what averages of it need where they are to be
-        taken.
+        What is computed: what was asked for, and the sums that averages of it need.
     asked : tuple of str
-        What was asked for.
+        The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
     deposit : DepositSpec
@@ -144,7 +143,7 @@ class Plan:
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
-            "fields": ", ".join(self.fields),
+            "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
             **grid.text,
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
@@ -164,6 +163,9 @@ class Plan:
             else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
+        beside = [name for name in self.fields if name not in self.asked]
+        if beside:
+            lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
         if (seen := self.effective_count) is not None:
             velocity, temperature = (
                 min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
@@ -308,8 +310,10 @@ def _fields_and_options(
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
-    if request.for_averages or request.per is not None:
+    if request.for_averages is not False or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
+    if request.for_averages:
+        asked = names
     if options.averaged_gradient == "unknown" and (
         lost := [name for name in asked if takes_gradient(name, options)]
     ):
