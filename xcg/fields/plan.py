@@ -127,7 +127,7 @@ class Plan:
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        passes = {over: len(columns) for over, columns in self._columns.items()}
+        loops = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
         own = (
@@ -150,16 +150,16 @@ class Plan:
             or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
-            f"{passes['contacts']} over contacts"
+            "loops": f"{loops['particles']} over particles, {loops['slopes']} with grad Psi, "
+            f"{loops['contacts']} over contacts"
             + (
-                f", {passes['contact points']} over contact points"
-                if passes["contact points"]
+                f", {loops['contact points']} over contact points"
+                if loops["contact points"]
                 else ""
             )
-            + (f", {passes['means']} relative to means" if passes["means"] else ""),
+            + (f", {loops['means']} relative to means" if loops["means"] else ""),
             "contacts": f"{rules} (rtol = {self.rtol:g})"
-            if passes["contacts"]
+            if loops["contacts"]
             else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }

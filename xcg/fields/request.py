@@ -244,7 +244,7 @@ class Request(SharedOptions):
         xarray's pointwise indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share
         dimensions, or broadcast against each other; results have these dimensions and coordinates,
         and axes without an array are averaged.
-    walls : list of Plane, Cylinder and Surface, optional
+    surfaces : list of Plane, Cylinder and Surface, optional
         Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the
         share of the kernel that lies on their accessible side, averaged axes included. A `frame`
         turns them with the scene.
@@ -268,7 +268,7 @@ class Request(SharedOptions):
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
-    walls: Sequence[Wall] | None = None
+    surfaces: Sequence[Wall] | None = None
     per: Per | None = None
     errors: bool = False
     for_averages: bool | None = None
