@@ -2,6 +2,7 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.principal import plot_principal, principal
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
@@ -107,8 +108,10 @@ __all__ = [
     "plot_chains",
     "plot_lengths",
     "plot_phases",
+    "plot_principal",
     "plot_rose",
     "plot_width",
+    "principal",
     "profile",
     "pysammos_mesh",
     "readers",

@@ -105,6 +105,8 @@ class CoarseGrainAccessor:
     derive_superquadric = Method("xcg.fields.analysis.derived", SCENE)
     derive_velocity = Method("xcg.fields.analysis.derived", SCENE)
 
+    principal = Method("xcg.analysis.principal", RESULT)
+    plot_principal = Method("xcg.analysis.principal", RESULT)
     profile = Method("xcg.fields.formulas.averages", RESULT)
     time_average = Method("xcg.fields.formulas.averages", RESULT)
     spatial_correlation = Method("xcg.fields.analysis.correlations", RESULT)

@@ -5,6 +5,7 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload, type_chec
 
 import xarray as xr
 
+from xcg.analysis.principal import plot_principal, principal
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
@@ -59,6 +60,8 @@ class CoarseGrainAccessor:
     def _repr_html_(self) -> str: ...
     coarse_grain = _Bound(coarse_grain)
     explain = _Bound(explain)
+    principal = _Bound(principal)
+    plot_principal = _Bound(plot_principal)
     displacement = _Bound(displacement)
     mean_squared_displacement = _Bound(mean_squared_displacement)
     width_sweep = _Bound(width_sweep)

@@ -31,7 +31,7 @@ INSIDE = {
         ["sums"],
         ["grids", "formulas"],
         ["request"],
-        ["layout"],
+        ["layout", "like"],
         ["plan"],
         ["evaluate"],
         ["accessible", "presets"],

@@ -15,6 +15,7 @@ from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import in_frame, is_cylindrical
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import about_strays, check_size
+from xcg.fields.like import request_like, with_nodes_of
 from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
@@ -78,6 +79,9 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """
     if request.surfaces is not None or request.per is not None:
         check_walls(request)
+    like = request.like
+    if like is not None:
+        request = request_like(request)
     walls = walls_of(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
     ds, request = prepare(ds, request)
@@ -96,6 +100,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
+    if like is not None:
+        result = with_nodes_of(result, like)
     return rename(result) if rename else result
 
 
@@ -137,6 +143,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     """
     if request.surfaces is not None or request.per is not None:
         check_walls(request)
+    if request.like is not None:
+        request = request_like(request)
     walls = walls_of(request)
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)

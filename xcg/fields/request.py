@@ -234,6 +234,9 @@ class Request(SharedOptions):
         default all that the scene's variables allow; names of other variables of the scene, for
         their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of
         any variable. Only what these need is read and summed.
+    like : xarray.Dataset, optional
+        A result of `coarse_grain`, of another scene perhaps: takes its nodes, width, kernel and
+        options, so that the two results can be subtracted.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
         With `by`, a mapping gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2:
@@ -266,6 +269,7 @@ class Request(SharedOptions):
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
+    like: xr.Dataset | None = None
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
     surfaces: Sequence[Wall] | None = None
