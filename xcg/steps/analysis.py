@@ -64,8 +64,6 @@ class FrameAnalysis:
 
     # name in messages, in the history and of dask's tasks; by default that of the class
     name: ClassVar[str] = ""
-    # variable that divides the particles into groups, usually a field of the subclass
-    by: ClassVar[str | None] = None
 
     threads: int = field(default=1, kw_only=True, repr=False, compare=False)
 
@@ -205,7 +203,8 @@ def run(
     name = analysis.name or type(analysis).__name__
     require_scene(ds, (), name)
     if scene is None:
-        scene = describe(ds, analysis.by)
+        # an option of analyses of groups of particles
+        scene = describe(ds, getattr(analysis, "by", None))
     analysis = analysis.prepare(scene)
     required = list(analysis.reads(scene))
     require_scene(ds, [n for n in required if n not in ds.coords], name)

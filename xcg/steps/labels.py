@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Self
@@ -145,6 +145,11 @@ def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
 
 
 PHASES = ("phase", "other_phase")
+
+
+def phases_of(by: str | None, groups: Iterable[int]) -> xr.Variable:
+    """Return the coordinate ``phase``: the bulk, and the values of the variable `by`."""
+    return xr.Variable("phase", ["bulk", *map(str, groups)], {"long_name": f"phase by {by}"})
 
 
 class PhaseLabels(pd.Index):
