@@ -219,6 +219,7 @@ def run(
         sizes,
         frozenset(coords),
         scene.setup.periodic,
+        {n: _rows_along(ds.variables[n]) for n in read},
     )
     series, beside = _with_others(ds, read, analysis.lags)
     results = {n: (tuple(sizes[d] or 0 for d in row.dims), row.dtype) for n, row in rows.items()}
@@ -251,6 +252,12 @@ def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:
     return list(dict.fromkeys([*keys, *required, *(name for name in OF_STEP if name in ds)]))
 
 
+def _rows_along(values: xr.Variable) -> str:
+    """Return the dimension of the rows of a variable; "" for one value a step."""
+    dims = [str(dim) for dim in values.dims if dim != "time" and dim not in AXES]
+    return dims[0] if dims else ""
+
+
 # --- one chunk of time ----------------------------------------------------------------------------
 
 
@@ -280,6 +287,7 @@ class _Task:
     sizes: Mapping[str, int | None]
     labelled: frozenset[str]
     periodic: str
+    dims: Mapping[str, str]
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Return the results of all steps, padded to the declared lengths."""
@@ -326,7 +334,7 @@ class _Task:
         exists = arrays.get("exists")
         of_step = {n: a for n, a in arrays.items() if a.ndim == 1 and n not in ("step", "exists")}
         rows = {n: a for n, a in arrays.items() if n not in of_step and n != "exists"}
-        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic)):
+        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic, self.dims)):
             if exists is not None and not exists[t]:
                 yield None
                 continue
