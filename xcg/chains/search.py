@@ -229,7 +229,7 @@ class _ForceChains(FrameAnalysis):
 
     def reads(self, scene: Description) -> list[str]:
         """Return what stress follows from, what is copied, and what regions take."""
-        optional = [name for name in ("frozen", "time") if name in scene.columns | scene.times]
+        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
         return [*self.rule.stress.variables, *COPIED, *optional]
 
     def rows(self, scene: Description) -> dict[str, Variable]:

@@ -290,7 +290,7 @@ class _Selection(FrameAnalysis):
 
     def reads(self, scene: Description) -> list[str]:
         """Return the chains, and what the condition is about."""
-        of_grains = [name for name in (*_GRAINS, "time") if name in scene.columns | scene.times]
+        of_grains = [n for n in (*_GRAINS, "time") if n in scene.columns or n in scene.times]
         return [*of_grains, *MEMBERS, *CHAINS]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
