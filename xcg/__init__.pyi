@@ -5,7 +5,7 @@ from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
-from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
+from .chains.selection import BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
 from .fields.analysis.correlations import spatial_correlation, time_correlation
@@ -48,7 +48,6 @@ from .writers.save import register_writer, save
 __version__: str
 __all__ = [
     "FIELDS",
-    "Box",
     "BoxRegion",
     "CoarseGrainAccessor",
     "Conduction",

@@ -180,9 +180,6 @@ class BoxRegion(_Moving):
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
 
 
-Box = BoxRegion  # its former name, kept for a release
-
-
 @dataclass(frozen=True)
 class Sphere(_Moving):
     """A ball; its surface belongs to it.
@@ -221,7 +218,7 @@ class Sphere(_Moving):
 
 
 _GRAINS = ("position", "major_stress")
-OF = {"any": np.logical_or, "all": np.logical_and}
+HOW = {"any": np.logical_or, "all": np.logical_and}
 
 
 @takes_scene
@@ -230,7 +227,7 @@ def select_chains(
     region: Region | None = None,
     *,
     min_stress: float | None = None,
-    of: str = "any",
+    how: str = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -245,7 +242,7 @@ def select_chains(
         Where particles must be: `xcg.BoxRegion`, `xcg.Sphere`, or a combination.
     min_stress : float, optional
         Least major stress (Pa).
-    of : str
+    how : str
         "any" (default) keeps a chain if one of its particles fulfils the condition, "all" if all of
         them do.
 
@@ -264,8 +261,8 @@ def select_chains(
     """
     given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
     require_chains(fc, "select_chains", whole=("chain", "length"))
-    if of not in OF:
-        raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
+    if how not in HOW:
+        raise ValueError(f"how={how!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
@@ -273,7 +270,7 @@ def select_chains(
     check_region(region, fc)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
-    analysis = _Selection(region, min_stress, of, int(fc.attrs.get("min_length", 3)))
+    analysis = _Selection(region, min_stress, how, int(fc.attrs.get("min_length", 3)))
     return run(fc, analysis, call=format_call("select_chains", given))
 
 
@@ -285,7 +282,7 @@ class _Selection(FrameAnalysis):
 
     region: Region | None
     min_stress: float | None
-    of: str
+    how: str
     min_length: int
 
     def reads(self, scene: Description) -> list[str]:
@@ -306,8 +303,8 @@ class _Selection(FrameAnalysis):
             fulfilled &= frame["major_stress"] >= self.min_stress
         chain = frame["chain_id"]
         exists = frame["chain_particles"] > 0
-        kept = np.full(len(exists), self.of == "all")
-        OF[self.of].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
+        kept = np.full(len(exists), self.how == "all")
+        HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
         kept &= exists
         out: dict[str, Any] = {name: frame[name].copy() for name in (*MEMBERS, *CHAINS)}
         _drop(out, kept)

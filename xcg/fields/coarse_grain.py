@@ -76,7 +76,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    if request.walls is not None or request.per is not None:
+    if request.surfaces is not None or request.per is not None:
         check_walls(request)
     walls = walls_of(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
@@ -94,7 +94,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
         raise ValueError(f"{error}; {about_strays(ds, scene)}") from None
     check_size(ds, scene, plan.deposit.grid, sum(map(math.prod, plan.shapes.values())))
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
-    if request.walls is not None:
+    if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
     return rename(result) if rename else result
 
@@ -119,7 +119,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     Returns
     -------
     Plan
-        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts,
+        Its text names fields, variables read, nodes, kernel, sums, loops, the rule for contacts,
         memory, the noise of velocity and temperature that a dense packing would have, and the time
         for the accessible fraction.
 
@@ -135,7 +135,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
-    if request.walls is not None or request.per is not None:
+    if request.surfaces is not None or request.per is not None:
         check_walls(request)
     walls = walls_of(request)
     ds, request = prepare(ds, request)
@@ -175,4 +175,5 @@ def _in_own_names(
     """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
     if request.preset not in PRESETS:
         raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
-    return PRESETS[request.preset](scene, request)
+    of_fields, rename = PRESETS[request.preset](scene, request)
+    return replace(of_fields, for_averages=False), rename

@@ -116,7 +116,7 @@ class CoarseGraining(FrameAnalysis):
                     f"without rotation, as the scene holds no {' and no '.join(lacking)}"
                 )
             result.variables[name].attrs = attrs
-        return result
+        return result.set_coords([n for n in self.plan.fields if n not in self.plan.asked])
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:

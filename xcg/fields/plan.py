@@ -53,10 +53,9 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
-        What is computed: what was asked for, and what averages of it need where they are to be
-        taken.
+        What is computed: what was asked for, and the sums that averages of it need.
     asked : tuple of str
-        What was asked for.
+        The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
     deposit : DepositSpec
@@ -128,7 +127,7 @@ class Plan:
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        passes = {over: len(columns) for over, columns in self._columns.items()}
+        loops = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
         own = (
@@ -144,26 +143,29 @@ class Plan:
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
-            "fields": ", ".join(self.fields),
+            "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
             **grid.text,
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
             or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
-            f"{passes['contacts']} over contacts"
+            "loops": f"{loops['particles']} over particles, {loops['slopes']} with grad Psi, "
+            f"{loops['contacts']} over contacts"
             + (
-                f", {passes['contact points']} over contact points"
-                if passes["contact points"]
+                f", {loops['contact points']} over contact points"
+                if loops["contact points"]
                 else ""
             )
-            + (f", {passes['means']} relative to means" if passes["means"] else ""),
+            + (f", {loops['means']} relative to means" if loops["means"] else ""),
             "contacts": f"{rules} (rtol = {self.rtol:g})"
-            if passes["contacts"]
+            if loops["contacts"]
             else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
+        beside = [name for name in self.fields if name not in self.asked]
+        if beside:
+            lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
         if (seen := self.effective_count) is not None:
             velocity, temperature = (
                 min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
@@ -308,8 +310,10 @@ def _fields_and_options(
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
-    if request.for_averages or request.per is not None:
+    if request.for_averages is not False or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
+    if request.for_averages:
+        asked = names
     if options.averaged_gradient == "unknown" and (
         lost := [name for name in asked if takes_gradient(name, options)]
     ):

@@ -90,7 +90,7 @@ class Stiffness:
 
 @dataclass(frozen=True)
 class _Search(FrameAnalysis):
-    """Contacts of each step; `most` is the number of rows set aside, None for as many as needed."""
+    """Contacts of each step; `max_contacts` is the number of rows set aside, None for as many as needed."""
 
     name = "find_contacts"
 
@@ -99,7 +99,7 @@ class _Search(FrameAnalysis):
     skin: float
     method: PairMethod
     levels: int | None
-    most: int | None
+    max_contacts: int | None
 
     def reads(self, scene: Description) -> list[str]:
         """Return places and sizes, and what tells which pairs are left out."""
@@ -112,7 +112,7 @@ class _Search(FrameAnalysis):
 
     def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
         """Return the number of rows of contacts."""
-        return {"contact": self.most}
+        return {"contact": self.max_contacts}
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Find the contacts of one step."""
@@ -126,7 +126,7 @@ class _Search(FrameAnalysis):
             method=self.method,
             levels=self.levels,
             threads=threads_for(len(position), self.threads),
-            most=self.most,
+            max_pairs=self.max_contacts,
             source=source,
         ).T
         if "frozen" in frame:
@@ -139,9 +139,10 @@ class _Search(FrameAnalysis):
         reach = radius[i] + radius[j] + self.skin
         rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
         i, j = i[rows], j[rows]
-        if self.most is not None and len(i) > self.most:
+        if self.max_contacts is not None and len(i) > self.max_contacts:
             raise SceneError(
-                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
+                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.max_contacts} rows "
+                "set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
@@ -268,8 +269,7 @@ def find_contacts(
     ):
         raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")
     scene = describe(ds)
-    most = max_contacts
-    if most is None and is_lazy(ds, [name for name in (*READ, *OPTIONAL) if name in ds]):
-        most = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
-    analysis = _Search(scene.setup, Stiffness(k_n, E, nu), skin, method, levels, most)
+    if max_contacts is None and is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
+        max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
+    analysis = _Search(scene.setup, Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
     return run(ds, analysis, call=format_call("find_contacts", given), scene=scene)

@@ -97,7 +97,7 @@ VARIABLES: dict[str, Variable] = {
         _PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"
     ),
     "frozen": Variable(
-        _PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"
+        _PARTICLE, "1", "1 where the particle is fixed in place and acts as a wall", "int64"
     ),
     "director": Variable(
         (*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"
