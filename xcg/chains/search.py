@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -25,14 +24,15 @@ from xcg.chains.selection import Region, check_region
 from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
-from xcg.compiled._jit import THREADS, for_parts
+from xcg.compiled._jit import for_parts
 from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.frame import particle_rows, require_rising_times, steps_in, unit_of_times, with_time
+from xcg.scene.description import Description
+from xcg.scene.frame import require_rising_times, unit_of_times, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
+from xcg.scene.schema import BOX, Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import empty_results, format_call, label, provenance, results_of
-from xcg.steps.mapping import map_over_time, threads_a_chunk
+from xcg.steps.labels import format_call, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
@@ -73,7 +73,7 @@ class SearchRule:
     one_sided: bool
     region: Region | None
 
-    def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
+    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
         """Return a mask of the particles that may be part of a chain."""
         chosen = carries(stress)
         if "frozen" in frame:
@@ -83,6 +83,7 @@ class SearchRule:
             least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
             chosen &= major >= least - _SHARE * abs(least)
         if self.region is not None:
+            time = float(frame.get("time", 0.0))
             chosen &= self.region.contains(frame, time, lattice)
         return chosen
 
@@ -211,56 +212,60 @@ def force_chains(
         region,
     )
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    further = ("frozen", "time", *OF_STEP)
-    names = list(
-        dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)])
-    )
-    threads = threads_a_chunk(ds, names, THREADS)
-    arrays = map_over_time(
-        ds,
-        names,
-        partial(_compute, rule, threads),
-        results_of(RESULTS, sizes),
-        "force-chains",
-        on_error,
-    )
-    lengths = rule.min_length + np.arange(sizes["length"])
-    coords = {
-        "length": xr.Variable(
-            "length", lengths, {"units": "1", "long_name": "particles of a chain"}
-        )
-    }
-    about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    call = format_call("force_chains", given)
-    result = label(ds, RESULTS, arrays, call, coords=coords, **about)
-    return result.assign({name: ds.variables[name] for name in BOX if name in ds})
+    analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
+    return run(ds, analysis, call=format_call("force_chains", given), on_error=on_error)
 
 
-def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Chains of one chunk of time, from padded arrays."""
-    ids, keys = arrays["particle_id"], arrays["contact_i"]
-    sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
-    out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
-    for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.stress.periodic)):
-        time = float(arrays["time"][t]) if "time" in arrays else 0.0
-        found = find_chains(rule, frame, lattice, time, source, threads)
-        count = len(found["chain_particles"])
-        rows = {
-            "particle": particle_rows(ids[t]),
-            "contact": keys[t] != PADDING,
-            "chain": slice(count),
-        }
-        for name, values in found.items():
-            out[name][t][rows[RESULTS[name].dims[0]]] = values
-        for name, value in statistics_of(
-            found["chain_particles"], rule.min_length, sizes["length"]
-        ).items():
-            out[name][t] = value
-    return out | {name: arrays[name] for name in COPIED}
+@dataclass(frozen=True, eq=False)
+class _ForceChains(FrameAnalysis):
+    """Force chains of each step, with what is copied from the scene."""
+
+    name = "force_chains"
+
+    rule: SearchRule
+    lengths: Mapping[str, int]
+    alpha: float
+    algorithm: Algorithm
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return what stress follows from, what is copied, and what regions take."""
+        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
+        return [*self.rule.stress.variables, *COPIED, *optional]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the rows of particles, contacts, chains, and statistics."""
+        return RESULTS
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the lengths that chains can have."""
+        lengths = self.rule.min_length + np.arange(self.lengths["length"])
+        about = {"units": "1", "long_name": "particles of a chain"}
+        return {"length": xr.Variable("length", lengths, about)}
+
+    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
+        """Return upper bounds of the numbers of chains."""
+        return self.lengths
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return the criteria."""
+        rule = self.rule
+        return {"alpha": self.alpha, "min_length": rule.min_length, "algorithm": self.algorithm}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Find the chains of one step."""
+        rule = self.rule
+        found = find_chains(rule, frame, lattice, source, self.threads)
+        lengths = found["chain_particles"]
+        statistics = statistics_of(lengths, rule.min_length, self.lengths["length"])
+        return found | statistics | {name: frame[name] for name in COPIED}
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Add the box of the scene."""
+        return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
 
 def find_chains(
-    rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str, threads: int = 1
+    rule: SearchRule, frame: Frame, lattice: Lattice, source: str, threads: int = 1
 ) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
@@ -270,7 +275,7 @@ def find_chains(
     contacts = rule.stress.contacts(frame, lattice, source, threads)
     stress = rule.stress.evaluate(frame, contacts, lattice, source)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
-    qualifies = rule.qualifies(frame, stress, time, lattice)
+    qualifies = rule.qualifies(frame, stress, lattice)
     i, j, particles = contacts.i, contacts.j, len(major)
     branch = contacts.between
 
@@ -300,7 +305,8 @@ def find_chains(
     loops.count_links(i, j, start, contact, link, links)
 
     by_chain = {
-        name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()
+        name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+        for name, row in CHAINS.items()
     }
     loops.describe_chains(
         members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)

@@ -190,8 +190,16 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     return rows
 
 
-def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Frame:
+def frame_of(
+    arrays: Mapping[str, NDArray],
+    t: int,
+    source: str = "scene",
+    dims: Mapping[str, str] | None = None,
+) -> Frame:
     """Return a frame of padded arrays: the rows of step `t` without padding, particles by id.
+
+    `dims` holds the dimension of the rows of each variable, by default that of its name; arrays
+    along other dimensions than particles and contacts are whole.
 
     Raises
     ------
@@ -208,9 +216,12 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
     found: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
+        dim = row.dims[0] if dims is None else dims[name]
         # as loops are compiled for: files may hold bytes or axes the other way round
-        if row.dims[0] in rows:
-            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, order="C", copy=False)
+        if dim in rows:
+            found[name] = values[t][rows[dim]].astype(row.dtype, order="C", copy=False)
+        elif dims is not None:
+            found[name] = values[t]
     for name in found:
         if name in VARIABLES:
             check_finite(name, found, source)
@@ -259,13 +270,15 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
-def steps_in(arrays: Mapping[str, NDArray], periodic: str) -> Iterator[tuple[Frame, Lattice, str]]:
-    """Frame, periodic images and name of each step of padded arrays."""
+def steps_in(
+    arrays: Mapping[str, NDArray], periodic: str, dims: Mapping[str, str] | None = None
+) -> Iterator[tuple[Frame, Lattice, str]]:
+    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`."""
     rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, "time")}
     for t in range(len(next(iter(rows.values())))):
         source = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
-        yield frame_of(rows, t, source), Lattice.of(box, periodic, source), source
+        yield frame_of(rows, t, source, dims), Lattice.of(box, periodic, source), source
 
 
 # --- sizes and extent: of a set of particles, of a scene, of each step -----------------------------------
