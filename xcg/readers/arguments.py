@@ -45,11 +45,13 @@ class Arguments:
     names: Mapping[str, Any] | Sequence[str | None] | str | None = None
     times: ArrayLike | None = None
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None
-    periodic: str | None = None
+    periodic: str | bool | Sequence[str] | Sequence[bool] | None = None
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None
     shear_rate: Mapping[str, ArrayLike] | None = None
     gravity: Sequence[float] | None = None
     density: float | None = None
+    diameter: float | None = None
+    mass: float | None = None
     frozen: int | Sequence[int] | None = None
     units: Mapping[str, float] | str | None = None
     dimension: int | None = None
@@ -73,6 +75,16 @@ class Arguments:
     def wall_columns(self) -> dict[str, str | Sequence[str]]:
         """Columns of the particles that hold contacts with walls, by the name of the wall."""
         return dict(self.walls) if isinstance(self.walls, Mapping) else {}
+
+    @property
+    def alike(self) -> dict[str, float | None]:
+        """Numbers that hold for all particles where the files do not hold them, by their variable."""
+        return {"density": self.density, "diameter": self.diameter, "mass": self.mass}
+
+    @property
+    def sets_times(self) -> bool:
+        """Return whether times come from the caller, and not from the files."""
+        return self.times is not None or "timestep" in self.engine_options
 
     @property
     def paths(self) -> dict[str, Paths]:

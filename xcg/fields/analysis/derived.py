@@ -16,7 +16,7 @@ from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_times, steps_in
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, VARIABLES, units_in
 from xcg.steps.labels import format_call, label, results_of
 from xcg.steps.mapping import map_over_time

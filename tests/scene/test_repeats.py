@@ -8,7 +8,7 @@ import pytest
 import xcg
 from tests import dumps
 from xcg import SceneError, SceneWarning
-from xcg.scene.sanity import repeated_pairs
+from xcg.scene.repeats import repeated_pairs
 
 BOX = {"box": [[0, 5.0]] * 3, "periodic": "xyz"}
 CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
