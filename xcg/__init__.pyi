@@ -39,6 +39,7 @@ from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
 from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.selection import select
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save
@@ -117,6 +118,7 @@ __all__ = [
     "scene_from_arrays",
     "scene_from_lammps",
     "scene_from_table",
+    "select",
     "select_chains",
     "select_walls",
     "size_statistics",

@@ -28,6 +28,7 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.selection import select
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
@@ -73,6 +74,7 @@ class CoarseGrainAccessor:
     find_phases = Method(find_phases)
     assign_phases = Method(assign_phases)
     plot_phases = Method(plot_phases)
+    select = Method(select)
     select_walls = Method(select_walls)
     derive_velocity = Method(derive_velocity)
     derive_director = Method(derive_director)

@@ -212,9 +212,9 @@ def test_wrong_shapes_raise_with_a_remedy():
     ):
         xcg.scene_from_arrays(np.zeros((5, 2)))
     with pytest.raises(
-        xcg.SceneError, match=r"'volume' has shape \(\): .*numpy\.full\(n, 0\.1\)"
+        xcg.SceneError, match=r"'volume' has shape \(\): .*numpy\.full\(\(n,\), 0\.1\)"
     ):
-        xcg.scene_from_arrays(np.zeros((5, 3)), diameter=0.1)
+        xcg.scene_from_arrays(np.zeros((5, 3)), volume=0.1)
 
 
 @pytest.mark.parametrize(

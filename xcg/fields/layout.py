@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
@@ -20,7 +20,7 @@ from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.grid import make_grid, make_points
 from xcg.fields.grids.rings import make_rings
 from xcg.fields.request import Request
-from xcg.fields.sums.kernels import Kernel, kernel_of
+from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
@@ -37,7 +37,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=plane, cutoff=smallest.cutoff)
-    spacing = min(k.width for k in kernels) if request.spacing is None else request.spacing
+    spacing = _spacing_of(scene, request, kernels)
     places = at, request.bounds or {}, spacing
     automatic = automatic_bounds(scene, widest.cutoff)
     if not scene.cylindrical:
@@ -68,6 +68,26 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
         automatic=automatic,
         period=scene.periods,
     )
+
+
+def _spacing_of(
+    scene: Description, request: Request, kernels: Sequence[Kernel]
+) -> float | dict[str, float]:
+    """Return the distance of nodes (m), for all axes or by axis: as asked for, or the smallest width."""
+    given: Any = request.spacing
+    if given is None:
+        return min(k.width for k in kernels)
+    advice = "by default it is the width"
+    if isinstance(given, str):
+        return resolve_length("spacing", given, scene.sizes, advice)
+    if not isinstance(given, Mapping):
+        return cast(float, given)
+    return {
+        axis: resolve_length(f"spacing[{axis!r}]", step, scene.sizes, advice)
+        if isinstance(step, str)
+        else step
+        for axis, step in given.items()
+    }
 
 
 def _check_pointwise(request: Request) -> None:

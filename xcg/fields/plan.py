@@ -383,7 +383,13 @@ def _choose_fields(
         if name not in listed and name not in ours:
             known = [*listed, *scene.rows]
             raise ValueError(
-                unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars")
+                unknown(
+                    "field",
+                    name,
+                    known,
+                    "others are listed by xcg.FIELDS and by ds.data_vars",
+                    registry.OTHER_NAMES,
+                )
             )
     for name in names:
         if name in lacking and rows[name].option == "lag":

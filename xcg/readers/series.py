@@ -253,11 +253,13 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
 
 
 def _check_periodic(given: str, named: str, source: str) -> None:
-    """Warn if periodic axes differ from those that the header names."""
-    if given != named:
+    """Warn if axes are given as periodic that are not so in the header; others may be left out on purpose."""
+    added = "".join(axis for axis in given if axis not in named)
+    if added:
+        names = f"names {named!r}" if named else "names no periodic axis"
         warn_user(
-            f"periodic={given!r}, but the header of {source} names {named or 'no axis'!r}: grains and contacts "
-            "across an edge are those of the simulation only with the axes of the header; leave periodic= out"
+            f"periodic={given!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
+            "neighbours; leave periodic= out, unless the header is wrong"
         )
 
 
@@ -305,7 +307,7 @@ def make_series(
     first = frames[0]
     box = {name: values[rows[opening]] for name, values in boxes.items()}
     images = Lattice.of(box, setup.periodic, source_of(opening))
-    check_scene(first, setup, images)
+    check_scene(first, setup, images, is_volume=True)
     names = [name for name in dict.fromkeys([*VARIABLES, *first]) if name in first]
     with_contacts = next((step for step in steps if step.contacts), steps[0])
     series = Series(

@@ -17,7 +17,7 @@ from xcg.scene.conform import storable
 from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_motion, check_scene, warn_of_layer
+from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -316,7 +316,6 @@ def scene_from_arrays(
     if particles:
         first = Lattice.of({name: values[0] for name, values in domain.items()}, setup.periodic)
         check_scene(particles[0], setup, first)
-        warn_of_layer(particles[0], setup, first)
         if times is not None and total > 1:
             check_motion(particles[0], particles[1], float(times[1] - times[0]), first)
     measured, arrays = measure_frames(particles), Frame()

@@ -47,7 +47,7 @@ _OTHER_ORDER = (
     0.2  # share of the grains outside the box along an axis, if axes are in another order
 )
 _EDGE = 0.02  # of the length of the box, by which grains may lie outside
-_OVERFULL = 3.0  # volume of the grains over that of the box, also of glued ones that overlap
+_OVERFULL = 30.0  # volume of the grains over that of the box, also of glued ones that overlap
 _FLAT_BOX = 3.0  # diameters: a thinner box is meant as the thickness of a layer
 
 _DENSITIES = (100.0, 30_000.0)  # kg m-3
@@ -73,11 +73,14 @@ class Grains:
         Arguments of the scene.
     lattice : Lattice
         Box and periodic axes of the step.
+    is_volume : bool
+        Whether the scene was named three-dimensional, or found to be so.
     """
 
     frame: Frame
     setup: Setup
     lattice: Lattice
+    is_volume: bool = False
 
     @cached_property
     def count(self) -> int:
@@ -161,7 +164,7 @@ class Grains:
         return float(((position < low - room) | (position > high + room)).mean())
 
 
-def check_scene(frame: Frame, setup: Setup, lattice: Lattice) -> None:
+def check_scene(frame: Frame, setup: Setup, lattice: Lattice, *, is_volume: bool = False) -> None:
     """Warn if sizes, positions, box, masses or densities contradict each other, or `density=` is not used.
 
     Only the first message about lengths is given, as others follow from the same mistake.
@@ -174,8 +177,10 @@ def check_scene(frame: Frame, setup: Setup, lattice: Lattice) -> None:
         Arguments of the scene.
     lattice : Lattice
         Box and periodic axes of this step.
+    is_volume : bool
+        Whether the scene was named three-dimensional, or found to be so.
     """
-    grains = Grains(frame, setup, lattice)
+    grains = Grains(frame, setup, lattice, is_volume)
     if not grains.count:
         return
     for checks in (_OF_LENGTHS, _OF_MASSES, _OF_ARGUMENTS):
@@ -303,29 +308,6 @@ def _overfilled_box(grains: Grains) -> str | None:
     )
 
 
-def warn_of_layer(frame: Frame, setup: Setup, lattice: Lattice) -> None:
-    """Warn if all grains lie in a plane, and the scene is taken as three-dimensional.
-
-    A box across the plane that is no thicker than three diameters is the layer's thickness.
-    """
-    grains = Grains(frame, setup, lattice)
-    if setup.dimension == 2 or grains.count < FEW:
-        return
-    flat = [k for k in range(3) if not np.ptp(frame["position"][:, k])]
-    if len(flat) != 1:
-        return
-    low, high = grains.edges.get(flat[0], (-np.inf, np.inf))
-    if high - low <= _FLAT_BOX * grains.diameter:
-        return
-    axis = COMPONENTS[flat[0]]
-    plane = "".join(a for a in COMPONENTS if a != axis)
-    named = "" if plane == "xy" else f", plane={plane!r}"
-    warn_user(
-        f"all {grains.count} grains have {axis} = {frame['position'][0, flat[0]]:g}, and the scene is taken as "
-        f"three-dimensional: give dimension=2{named} if it is one layer, with thickness= where volumes matter"
-    )
-
-
 # --- masses and densities ------------------------------------------------------------------------
 
 
@@ -396,13 +378,37 @@ def _discs(grains: Grains) -> str | None:
     )
 
 
+def _layer(grains: Grains) -> str | None:
+    """Check that grains of a volume do not all lie in a plane.
+
+    A box across the plane that is no thicker than three diameters is the layer's thickness.
+    """
+    if grains.is_volume or grains.setup.dimension == 2 or grains.count < FEW:
+        return None
+    position = grains.frame["position"]
+    flat = [k for k in range(3) if not np.ptp(position[:, k])]
+    if len(flat) != 1:
+        return None
+    low, high = grains.edges.get(flat[0], (-np.inf, np.inf))
+    if high - low <= _FLAT_BOX * grains.diameter:
+        return None
+    axis = COMPONENTS[flat[0]]
+    plane = "".join(a for a in COMPONENTS if a != axis)
+    named = "" if plane == "xy" else f", plane={plane!r}"
+    return (
+        f"all {grains.count} grains have {axis} = {position[0, flat[0]]:g}, and the scene is taken as "
+        f"three-dimensional: give dimension=2{named} if it is one layer, with thickness= where volumes matter"
+    )
+
+
 def _density_in_si(grains: Grains) -> str | None:
     """Check that small grains of a scene in SI units have a density of a solid."""
     if grains.setup.unit_system != "SI" or "density" not in grains.frame:
         return None
     densities = grains.sample["density"]
-    densities = densities[densities > 0]  # grains without mass have none
-    if not len(densities) or not grains.diameter < _LARGE:
+    # grains without mass have none, and one of 1 is of scaled data
+    densities = densities[(densities > 0) & (densities != 1)]
+    if len(densities) < FEW or not grains.diameter < _LARGE:
         return None
     density = float(np.median(densities))
     low, high = _DENSITIES
@@ -460,7 +466,13 @@ _OF_LENGTHS: tuple[Check, ...] = (
     _grains_outside,
     _overfilled_box,
 )
-_OF_MASSES: tuple[Check, ...] = (_contradiction, _large_volumes, _discs, _density_in_si)
+_OF_MASSES: tuple[Check, ...] = (
+    _contradiction,
+    _large_volumes,
+    _discs,
+    _layer,
+    _density_in_si,
+)
 _OF_ARGUMENTS: tuple[Check, ...] = (_unused_density, _unused_size)
 
 
