@@ -107,7 +107,13 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
         raise ValueError(f"{error}; {about_strays(ds, scene)}") from None
-    check_size(ds, scene, plan.deposit.grid, sum(map(math.prod, plan.shapes.values())))
+    check_size(
+        ds,
+        scene,
+        plan.deposit.grid,
+        sum(map(math.prod, plan.shapes.values())),
+        by_sizes=request.width is request.spacing is None and isinstance(request.kernel, str),
+    )
     arrays = evaluate_plan(ds, plan, request.on_error)
     result = labelled(scene, plan, arrays, call)
     if request.walls is not None:

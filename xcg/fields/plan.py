@@ -249,7 +249,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(
-        min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping)
+        min(k.width for k in kernels),
+        scene.sizes,
+        _extent_of(scene),
+        of_groups=isinstance(request.width, Mapping),
     )
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
@@ -291,6 +294,14 @@ def make_plan(scene: Description, request: Request) -> Plan:
         setup=scene.setup,
         rtol=rtol,
     )
+
+
+def _extent_of(scene: Description) -> float:
+    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
+    if scene.corners is None:
+        return math.inf
+    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+    return max(*lengths, *scene.periods.values())
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------

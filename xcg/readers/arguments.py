@@ -182,6 +182,10 @@ def _likely(option: str, reader: Engine) -> str:
     """Return the argument that was meant, as the end of a message; "" if none is near."""
     if option.lower() in _OF_TIME:
         return f"; did you mean {'timestep' if 'timestep' in reader.OPTIONS else 'times'}=?"
+    if option.lower() in ("radius", "radii"):
+        return "; did you mean diameter=, twice the radius? A column is read by names={'its column': 'radius'}"
+    if option.lower() == "format":
+        return "; did you mean 'engine'?"
     if option in PARTICLE_SLOTS or option in CONTACT_SLOTS:
         return f"; it is read from a column, names={{'its column': {option!r}}}"
     known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]

@@ -367,6 +367,10 @@ class Setup:
                 "factors like {'length': 1e-3}"
             )
         if gravity is not None:
+            if np.ndim(gravity) == 0:
+                raise SceneError(
+                    f"gravity={gravity!r}: expected three numbers (x, y, z), such as (0.0, 0.0, -9.81)"
+                )
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")

@@ -147,6 +147,8 @@ def plot(
         else:
             values = _known([picture[name]])
             colours = drawing.colours_of(values, cmap, vmin, vmax)
+            if "color" in options:
+                raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
             if "norm" in options:
                 ends = {"vmin": vmin, "vmax": vmax}
                 colours = {"cmap": cmap or "viridis"} | {

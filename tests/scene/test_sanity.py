@@ -1,0 +1,237 @@
+"""Scenes that cannot be warn, once and with the likely cause; loose, layered and mixed ones are silent."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+import xcg
+from tests import dumps
+from xcg.scene.lattice import Lattice
+from xcg.scene.sanity import check_motion
+
+SCALED = {"density": 1.0, "units": "reduced"}
+
+
+@pytest.fixture(scope="module")
+def chute():
+    ds = xcg.datasets.open("chute").isel(time=0).load()
+    edges = np.stack([ds.attrs["box_lower"], ds.attrs["box_upper"]], axis=1)
+    return ds.position.values, ds.diameter.values, edges
+
+
+@pytest.fixture(scope="module")
+def layer():
+    ds = xcg.datasets.open("biaxial").isel(time=0).load()
+    return ds.position.values, ds.diameter.values
+
+
+def said(*args, **options):
+    """Return the messages of the warnings of a scene."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        xcg.scene_from_arrays(*args, **options)
+    return [str(warning.message) for warning in caught]
+
+
+# --- sizes and positions ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("factor", "cause"),
+    [
+        (0.5, "radii were given as diameters"), (2.0, "diameters were given as radii"),
+        (0.1, "different units"), (0.01, "different units"), (0.001, "different units"),
+        (0.05, "different units"), (10.0, "units"), (1000.0, "units"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("packing", ["chute", "layer"])
+def test_sizes_that_are_off_by_a_factor_warn(packing, factor, cause, request):
+    position, diameter, *_ = request.getfixturevalue(packing)
+    options = SCALED | ({"dimension": 2} if packing == "layer" else {})
+    (message,) = said(position, diameter=factor * diameter, **options)
+    assert cause in message
+    assert not said(position, diameter=diameter, **options)
+
+
+def test_the_factor_of_mixed_sizes_is_that_of_their_sums():
+    """Grains of 1 to 100 in contact: nearest centres are at the sum of two radii, whatever these are."""
+    rng = np.random.default_rng(0)
+    diameter = 10.0 ** rng.uniform(0, 2, 400)
+    contact = 0.5 * (diameter[1:] + diameter[:-1]) * rng.uniform(0.99, 1.0, 399)
+    chain = np.column_stack([np.concatenate([[0.0], np.cumsum(contact)]), *np.zeros((2, 400))])
+    chain[::2, 1] += 1e-3
+    chain[::3, 2] += 1e-3
+    assert not said(chain, diameter=diameter, **SCALED)
+    (message,) = said(chain, diameter=diameter / 2, **SCALED)
+    assert "radii were given as diameters" in message
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 100.0])
+@pytest.mark.parametrize("fraction", [1e-5, 1e-3, 0.01, 0.1, 0.4])
+def test_random_gases_do_not_warn(dimension, ratio, fraction):
+    rng = np.random.default_rng(1)
+    diameter = rng.uniform(1.0, ratio, 1500)
+    share = {2: np.pi / 4, 3: np.pi / 6}[dimension]
+    edge = (share * (diameter**dimension).sum() / fraction) ** (1 / dimension)
+    position = rng.uniform(0, edge, (1500, 3))
+    box = {"x": (0, edge), "y": (0, edge), "z": (0, edge)}
+    if dimension == 2:
+        position[:, 2] = 0.0
+        del box["z"]
+    plane = "xyz"[:dimension]
+    assert not said(
+        position, diameter=diameter, box=box, periodic=plane, dimension=dimension, **SCALED
+    )
+
+
+def test_lattices_and_two_layers_do_not_warn(chute):
+    position, diameter, _ = chute
+    sites = np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
+    for distance in (1.0, 2.0, 10.0, 100.0):
+        assert not said(distance * sites, diameter=np.ones(512), **SCALED)
+    above = np.concatenate([position, position + np.array([0, 0, 60.0])])
+    assert not said(above, diameter=np.tile(diameter, 2), **SCALED)
+
+
+@pytest.mark.parametrize("apart", [0.3, 0.5, 0.7])
+def test_rods_of_spheres_that_overlap_do_not_warn(apart):
+    rng = np.random.default_rng(2)
+    middle = np.stack(np.meshgrid(*[np.arange(0.0, 12.0, 2.5)] * 3), axis=-1).reshape(-1, 3)
+    axis = rng.normal(size=middle.shape)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    spheres = np.concatenate([middle + k * apart * axis for k in (-1, 0, 1)])
+    assert not said(spheres, diameter=np.ones(len(spheres)), **SCALED)
+
+
+# --- the box ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [[1, 2, 0], [2, 0, 1], [0, 2, 1]])
+def test_axes_in_another_order_than_the_box_warn(order, chute):
+    position, diameter, box = chute
+    flat = position * [1.0, 1.0, 0.2]  # 20 x 10 x 4
+    box = np.array([box[0], box[1], [0.0, 5.0]])
+    small = 0.5 * diameter
+    (message,) = said(flat[:, order], diameter=small, box=box, **SCALED)
+    assert "components are taken in the order" in message
+    named = message.partition("in the order ")[2].partition(":")[0].split(", ")
+    back = flat[:, order][:, ["xyz".index(axis) for axis in named]]
+    assert (back.min(axis=0) > box[:, 0] - 1).all()
+    assert (back.max(axis=0) < box[:, 1] + 1).all()
+    assert not said(flat, diameter=small, box=box, **SCALED)
+
+
+def test_grains_outside_the_box_warn(chute):
+    position, diameter, box = chute
+    for moved in (position + np.array([0, 0, 500.0]), position * [1, 1, 10.0]):
+        (message,) = said(moved, diameter=diameter, box=box, **SCALED)
+        assert "outside the box along 'z'" in message
+    wrapped = position + np.array([500.0, 0, 0])  # another image
+    assert not said(wrapped, diameter=diameter, box=box, periodic="xy", **SCALED)
+    escaped = position.copy()
+    escaped[:5, 2] = -1e4  # some fall through the bottom
+    assert not said(escaped, diameter=diameter, box=box, periodic="xy", **SCALED)
+
+
+def test_a_box_in_another_unit_warns(chute):
+    position, diameter, box = chute
+    (message,) = said(position, diameter=diameter, box=box / 1000, periodic="xyz", **SCALED)
+    assert "times the volume of the box" in message
+    (message,) = said(position, diameter=diameter, box=box / 1000, **SCALED)
+    assert "outside the box along 'x'" in message
+
+
+def test_a_layer_taken_as_a_volume_warns(layer):
+    position, diameter = layer
+    (message,) = said(position, diameter=diameter, **SCALED)
+    assert "z = 0" in message
+    assert "give dimension=2 " in message
+    (message,) = said(position[:, [0, 2, 1]], diameter=diameter, **SCALED)
+    assert "dimension=2, plane='xz'" in message
+    assert not said(position, diameter=diameter, dimension=2, **SCALED)
+    # a box as thick as the grains is meant as their layer
+    assert not said(position, diameter=diameter, box={"z": (-0.6, 0.6)}, **SCALED)
+
+
+# --- masses, times, headers ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("density", "warns"), [(2.5, True), (2500.0, False), (2.5e6, True)])
+def test_densities_of_no_solid_warn_in_si(density, warns, chute):
+    position, diameter, _ = chute
+    found = said(1e-3 * position, diameter=1e-3 * diameter, density=density)
+    assert len(found) == warns
+    assert not warns or f"density of the grains is {density:.4g} kg m-3" in found[0]
+    assert not said(position, diameter=diameter, density=density, units="reduced")
+
+
+def motion(factor, *, wraps=False):
+    """Grains of a shear flow in two steps, whose displacements are `factor` velocities times 0.01."""
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0, 10, (300, 3))
+    velocity = np.zeros((300, 3))
+    velocity[:, 0] = position[:, 2] + rng.normal(0, 0.5, 300)
+    after = position + 0.01 * factor * velocity
+    if wraps:
+        after[:, 0] %= 10.0
+    frame = {"particle_id": np.arange(300), "velocity": velocity}
+    return frame | {"position": position}, frame | {"position": after}
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.1, 10.0, 1000.0])
+def test_displacements_unlike_velocities_warn(factor):
+    first, second = motion(factor)
+    with pytest.warns(xcg.SceneWarning, match=re.escape(f"move {factor:.3g} times their velocity")):
+        check_motion(first, second, 0.01, Lattice.of({}, ""))
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_displacements_like_velocities_do_not_warn(factor):
+    check_motion(*motion(factor), 0.01, Lattice.of({}, ""))
+
+
+def test_motion_through_a_period_does_not_warn():
+    """Whole periods are lost from positions, so that they seem to move less."""
+    box = {"box": np.array([[0.0, 10.0]] * 3)}
+    first, _ = motion(1.0)
+    first["velocity"][:] = [11.0, 0.0, 0.0]
+    moved = first | {"position": (first["position"] + np.array([11.0, 0, 0])) % 10.0}
+    check_motion(first, moved, 1.0, Lattice.of(box, "xyz"))
+    # and a bounded motion, as of a gas between walls
+    rng = np.random.default_rng(4)
+    first["velocity"] = rng.normal(size=(300, 3))
+    mixed = first | {
+        "position": rng.uniform(0, 10, (300, 3)),
+        "velocity": rng.normal(size=(300, 3)),
+    }
+    check_motion(first, mixed, 100.0, Lattice.of({}, ""))
+
+
+def test_a_timestep_of_the_interval_of_dumps_warns(tmp_path):
+    rng = np.random.default_rng(5)
+    start = rng.uniform(0.2, 0.8, (40, 3))
+    velocity = rng.normal(size=(40, 3))
+    for number in (0, 100, 200):
+        place = start + 1e-5 * number * velocity
+        rows = [
+            f"{k + 1} {' '.join(f'{v:.8g}' for v in (*place[k], *velocity[k]))} 0.001"
+            for k in range(40)
+        ]
+        text = dumps.dump_text(rows, columns="id x y z vx vy vz radius", step=number)
+        dumps.write(tmp_path / f"p.{number}.dump", text)
+    files = str(tmp_path / "p.*.dump")
+    options = {"units": "si", "density": 2500.0}
+    with pytest.warns(xcg.SceneWarning, match="timestep= is the time of one step"):
+        xcg.open_scene(files, timestep=1e-3, **options)
+    xcg.open_scene(files, timestep=1e-5, **options)
+
+
+def test_periodic_axes_against_the_header_warn():
+    folder = xcg.datasets._FOLDERS[1] / "lammps_chute"
+    path = folder / "particles.00050000.dump.gz"
+    with pytest.warns(xcg.SceneWarning, match="periodic='xyz', but the header .* names 'xy'"):
+        xcg.open_scene(path, periodic="xyz")
+    xcg.open_scene(path, periodic="y")  # fewer may be meant
