@@ -363,7 +363,7 @@ class Mixture:
         arrangements are alike.
         """
         apart = self.segregated_variance(which)
-        if len(np.unique(self.phase)) == 1:
+        if len(self.phase) > 1 and len(np.unique(self.phase)) == 1:
             warn_once(
                 "one phase",
                 f"lacey_index is NaN: all {len(self.phase)} grains are of one phase; by= names the variable that "

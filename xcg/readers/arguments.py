@@ -77,7 +77,7 @@ class Arguments:
         return dict(self.walls) if isinstance(self.walls, Mapping) else {}
 
     @property
-    def alike(self) -> dict[str, float | None]:
+    def alike(self) -> dict[str, Any]:
         """Numbers that hold for all particles where the files do not hold them, by their variable."""
         return {"density": self.density, "diameter": self.diameter, "mass": self.mass}
 

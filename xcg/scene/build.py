@@ -254,8 +254,9 @@ def scene_from_arrays(
     {'time': 1, 'particle': 2, 'component': 3}
     """
     _refuse_misspelt(variables)
-    numbers = {"density": density} | {name: variables.get(name) for name in ("diameter", "mass")}
-    alike = {name: value for name, value in numbers.items() if _is_number(value)}
+    sizes: dict[str, Any] = {"density": density}
+    sizes |= {name: variables.get(name) for name in ("diameter", "mass")}
+    alike = {name: value for name, value in sizes.items() if _is_number(value)}
     setup = Setup.make(
         units=units,
         gravity=gravity,

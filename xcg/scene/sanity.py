@@ -1,7 +1,7 @@
 """Warnings about implausible scenes: sizes, places, boxes, densities and times that contradict each other.
 
 Each check returns a message, or None. Checks look at samples of the grains, so that they take no
-noticeable time: rows spread over all for values, neighbours in two small regions for distances.
+noticeable time: rows spread over all for values, neighbours in a small region for distances.
 """
 
 from __future__ import annotations
@@ -118,44 +118,36 @@ class Grains:
 
     @cached_property
     def neighbours(self) -> NDArray:
-        """Distances over sums of radii to the nearest grains (n, k), sorted, of grains inside of small regions."""
+        """Distances over sums of radii to the nearest grains (n, k), sorted, of grains inside of a small region."""
         if "diameter" not in self.frame or self.count < FEW:
             return np.empty((0, 0))
-        found = [self._distances(row) for row in (self.count // 3, 2 * self.count // 3)]
-        columns = min(found, key=lambda distances: distances.shape[1]).shape[1]
-        return np.concatenate([distances[:, :columns] for distances in found])
-
-    def _distances(self, row: int) -> NDArray:
-        """Return distances as `neighbours`, of the grains around one of them."""
-        from scipy.spatial import cKDTree
-
-        middle = self.frame["position"][row]
+        middle = self.frame["position"][self.count // 2]
         low, high = np.quantile(self.sample["position"][:, self.plane], [0.02, 0.98], axis=0)
         share = min(1.0, _REGION / self.count)
-        reach = 0.5 * np.maximum(high - low, 0.0).max() * share ** (1 / len(self.plane))
+        reach = 0.5 * (high - low).max() * share ** (1 / len(self.plane))
         inside = self._around(middle, reach)
-        while len(inside) > 8 * _REGION:
+        while len(inside) > 2 * _REGION:
             reach *= 0.5
             inside = self._around(middle, reach)
-        if len(inside) < 3:
+        if len(inside) < FEW:
             return np.empty((0, 0))
         position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
-        count = min(len(inside), _CROWD + 1)
-        away, other = cKDTree(position).query(position, count)
-        ratio = 2 * away[:, 1:] / (diameter[:, None] + diameter[other[:, 1:]])
-        to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
-        alone = to_edge < away[:, 1]  # the nearest grain may be outside of the region
-        if len(inside) == self.count:
-            alone[:] = False
-        return np.sort(ratio[~alone], axis=1)
+        # of so few, all pairs are quicker than the import of a tree
+        away = np.sqrt(sum((x[:, None] - x) ** 2 for x in position.T))
+        np.fill_diagonal(away, np.inf)
+        ratio = 2 * away / (diameter[:, None] + diameter)
+        if len(inside) < self.count:  # the nearest grain may be outside of the region
+            to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
+            ratio = ratio[to_edge >= away.min(axis=1)]
+        return np.sort(ratio, axis=1)[:, :_CROWD]
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
         """Return the rows of the particles in a cube, axis by axis, as few are left after the first."""
-        rows = np.flatnonzero(
-            np.abs(self.frame["position"][:, self.plane[0]] - middle[self.plane[0]]) <= reach
-        )
-        for k in self.plane[1:]:
-            rows = rows[np.abs(self.frame["position"][rows, k] - middle[k]) <= reach]
+        position = self.frame["position"]
+        rows = np.arange(self.count)
+        for k in self.plane:
+            x = position[:, k] if len(rows) == self.count else position[rows, k]
+            rows = rows[(x >= middle[k] - reach) & (x <= middle[k] + reach)]
         return rows
 
     def outside(self, k: int, position: NDArray, room: float) -> float:
@@ -198,7 +190,7 @@ def _overfilled_space(grains: Grains) -> str | None:
     """Check that the grains fit into the space that their centres take."""
     if not grains.diameter > 0:
         return None
-    extent = np.array([np.ptp(x) for x in grains.frame["position"].T])
+    extent = np.ptp(grains.sample["position"], axis=0)
     if grains.count <= _MOST_FILLED * (extent[grains.plane] / grains.diameter + 1).prod():
         return None
     lengths = " x ".join(f"{length:.3g}" for length in extent)
@@ -347,7 +339,7 @@ def _with_dimension(setup: Setup) -> str:
 
 
 def _large_volumes(grains: Grains) -> str | None:
-    """Check that volumes do not exceed those of spheres with the diameters."""
+    """Check that volumes do not exceed pi d^3 / 6."""
     named = {"diameter", "volume", "mass"} <= set(grains.frame)
     if not named or grains.setup.shape != "sphere" or "half_axis_x" in grains.frame:
         return None
@@ -381,13 +373,13 @@ def _discs(grains: Grains) -> str | None:
 def _layer(grains: Grains) -> str | None:
     """Check that grains of a volume do not all lie in a plane.
 
-    A box across the plane that is no thicker than three diameters is the layer's thickness.
+    A box of at most three diameters across the plane is the layer's thickness.
     """
     if grains.is_volume or grains.setup.dimension == 2 or grains.count < FEW:
         return None
+    flat = np.flatnonzero(np.ptp(grains.sample["position"], axis=0) == 0)
     position = grains.frame["position"]
-    flat = [k for k in range(3) if not np.ptp(position[:, k])]
-    if len(flat) != 1:
+    if len(flat) != 1 or np.ptp(position[:, flat[0]]):
         return None
     low, high = grains.edges.get(flat[0], (-np.inf, np.inf))
     if high - low <= _FLAT_BOX * grains.diameter:

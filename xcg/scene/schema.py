@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, vector
+from xcg.common.checks import is_finite, is_positive, vector
 from xcg.common.messages import SceneError
 
 COMPONENTS = ("x", "y", "z")
@@ -367,7 +367,7 @@ class Setup:
                 "factors like {'length': 1e-3}"
             )
         if gravity is not None:
-            if np.ndim(gravity) == 0:
+            if is_finite(gravity):
                 raise SceneError(
                     f"gravity={gravity!r}: expected three numbers (x, y, z), such as (0.0, 0.0, -9.81)"
                 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, cast
 
 import numpy as np
 import xarray as xr
@@ -28,9 +28,8 @@ def select(
     """Select particles of each step, with their contacts; lazy where the scene is.
 
     Contacts without a selected particle are dropped. A contact of a selected particle with another
-    one is kept: it acts on the selected particle alone, and counts as one with a wall. So the
-    contact stress of a selection and that of all other particles add up to that of the scene, as
-    do those of phases.
+    one is kept: it acts on the selected particle alone, and counts as a contact with a wall. So the
+    contact stresses of a selection and of all other particles add up to that of the scene.
 
     Parameters
     ----------
@@ -128,7 +127,7 @@ def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
                     f"{letter}{axis}", ds[name].sel(component=axis, drop=True).variable
                 )
     try:
-        return xr.Dataset(known).eval(expression)
+        return cast(xr.DataArray, xr.Dataset(known).eval(expression))
     except NameError as error:
         name = str(error.name or error)
         raise ValueError(

@@ -34,7 +34,7 @@ def draw_grains(
     colours: Mapping[str, Any],
     options: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Draw the grains of one step as circles: those of a layer, or where a plane cuts them.
+    """Draw the grains of one step as circles: a whole layer, or a cut through a volume.
 
     Parameters
     ----------

@@ -478,8 +478,8 @@ def _draw_profile(
         place = dict(zip(others, labels, strict=True))
         y = value.sel(place).to_numpy()
         label = ", ".join(map(str, labels)) or None
-        across, up = (y, nodes) if upright else (nodes, y)
-        (line,) = ax.plot(across, up, **{"label": label, **(options or {})})
+        points = (y, nodes) if upright else (nodes, y)
+        (line,) = ax.plot(*points, **{"label": label, **(options or {})})
         if error is not None:
             e = error.sel(place).to_numpy()
             fill = ax.fill_betweenx if upright else ax.fill_between
