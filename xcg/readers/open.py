@@ -127,7 +127,7 @@ def open_scene(
     diameter, mass : float, optional
         Diameter (m) and mass (kg) of all particles, for files that hold neither sizes nor masses.
     frozen : int or sequence of int, optional
-        Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
+        Species that are fixed in place and act as walls: they get ``frozen = 1``, all others 0.
     units : mapping or str, optional
         Factors from the files' units to SI, for example ``{"length": 1e-3}``; "SI", "reduced", or a
         unit system of LAMMPS by name ("lj", "si", "cgs", "micro", "nano"). By default what the

@@ -121,9 +121,11 @@ _OTHER_ARGUMENTS = {
 }
 
 
-def _likely_argument(word: str, known: Iterable[str]) -> str:
+def _likely_argument(word: str, known: Mapping[str, object]) -> str:
     """Return the argument, or the other way, that was probably meant, as the end of a message."""
-    if word in ("time", "step", "frame_number"):
+    if word in ("time", "step"):
+        if "index" in known:
+            return "; did you mean 'index', the position of a step?"
         return "; select steps before the call, ds.isel(time=-1)"
     return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
 

@@ -27,7 +27,7 @@ _RIM = 0.3  # points
 def draw_grains(
     ds: xr.Dataset,
     name: str | None,
-    time: int,
+    index: int,
     component: str | None,
     at: Mapping[str, float] | None,
     ax: Axes,
@@ -42,7 +42,7 @@ def draw_grains(
         A scene.
     name : str or None
         Variable of the particles that colours show; None for grey grains.
-    time, component, at, ax
+    index, component, at, ax
         As in `xcg.plot`.
     colours : mapping
         ``cmap``, ``vmin`` and ``vmax`` of `xcg.plot`.
@@ -66,9 +66,9 @@ def draw_grains(
     if name is not None:
         _check_variable(ds, name)
     frame, lattice, _ = frame_at(
-        ds, time, ["particle_id", "position", "diameter", *([name] if name else [])]
+        ds, index, ["particle_id", "position", "diameter", *([name] if name else [])]
     )
-    step = step_at(ds, time, "time")
+    step = step_at(ds, index)
     plane = str(ds.attrs.get("plane", "xyz"))
     cut = _cut(plane, at, frame, lattice)
     axes = [axis for axis in plane if axis not in cut]

@@ -42,7 +42,7 @@ def plot(
     f: xr.Dataset,
     field: str | None = None,
     *,
-    time: int = -1,
+    index: int = -1,
     component: str | None = None,
     direction: str | None = None,
     phase: int | str | None = None,
@@ -76,8 +76,8 @@ def plot(
     field : str, optional
         Which field; the first one but `sample_count` by default. Of a scene, a variable of the
         particles; grains are grey by default.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     component, direction : str, optional
         "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw.
         A tensor needs both.
@@ -132,13 +132,13 @@ def plot(
         ax = drawing.new_axes() if ax is None else ax
         ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
         try:
-            picture = draw_grains(f, field, time, component, at, ax, ends, options)
+            picture = draw_grains(f, field, index, component, at, ax, ends, options)
         except AttributeError as error:  # of matplotlib, about keywords
             raise TypeError(f"plot: {error}") from None
         ax.set_title(_title(picture))
         return ax
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, time, phase).compute()
+    picture = _one_step(part, index, phase).compute()
     ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], _axes(picture)
     try:
@@ -164,6 +164,8 @@ def plot(
 
 # Options of other plotting functions, with what to do in place of them.
 _OTHER_OPTIONS = {
+    "time": "give index=, the position of a step, or select it before, .sel(time=...)",
+    "step": "give index=, the position of a step",
     "figsize": "give ax=, from matplotlib.pyplot.subplots(figsize=...)",
     "title": "call set_title on what plot returns",
     "xlabel": "call set_xlabel on what plot returns",
@@ -429,9 +431,9 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 
-def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Dataset:
+def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
     """Select a step, and of maps a phase."""
-    part = step_at(part, time, "time")
+    part = step_at(part, index)
     if phase is None and "phase" in part.dims and len(_axes(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
