@@ -29,6 +29,7 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.selection import select
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
@@ -84,6 +85,7 @@ class CoarseGrainAccessor:
     find_phases = _Bound(find_phases)
     assign_phases = _Bound(assign_phases)
     plot_phases = _Bound(plot_phases)
+    select = _Bound(select)
     select_walls = _Bound(select_walls)
     derive_velocity = _Bound(derive_velocity)
     derive_director = _Bound(derive_director)

@@ -13,7 +13,7 @@ import xcg
 from tests.benchmarks import series
 from xcg.fields.sums import segments
 from xcg.scene.frame import stack
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 
 FEW, MANY = 4, 32
 

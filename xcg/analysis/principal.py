@@ -153,7 +153,7 @@ def plot_principal(
     values, axes = _values_and_axes(tensor.to_numpy())
     x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")
     largest = np.nanmax(np.abs(values))
-    step = min(float(np.ptp(tensor[a])) / max(1, tensor.sizes[a] - 1) for a in plane)
+    step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
     if ax is None:
         _, ax = subplots(layout="constrained")
         units = whole[plane[0]].attrs.get("units", "")

@@ -20,7 +20,7 @@ from xcg.scene.description import Summary, rows_of_origin
 from xcg.scene.facts import require_facts
 from xcg.scene.frame import particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
 from xcg.steps.mapping import each_step
 

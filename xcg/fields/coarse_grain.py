@@ -92,11 +92,19 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     scene = describe(ds, request.by)
     if request.preset is not None:
         request, rename = _in_own_names(scene, request)
+    by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
-        raise ValueError(f"{error}; {about_strays(ds, scene)}") from None
-    check_size(ds, scene, plan.deposit.grid, sum(map(math.prod, plan.shapes.values())))
+        units = "check that sizes and positions have one unit; " if by_sizes else ""
+        raise ValueError(f"{error}; {units}{about_strays(ds, scene)}") from None
+    check_size(
+        ds,
+        scene,
+        plan.deposit.grid,
+        sum(map(math.prod, plan.shapes.values())),
+        by_sizes=by_sizes,
+    )
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)

@@ -229,7 +229,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(
-        min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping)
+        min(k.width for k in kernels),
+        scene.sizes,
+        _extent_of(scene),
+        of_groups=isinstance(request.width, Mapping),
     )
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
@@ -271,6 +274,14 @@ def make_plan(scene: Description, request: Request) -> Plan:
         setup=scene.setup,
         rtol=rtol,
     )
+
+
+def _extent_of(scene: Description) -> float:
+    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
+    if scene.corners is None:
+        return math.inf
+    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+    return max(*lengths, *scene.periods.values())
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
@@ -365,7 +376,13 @@ def _choose_fields(
         if name not in listed and name not in ours:
             known = [*listed, *scene.rows]
             raise ValueError(
-                unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars")
+                unknown(
+                    "field",
+                    name,
+                    known,
+                    "others are listed by xcg.FIELDS and by ds.data_vars",
+                    registry.OTHER_NAMES,
+                )
             )
     for name in names:
         if name in lacking and rows[name].option == "lag":

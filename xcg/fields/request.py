@@ -38,10 +38,8 @@ from xcg.steps.labels import format_call
 # arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
-        lambda value: (
-            isinstance(value, Mapping) or (np.ndim(value) == 0 and not isinstance(value, str))
-        ),
-        "a distance (m), or one by axis such as {'x': 0.01, 'z': 0.005}",
+        lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
+        "a distance (m), a multiple of a size such as '0.5 d43', or one by axis such as {'x': 0.01, 'z': 0.005}",
     ),
     "width": (
         lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
@@ -57,7 +55,7 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     ),
     "at": (
         lambda value: isinstance(value, Mapping),
-        "a coordinate (m) by axis, such as {'y': 0.0}",
+        "a coordinate (m) by axis, such as {'y': 0.0}; axes='z' resolves an axis",
     ),
     "by": (
         lambda value: isinstance(value, str),
@@ -96,8 +94,9 @@ class SharedOptions:
         "lucy" (default), "gaussian", "shifted gaussian", "heaviside", a registered name, or an
         object such as ``xcg.Lucy(cutoff=0.01)``. Only kernels as smooth as Lucy give fields that
         satisfy the differential balance laws.
-    spacing : float or mapping, optional
-        Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without
+    spacing : float, str or mapping, optional
+        Distance of nodes (m), or a multiple of a size such as "0.5 d43", for all axes or by axis;
+        the width by default. Periodic axes without
         bounds take the nearest spacing that divides the period.
     axes : str, optional
         Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are
@@ -175,7 +174,7 @@ class SharedOptions:
     """
 
     kernel: KernelName | str | Kernel = "lucy"
-    spacing: float | Mapping[str, float] | None = None
+    spacing: float | str | Mapping[str, float | str] | None = None
     axes: str | None = None
     bounds: Mapping[str, Sequence[float]] | None = None
     sampling: Sampling = "node"

@@ -12,11 +12,12 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
-from xcg.scene.complete import REPEAT, contact_points, unit_vectors
+from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice
+from xcg.scene.rows import unit_vectors
 from xcg.scene.schema import Frame, Setup, Variable, variable
 from xcg.scene.spheres import warn_of_coincident
 from xcg.steps.analysis import FrameAnalysis, run

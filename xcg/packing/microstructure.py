@@ -100,8 +100,8 @@ def microstructure(
         Axis of the axial strain; by default the last of the scene.
     cell : float, optional
         Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
-        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains,
-        ``lacey_index`` is NaN, with a warning.
+        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains, or
+        all grains are of one phase, ``lacey_index`` is NaN, with a warning.
     mixing_weight : {"number", "volume"}
         What grains count by in concentrations, their variances and entropy.
     neighbours : int, optional

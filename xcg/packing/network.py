@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from xcg.common.checks import extra
 from xcg.compiled.contacts import join_clusters
 from xcg.packing.quantities import CONTACTS
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
+from xcg.scene.rows import unit_vectors
 from xcg.scene.schema import Frame
 
 if TYPE_CHECKING:

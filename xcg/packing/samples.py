@@ -394,9 +394,16 @@ class Mixture:
     def lacey(self, which: int) -> float:
         """Return Lacey's index.
 
-        NaN, with a warning, if no cell holds two grains, so that all arrangements are alike.
+        NaN, with a warning, if all grains are of one phase, or no cell holds two grains, so that all
+        arrangements are alike.
         """
         apart = self.segregated_variance(which)
+        if len(self.phase) > 1 and len(np.unique(self.phase)) == 1:
+            warn_once(
+                "one phase",
+                f"lacey_index is NaN: all {len(self.phase)} grains are of one phase; by= names the variable that "
+                "holds the phases, and ds.cg.assign_phases(edges=[...]) makes one from diameters",
+            )
         if apart > 0 and self.cells.max() + 1 == len(self.phase):
             warn_once("cells below a grain", self._too_small())
             return math.nan

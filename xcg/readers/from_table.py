@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -17,11 +18,10 @@ from xcg.readers.engines.tabular import Table, clock_of, runs_of, warn_of_unread
 from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of
-from xcg.scene.schema import Frame
+from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.schema import Frame, periodic_axes
 
 
 def scene_from_table(
@@ -75,6 +75,10 @@ def scene_from_table(
     >>> dict(ds.sizes)
     {'time': 2, 'particle': 2, 'component': 3}
     """
+    if isinstance(particles, (str, os.PathLike)):
+        raise TypeError(
+            f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
+        )
     said = ReadOptions(dict(names or {}))
     tables = {"particles": _table(particles)}
     grains = _frames(tables["particles"], "particles", said, contacts=False)
@@ -86,7 +90,8 @@ def scene_from_table(
         ref = StepRef("particles", 0, columns=tuple(tables["particles"].columns))
         columns.report_missing_ids(ref, len(steps), contacts=contacts is not None)
     if contacts is not None:
-        periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
+        periodic = periodic_axes(options.get("periodic"), options.get("plane"))
+        lattices = [Lattice.of({}, "")] * len(steps)
         if periodic and options.get("box") is not None:
             boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
             lattices = [

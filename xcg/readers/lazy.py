@@ -29,7 +29,7 @@ from xcg.readers.files.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_ends, is_central
+from xcg.scene.sanity_contacts import check_ends, is_central
 from xcg.scene.schema import MOTION, ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
 from xcg.steps.mapping import picked

@@ -20,7 +20,7 @@ from xcg.readers.paths import units_of_system
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS
 
 _ATOM, _LOCAL = 1, 2  # styles, and

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of, unit_vectors, without_repeats
+from xcg.scene.repeats import without_repeats
+from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variable
 from xcg.scene.spheres import (
     SAME_BRANCH,
@@ -33,12 +34,20 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
     """Raise SceneError for arrays of the wrong shape or with values that are not finite; name every bad variable."""
     first = next(name for name in frame if variable(name).dims[0] == dim)
     rows = len(frame[first])
+    if rows == 3 and frame[first].shape != (3, 3) and frame[first].ndim == 2:
+        raise SceneError(
+            f"{source}: '{first}' has shape {frame[first].shape}, expected (n, 3), a row for each {dim}: give its "
+            f"transpose, {first}.T"
+        )
     problems = []
     for name, values in frame.items():
         expected = variable(name, values.dtype, values.ndim).shape(rows)
         if values.shape != expected:
-            flat = values.shape == (rows, 2) and expected == (rows, 3)
-            hint = " (of a layer, add a column of zeros for z and give dimension=2)" if flat else ""
+            hint = ""
+            if values.shape == (rows, 2) and expected == (rows, 3):
+                hint = " (of a layer, add a column of zeros for z and give dimension=2)"
+            if values.shape == expected[::-1]:
+                hint = f"; give its transpose, {name}.T"
             problems.append(f"'{name}' has shape {values.shape}, expected {expected}{hint}")
         elif values.dtype.kind == "f" and not _all_finite(values):
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
@@ -269,6 +278,10 @@ def _images(
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     count = len(frame["position"])
     disc = np.pi / 4 * (setup.thickness or 0.0)
+    if setup.diameter is not None and not {"diameter", "volume"} & set(frame):
+        frame["diameter"] = np.full(count, float(setup.diameter))
+    if setup.mass is not None and "mass" not in frame:
+        frame["mass"] = np.full(count, float(setup.mass))
     if "volume" not in frame:
         if "diameter" in frame:
             d = frame["diameter"]
@@ -307,7 +320,7 @@ def complete_contacts(
     with ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch
     that the data hold, or else the shortest one.
 
-    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`. Between
+    Contacts that are listed again are taken once, see `xcg.scene.repeats.without_repeats`. Between
     spheres, pairs without a force and with a gap are dropped, overlaps that are another quantity
     are replaced, and contact points midway between the centres are moved, each with a warning, see
     `xcg.scene.spheres`.

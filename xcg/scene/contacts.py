@@ -18,7 +18,9 @@ from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of, unit_vectors
+from xcg.scene.repeats import repeated_pairs
+from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.sanity_contacts import check_contacts
 from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the

@@ -442,8 +442,17 @@ def test_wrong_plots_raise(result, tmp_path):
         ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"
     ):
         f.cg.plot("pressure")
-    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.plot"):
-        scene.cg.plot("velocity")
+    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.movie"):
+        scene.isel(time=[0]).cg.movie("picture.gif")
+    for keyword, message in (
+        ("figsize", "give ax="),
+        ("vmx", "did you mean 'vmax'"),
+        ("foo", "foo"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            f.cg.plot("velocity", **{keyword: 1})
+    with pytest.raises(TypeError, match="give cmap="):
+        f.cg.plot("volume_fraction", color="red")
     with pytest.raises(TypeError, match="component=0: expected a name, one of x, y, z"):
         f.cg.plot("velocity", component=0)
     with pytest.raises(

@@ -214,7 +214,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     for t in range(3):
         positions.append(rng.random((count, 3)))
         lines = [
-            f"{k} 1 {x} {y} {z} 0 0 0 0.005 1"
+            f"{k} 1 {x} {y} {z} 0 0 0 0.005 0.001"
             for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)
         ]
         texts.append(dump_text(lines, ATOMS, step=10 * t))

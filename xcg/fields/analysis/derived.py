@@ -17,7 +17,7 @@ from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import require_times
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, Step, run
 
