@@ -384,7 +384,9 @@ MOMENTS: dict[str, Moment] = {
     "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points
     "contacts": _at_contacts((), "1", one_a_contact),
-    "load_bearing_contacts": _at_contacts((), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing")),
+    "load_bearing_contacts": _at_contacts(
+        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing")
+    ),
     "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
     "normals": _at_contacts(
         (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
