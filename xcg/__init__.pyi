@@ -39,6 +39,8 @@ from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
 from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.schema import Variable
+from .steps.analysis import FrameAnalysis
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save
@@ -52,6 +54,7 @@ __all__ = [
     "Cylinder",
     "Cylindrical",
     "Flux",
+    "FrameAnalysis",
     "Gaussian",
     "Heaviside",
     "Kernel",
@@ -67,6 +70,7 @@ __all__ = [
     "Sphere",
     "Sum",
     "Surface",
+    "Variable",
     "Variance",
     "adjacency",
     "assign_phases",

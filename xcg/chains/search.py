@@ -225,12 +225,15 @@ def force_chains(
         on_error,
     )
     lengths = rule.min_length + np.arange(sizes["length"])
-    beside = {name: ds.variables[name] for name in BOX if name in ds}
-    beside["length"] = xr.Variable(
-        "length", lengths, {"units": "1", "long_name": "particles of a chain"}
-    )
+    coords = {
+        "length": xr.Variable(
+            "length", lengths, {"units": "1", "long_name": "particles of a chain"}
+        )
+    }
     about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
+    call = format_call("force_chains", given)
+    result = label(ds, RESULTS, arrays, call, coords=coords, **about)
+    return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
 
 def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:

@@ -107,6 +107,8 @@ def with_accessible(
     ValueError
         As `accessible_of`.
     """
+    beside = [name for name in plan.fields if name not in plan.asked]
+    f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
     seconds = accessible.seconds()
     if seconds > _LONG:
@@ -135,11 +137,9 @@ def with_accessible(
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = with_setup(per.assign_attrs(per="accessible", per_note=note))
-    wanted = plan.fields if request.for_averages else plan.asked
-    return (
-        f[list(wanted)]
-        .assign(accessible_fraction=field)
-        .assign_attrs(surfaces="\n".join(map(repr, request.surfaces or ())))
+    f = f.drop_vars(beside) if request.for_averages is False else f.set_coords(beside)
+    return f.assign(accessible_fraction=field).assign_attrs(
+        surfaces="\n".join(map(repr, request.surfaces or ()))
     )
 
 

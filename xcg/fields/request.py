@@ -258,9 +258,10 @@ class Request(SharedOptions):
         as of independent fluctuations of the grains, see `xcg.fields.formulas.rows.errors`.
         Densities and contact stress have none, as neighbours are not independent: their errors come
         from several steps (`time_average`).
-    for_averages : bool
-        Also compute the sums that `time_average` and `profile` of the fields need beside them, such
-        as the density beside a velocity.
+    for_averages : bool, optional
+        What becomes of the sums that `time_average` and `profile` of the fields need beside them,
+        such as the density beside a velocity. By default they are coordinates of the result; True
+        makes them variables, and False leaves them out, so that averages of ratios raise an error.
     """
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
@@ -270,7 +271,7 @@ class Request(SharedOptions):
     surfaces: Sequence[Wall] | None = None
     per: Per | None = None
     errors: bool = False
-    for_averages: bool = False
+    for_averages: bool | None = None
 
     def changed(self, names: Sequence[str]) -> list[str]:
         """Names of arguments that differ from their defaults."""

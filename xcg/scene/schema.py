@@ -38,12 +38,27 @@ Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable of the scene: dimensions besides time, SI unit, kind."""
+    """Variable of a scene or result: dimensions besides time, SI unit, name in words, kind.
+
+    Parameters
+    ----------
+    dims : tuple of str
+        Dimensions besides time.
+    units : str
+        SI unit such as "m s^-1"; "1" without one.
+    long_name : str
+        Name in words.
+    dtype : {"float64", "int64"}
+        Kind of number.
+    formula : str
+        Formula in words, for the attributes of a result.
+    """
 
     dims: tuple[str, ...]
     units: str
     long_name: str
     dtype: str = "float64"
+    formula: str = ""
 
     @property
     def fill(self) -> float | int:

@@ -260,7 +260,8 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     needed = [name for law in laws.values() for name in law.fields] + list(
         OF_PHASES if asked.by else ()
     )
-    request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
+    fields = list(dict.fromkeys(needed))
+    request = asked.ask(fields=fields, width=asked.width, for_averages=False)
     plan = make_plan(describe(ds, request.by), request)
     grid = plan.deposit.grid
     if not grid.axes:

@@ -110,7 +110,9 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     if asked.axes:
         asked = _with_nodes(ds, asked, lengths, points[0])
     swept = [
-        _join_widths(ds, lengths, partial(asked.ask, fields=asked.fields, at=point))
+        _join_widths(
+            ds, lengths, partial(asked.ask, fields=asked.fields, at=point, for_averages=False)
+        )
         for point in points
     ]
     joined = xr.concat(swept, "point", coords="different", compat="equals") if several else swept[0]
