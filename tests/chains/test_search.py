@@ -387,7 +387,7 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
         lazy = ds.chunk(time=chunk).cg.force_chains(**options)
         assert lazy.chain_id.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
         xr.testing.assert_identical(lazy.compute(**computing(scheduler)).drop_attrs(), eager)
-    select = {"region": xcg.Sphere((2, 2, 2), 2), "min_stress": 0.1, "of": "any"}
+    select = {"region": xcg.Sphere((2, 2, 2), 2), "min_stress": 0.1, "how": "any"}
     some = ds.chunk(time=1).cg.force_chains(**options).cg.select_chains(**select)
     expected = ds.cg.force_chains(**options).cg.select_chains(**select).drop_attrs()
     xr.testing.assert_identical(some.compute(**computing(scheduler)).drop_attrs(), expected)

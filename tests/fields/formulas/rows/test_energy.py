@@ -572,7 +572,7 @@ def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
 
 def test_a_wrong_force_raises_the_residual():
     ds = moving(0.02)
-    options = {"of": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
+    options = {"quantities": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
     right, wrong = (
         d.cg.balance(**options) for d in (ds, ds.assign(contact_force=1.2 * ds.contact_force))
     )
