@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
-from xcg.readers.columns import report_missing_ids, warn_of_other_units
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
+from xcg.readers.unread_columns import report_missing_ids, warn_of_other_units
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
@@ -173,7 +173,7 @@ def _read_end(
     if arguments.on_error == "skip":
         shape, thickness = _shape_of(arguments, listing)
         setup = Setup.make(shape=shape, thickness=thickness, density=arguments.density)
-        complete_particles(ends[ref], setup, source_of(ref))
+        complete_particles(dict(ends[ref]), setup, source_of(ref))
 
 
 def warn_of_missing_facts(
@@ -283,12 +283,14 @@ def make_series(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
     rows = {step.particles: row for row, step in enumerate(steps)}
-    frames = []
+    frames = {}
     for ref in list(ends):
         box = {name: values[rows[ref]] for name, values in boxes.items()}
-        frames.append(source.complete(ends.pop(ref), ref, box))
-        source.opened.keep(ref, frames[-1])
-    first = frames[0]
+        frames[ref] = source.complete(ends.pop(ref), ref, box)
+    # the last one first: dask begins with it
+    for ref in reversed(frames):
+        source.opened.keep(ref, frames[ref])
+    first = next(iter(frames.values()))
     check_sizes(first, setup)
     names = [name for name in dict.fromkeys([*VARIABLES, *first]) if name in first]
     with_contacts = next((step for step in steps if step.contacts), steps[0])
@@ -300,7 +302,7 @@ def make_series(
         _contact_names(source, with_contacts),
         times,
     )
-    return series, measure_frames(frames)
+    return series, measure_frames(list(frames.values()))
 
 
 def with_origin(

@@ -68,13 +68,14 @@ def refuse_mask(name: str, values: Any, where: str = "") -> None:
         )
 
 
-def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Convert arrays to their types and the scene's units.
+def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
+    """Convert arrays to their types and the scene's units, and take them out of the frame.
 
     Views are copied, so that the table of a reader, of which they are columns, can go.
     """
     typed: Frame = {}
-    for name, values in frame.items():
+    for name in list(frame):
+        values = frame.pop(name)
         refuse_mask(name, values, f"{source}: ")
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
@@ -105,7 +106,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
 
 
 def complete_particles(
-    frame: Mapping[str, ArrayLike], setup: Setup, source: str, lattice: Lattice | None = None
+    frame: dict[str, Any], setup: Setup, source: str, lattice: Lattice | None = None
 ) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
@@ -118,8 +119,9 @@ def complete_particles(
 
     Parameters
     ----------
-    frame : mapping
-        Arrays by scene name, at least ``position`` (n, 3).
+    frame : dict
+        Arrays by scene name, at least ``position`` (n, 3). It is empty afterwards, so that no
+        array is in memory twice while others are completed.
     setup : Setup
         What the data do not say.
     source : str
