@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common import memory
 from xcg.common.messages import SceneError
 from xcg.readers.assigned import (
     CONTACT_VECTORS,
@@ -220,7 +221,8 @@ class Columnar(Engine):
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
         # copies of single columns, so that the table can go
         return {
-            name: array if array.base is None else array.copy() for name, array in frame.items()
+            name: array if memory.owns_memory(array) else array.copy()
+            for name, array in frame.items()
         }
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

@@ -182,9 +182,9 @@ def _check_unchanged(ref: StepRef) -> None:
     raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
-# bytes of a step that is kept from opening to its first use, and of two that are
+# bytes of a step that is kept from opening to its first use, alone or beside another
 _MOST_OPENED = 1 << 28
-_MOST_OF_BOTH = 1 << 26
+_MOST_BESIDE = 1 << 25
 
 
 class Opened:
@@ -203,11 +203,10 @@ class Opened:
     def __dask_tokenize__(self) -> str:
         return type(self).__name__
 
-    def keep(self, ref: StepRef, frame: Frame) -> None:
-        """Keep the completed particles of a step, and of a second one if both are small."""
-        frames = [*self._frames.values(), frame]
-        held = sum(array.nbytes for kept in frames for array in kept.values())
-        if held <= (_MOST_OF_BOTH if self._frames else _MOST_OPENED):
+    def keep(self, ref: StepRef, frame: Frame, *, beside: bool) -> None:
+        """Keep the completed particles of a step, only of a small one `beside` another that follows."""
+        held = sum(array.nbytes for array in frame.values())
+        if held <= (_MOST_BESIDE if beside else _MOST_OPENED):
             self._frames[ref] = dict(frame)
 
     def take(self, ref: StepRef, names: Iterable[str]) -> Frame | None:

@@ -23,7 +23,7 @@ from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
-from xcg.scene.frame import measure_frames
+from xcg.scene.frame import measure_frames, measured_variables
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape
@@ -283,26 +283,29 @@ def make_series(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
     rows = {step.particles: row for row, step in enumerate(steps)}
-    frames = {}
+    types: dict[str, Any] = {}
+    frames = []
     for ref in list(ends):
         box = {name: values[rows[ref]] for name, values in boxes.items()}
-        frames[ref] = source.complete(ends.pop(ref), ref, box)
-    # the last one first: dask begins with it
-    for ref in reversed(frames):
-        source.opened.keep(ref, frames[ref])
-    first = next(iter(frames.values()))
-    check_sizes(first, setup)
-    names = [name for name in dict.fromkeys([*VARIABLES, *first]) if name in first]
+        frame = source.complete(ends.pop(ref), ref, box)
+        if not frames:
+            check_sizes(frame, setup)
+            names = [name for name in dict.fromkeys([*VARIABLES, *frame]) if name in frame]
+            types = {name: frame[name].dtype for name in names}
+        # of two large steps the last: dask begins with it
+        source.opened.keep(ref, frame, beside=bool(ends))
+        frames.append(measured_variables(frame))
+        del frame
     with_contacts = next((step for step in steps if step.contacts), steps[0])
     series = Series(
         source,
         steps,
         boxes,
-        {name: first[name].dtype for name in names},
+        types,
         _contact_names(source, with_contacts),
         times,
     )
-    return series, measure_frames(list(frames.values()))
+    return series, measure_frames(frames)
 
 
 def with_origin(

@@ -333,6 +333,16 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
     return float(values[near[min(np.searchsorted(sums, 0.5 * total), len(near) - 1)]])
 
 
+def measured_variables(frame: Frame) -> Frame:
+    """Return the variables that `measure_frames` looks at; the memory of others can go before."""
+    return {
+        name: values
+        for name, values in frame.items()
+        if name in ("position", "diameter", "mass")
+        or (values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id")
+    }
+
+
 def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
 

@@ -23,6 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common import memory
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
@@ -143,9 +144,9 @@ class _ColumnBuffer:
         self, wanted: Sequence[str], vectors: Iterable[tuple[str, ...]], rows: int
     ) -> None:
         self._places = {column: place for place, column in enumerate(wanted)}
-        self._vectors = {vector: np.empty((rows, len(vector))) for vector in vectors}
+        self._vectors = {vector: memory.empty((rows, len(vector))) for vector in vectors}
         alone = self._places.keys() - set(chain(*self._vectors))
-        self._columns = {column: np.empty(rows) for column in alone}
+        self._columns = {column: memory.empty(rows) for column in alone}
         self._rows = rows
 
     def write(self, first: int, numbers: NDArray) -> None:
@@ -174,7 +175,7 @@ class _ColumnBuffer:
         """Copy the filled rows to arrays of another length, one array after the other."""
         for arrays in (self._columns, self._vectors):
             for name, array in arrays.items():
-                longer = np.empty((rows, *array.shape[1:]))
+                longer = memory.empty((rows, *array.shape[1:]))
                 longer[:filled] = array[:filled]
                 arrays[name] = longer
         self._rows = rows
