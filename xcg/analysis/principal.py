@@ -165,6 +165,8 @@ def plot_principal(
         middle = np.stack([x, y], axis=-1)
         bars = np.stack([middle - half, middle + half], axis=-2).reshape(-1, 2, 2)
         for chosen, style in (values[..., k] > 0, "solid"), (values[..., k] < 0, "dotted"):
-            ax.add_collection(LineCollection(bars[chosen.ravel()], colors=color, linestyles=style))
+            ax.add_collection(
+                LineCollection(list(bars[chosen.ravel()]), colors=color, linestyles=style)
+            )
     ax.autoscale_view()
     return ax

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from numpy.typing import ArrayLike
 
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.readers.columns import read_names, split_names
+from xcg.readers.assigned import read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
 from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS

@@ -15,8 +15,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import units_of_system
+from xcg.readers.wall_columns import WALL_CONTACTS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
-from xcg.readers.columns import report_missing_ids, warn_of_other_units
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
+from xcg.readers.unread_columns import report_missing_ids, warn_of_other_units
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
-from xcg.scene.frame import measure_frames
+from xcg.scene.frame import measure_frames, measured_variables
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, periodic_axes
@@ -174,7 +174,7 @@ def _read_end(
     if arguments.on_error == "skip":
         shape, thickness = _shape_of(arguments, listing)
         setup = Setup.make(shape=shape, thickness=thickness, **arguments.alike)
-        complete_particles(ends[ref], setup, source_of(ref))
+        complete_particles(dict(ends[ref]), setup, source_of(ref))
 
 
 def warn_of_missing_facts(
@@ -298,28 +298,34 @@ def make_series(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
     rows = {step.particles: row for row, step in enumerate(steps)}
-    opening = next(iter(ends))
-    frames = []
+    types: dict[str, Any] = {}
+    first: Frame | None = None  # of a small series, whose motion is compared with its times
+    frames: list[Frame] = []
     for ref in list(ends):
         box = {name: values[rows[ref]] for name, values in boxes.items()}
-        frames.append(source.complete(ends.pop(ref), ref, box))
-        source.opened.keep(ref, frames[-1])
-    first = frames[0]
-    box = {name: values[rows[opening]] for name, values in boxes.items()}
-    images = Lattice.of(box, setup.periodic, source_of(opening))
-    check_scene(first, setup, images, is_volume=True)
-    names = [name for name in dict.fromkeys([*VARIABLES, *first]) if name in first]
+        frame = source.complete(ends.pop(ref), ref, box)
+        if not frames:
+            images = Lattice.of(box, setup.periodic, source_of(ref))
+            check_scene(frame, setup, images, is_volume=True)
+            names = [name for name in dict.fromkeys([*VARIABLES, *frame]) if name in frame]
+            types = {name: frame[name].dtype for name in names}
+            if ref.rows <= _MOST_ROWS_OF_MOTION:
+                first = frame
+        # of two large steps the last: dask begins with it
+        source.opened.keep(ref, frame, beside=bool(ends))
+        frames.append(measured_variables(frame))
+        del frame
     with_contacts = next((step for step in steps if step.contacts), steps[0])
     series = Series(
         source,
         steps,
         boxes,
-        {name: first[name].dtype for name in names},
+        types,
         _contact_names(source, with_contacts),
         times,
     )
     measured = measure_frames(frames)
-    if arguments.sets_times and arguments.on_error == "raise":
+    if first is not None and arguments.sets_times and arguments.on_error == "raise":
         _check_times_of_motion(series, first, images)
     return series, measured
 

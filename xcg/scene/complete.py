@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common import memory
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
@@ -77,13 +78,14 @@ def refuse_mask(name: str, values: Any, where: str = "") -> None:
         )
 
 
-def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Convert arrays to their types and the scene's units.
+def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
+    """Convert arrays to their types and the scene's units, and take them out of the frame.
 
     Views are copied, so that the table of a reader, of which they are columns, can go.
     """
     typed: Frame = {}
-    for name, values in frame.items():
+    for name in list(frame):
+        values = frame.pop(name)
         refuse_mask(name, values, f"{source}: ")
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
@@ -101,7 +103,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
-            typed[name] = array.astype(row.dtype, order="C", copy=array.base is not None)
+            typed[name] = array.astype(row.dtype, order="C", copy=not memory.owns_memory(array))
         except (TypeError, ValueError, OverflowError):  # the last of whole numbers beyond 64 bits
             raise SceneError(
                 f"{source}: '{name}' holds {array.dtype}, expected real numbers of 64 bits; give each text a number of "
@@ -114,7 +116,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
 
 
 def complete_particles(
-    frame: Mapping[str, ArrayLike], setup: Setup, source: str, lattice: Lattice | None = None
+    frame: dict[str, Any], setup: Setup, source: str, lattice: Lattice | None = None
 ) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
@@ -127,8 +129,9 @@ def complete_particles(
 
     Parameters
     ----------
-    frame : mapping
-        Arrays by scene name, at least ``position`` (n, 3).
+    frame : dict
+        Arrays by scene name, at least ``position`` (n, 3). It is empty afterwards, so that no
+        array is in memory twice while others are completed.
     setup : Setup
         What the data do not say.
     source : str
@@ -155,7 +158,8 @@ def complete_particles(
         order = _order_of(ids, source)
         if order is not None:
             for name in given:  # one after the other, as each is there twice for a while
-                given[name] = np.take(given[name], order, axis=0)
+                target = memory.empty(given[name].shape, given[name].dtype)
+                given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
             ids = given["particle_id"]
         if ids[0] < 0:
             row = 0 if order is None else order[0]
@@ -163,6 +167,7 @@ def complete_particles(
                 f"{source}: particle id {ids[0]} in row {row} is negative; negative ids are kept for "
                 "walls and padding"
             )
+        del order
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
         if (
@@ -203,9 +208,12 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
         return None
     lowest, highest = int(ids.min()), int(ids.max())
     if highest - lowest + 1 == len(ids):  # without gaps, each id has its place: nothing to sort
-        order = np.full(len(ids), -1)
-        order[ids - lowest] = np.arange(len(ids))
-        if order.min() >= 0:
+        places = ids - lowest
+        taken = np.zeros(len(ids), bool)
+        taken[places] = True
+        if taken.all():
+            order = np.empty(len(ids), np.intp)
+            order[places] = np.arange(len(ids))
             return order
     order = np.argsort(ids)
     in_order = ids[order]

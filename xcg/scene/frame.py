@@ -303,22 +303,54 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     """
     if not len(diameter):
         return dict.fromkeys(SIZES, float("nan"))
-    order = np.argsort(diameter)
-    d = diameter[order]
-    share = d**3 if mass is None else mass[order]
-    del order
-    np.cumsum(share, out=share)
-    sums = [(d**k).sum() for k in range(5)]
+    d = np.sort(diameter)
+    squares, cubes, fourths = [(d**k).sum() for k in (2, 3, 4)]
     # powers of zero: NaN, which no width may be
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
+        d32, d43 = float(cubes / squares), float(fourths / cubes)
+    smallest, largest = float(d[0]), float(d[-1])
+    del d
     return {
-        "d43": ratios[1],
-        "d32": ratios[0],
-        "d50": float(d[np.searchsorted(share, 0.5 * share[-1])]),
-        "drms": float(np.sqrt(sums[2] / sums[0])),
-        "dmin": float(d[0]),
-        "dmax": float(d[-1]),
+        "d43": d43,
+        "d32": d32,
+        "d50": _median_by(diameter, diameter**3 if mass is None else mass),
+        "drms": float(np.sqrt(squares / len(diameter))),
+        "dmin": smallest,
+        "dmax": largest,
+    }
+
+
+_BINS = 4096  # of values, to find those that their median by weight is among
+
+
+def _median_by(values: NDArray, weights: NDArray) -> float:
+    """Return the smallest of the values up to which half of the weight lies. Only those near it are sorted."""
+    near, below = np.arange(len(values)), 0.0
+    total = weights.sum()
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        per_value = (_BINS - 1) / (values.max() - values.min())
+    if len(values) > _BINS and np.isfinite(per_value) and weights.min() >= 0:
+        place = values - values.min()
+        place *= per_value
+        place = place.astype("int16")
+        sums = np.cumsum(np.bincount(place, weights, _BINS))
+        total = sums[-1]
+        middle = int(np.searchsorted(sums, 0.5 * total))
+        near = np.flatnonzero(place == middle)
+        below = sums[middle - 1] if middle else 0.0
+    near = near[np.argsort(values[near])]
+    sums = below + np.cumsum(weights[near])
+    # the last one where rounding keeps the sum below its half
+    return float(values[near[min(np.searchsorted(sums, 0.5 * total), len(near) - 1)]])
+
+
+def measured_variables(frame: Frame) -> Frame:
+    """Return the variables that `measure_frames` looks at; the memory of others can go before."""
+    return {
+        name: values
+        for name, values in frame.items()
+        if name in ("position", "diameter", "mass")
+        or (values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id")
     }
 
 
@@ -338,7 +370,7 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     if diameters and sum(map(len, diameters)):
         masses = [f["mass"] for f in frames if "mass" in f]
         whole = len(masses) == len(diameters)
-        measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
+        measured |= sizes_of(_joined(diameters), _joined(masses) if whole else None)
     for name in frames[0] if frames else ():
         values = [f[name] for f in frames if f[name].dtype.kind == "i" and f[name].ndim == 1]
         if values and name != "particle_id":
@@ -346,6 +378,11 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
             if 0 < len(unique) <= MAX_GROUPS:
                 measured[f"{name}_values"] = unique
     return measured
+
+
+def _joined(arrays: Sequence[NDArray]) -> NDArray:
+    """Return arrays one after the other; a single one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _different(values: NDArray) -> NDArray:
