@@ -330,9 +330,10 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         per_value = (_BINS - 1) / (values.max() - values.min())
     if len(values) > _BINS and np.isfinite(per_value) and weights.min() >= 0:
-        place = values - values.min()
-        place *= per_value
-        place = place.astype("int16")
+        scaled = values - values.min()
+        scaled *= per_value
+        place = scaled.astype("int16")
+        del scaled
         sums = np.cumsum(np.bincount(place, weights, _BINS))
         total = sums[-1]
         middle = int(np.searchsorted(sums, 0.5 * total))
