@@ -332,7 +332,7 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
     if len(values) > _BINS and np.isfinite(per_value) and weights.min() >= 0:
         scaled = values - values.min()
         scaled *= per_value
-        place = scaled.astype("int16")
+        place: NDArray = scaled.astype("int16")
         del scaled
         sums = np.cumsum(np.bincount(place, weights, _BINS))
         total = sums[-1]
