@@ -284,7 +284,7 @@ def make_series(
     )
     rows = {step.particles: row for row, step in enumerate(steps)}
     types: dict[str, Any] = {}
-    frames = []
+    frames: list[Frame] = []
     for ref in list(ends):
         box = {name: values[rows[ref]] for name, values in boxes.items()}
         frame = source.complete(ends.pop(ref), ref, box)

@@ -173,11 +173,12 @@ class _ColumnBuffer:
 
     def _resize(self, filled: int, rows: int) -> None:
         """Copy the filled rows to arrays of another length, one array after the other."""
-        for arrays in (self._columns, self._vectors):
+        kinds: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
+        for arrays in kinds:
             for name, array in arrays.items():
-                longer = memory.empty((rows, *array.shape[1:]))
-                longer[:filled] = array[:filled]
-                arrays[name] = longer
+                resized = memory.empty((rows, *array.shape[1:]))
+                resized[:filled] = array[:filled]
+                arrays[name] = resized
         self._rows = rows
 
 
@@ -448,7 +449,7 @@ def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
 def _counted(pieces: Iterable[bytes], sign: str, found: list[int]) -> Iterator[bytes]:
     """Yield the pieces of a text, and count a sign in each of them."""
     for piece in pieces:
-        found.append(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord(sign)))
+        found.append(int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord(sign))))
         yield piece
 
 
