@@ -18,6 +18,7 @@ FLOORS = [
     ["steps"],
     ["fields", "packing", "chains", "readers"],
     ["datasets", "writers"],
+    ["explore"],
     ["accessor"],
     ["__init__"],
     ["jobs"],
