@@ -8,6 +8,7 @@ import sys
 import warnings
 import webbrowser
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -97,7 +98,7 @@ class Explorer:
         self._errors_of: Choice | None = None  # that are drawn
         pn = self._pn = extra("panel", "explore", "explore")
         self.controls = self._make_controls(pn.widgets)
-        self._alert = pn.pane.Alert(visible=False, width=560)
+        self._alert = pn.pane.Alert(visible=False, width=520)
         self._code = pn.pane.Str(visible=False, width=560, styles={"overflow": "auto"})
         self.map = Map()
         self.profile = Profile()
@@ -113,7 +114,9 @@ class Explorer:
         self.update()
         for control in self.controls.values():
             control.param.watch(self._changed, "value")
-        pn.state.onload(self._draw_errors)
+        with suppress(RuntimeError):  # a script has no loop, and shows nothing
+            asyncio.get_running_loop()
+            pn.state.onload(self._draw_errors)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         return self.layout._repr_mimebundle_(include, exclude)
@@ -220,7 +223,10 @@ class Explorer:
             alert_type="danger" if refused else "warning",
             visible=bool(self.message),
         )
-        self.errors.mark(_number_of(choice.width))
+        if replace(choice, width=USUAL_WIDTH) == self._errors_of:
+            self.errors.mark(_number_of(choice.width))
+        else:
+            self.errors.refuse("errors are computed ...")
         self._push()
 
     def _draw_grains(self, choice: Choice) -> None:

@@ -107,6 +107,7 @@ class Pictures:
 
     def __init__(self, ds: xr.Dataset, name: str = "f") -> None:
         self.ds, self.name = with_time(ds), name
+        self._steps = "time" if "time" in ds.dims else "step"  # dimension in calls
         self.steps = self.ds.sizes.get("time", 1)
         self._describe()
         self._step = lru_cache(maxsize=2)(self._read)
@@ -158,7 +159,7 @@ class Pictures:
         return self.ds.isel(time=slice(time, time + count)).compute()
 
     def _selection(self, time: int) -> str:
-        return f".isel(time=[{time}])" if self.steps > 1 else ""
+        return f".isel({self._steps}=[{time}])" if self.steps > 1 else ""
 
     def _drawing(self, choice: Choice) -> dict[str, Any]:
         """Return the arguments of `plot`."""
@@ -199,6 +200,7 @@ class ScenePictures(Pictures):
 
     def __init__(self, ds: xr.Dataset, name: str = "ds") -> None:
         super().__init__(conform(ds), name)
+        self._steps = "time" if "time" in ds.dims else "step"
 
     def _describe(self) -> None:
         self.scene = describe(self.ds)
@@ -251,6 +253,11 @@ class ScenePictures(Pictures):
             request["bounds"] = {
                 a: (float(f"{ends[a][0] - self.size:.5g}"), float(f"{ends[a][1] + self.size:.5g}"))
                 for a in open_axes
+            }
+        averaged = [a for a in self.axes if a not in choice.axes and a not in request.get("at", {})]
+        if open_lengths := [a for a in averaged if a not in self.scene.edges]:
+            request["extent"] = {
+                a: float(f"{np.ptp(self.range_of(a)) + self.size:.5g}") for a in open_lengths
             }
         if choice.phase in self.phases[1:]:
             request["by"] = self.by
@@ -320,12 +327,14 @@ class ScenePictures(Pictures):
         """Return bias, noise and total error of one step against ``width`` (in d43), by name.
 
         They are those of `choose_width`. The noise of a field without an error of a single step
-        comes from this step and the next one; of a scene of one step, only the bias is known.
+        comes from this step and the next one. A scene of one step has ``bias with noise``: the bias
+        of `width_sweep`, which the noise of few grains adds to.
         """
         steps = self._read(max(0, min(choice.time, self.steps - 2)), 2)
         request = self._request(choice)
-        nodes = {key: request[key] for key in ("axes", "at") if key in request}
-        nodes["spacing"] = self._longest(choice) / NODES_OF_ERRORS[choice.view]
+        nodes = {key: request[key] for key in ("axes", "at", "extent") if key in request}
+        far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
+        nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
         if self.steps > 1 or f"{choice.field}_error" in FIELDS:
             found = choose_width(steps, choice.field, frames=1, sample=2, **nodes)
             parts = {part: found[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
@@ -336,7 +345,7 @@ class ScenePictures(Pictures):
             others = [dim for dim in field.dims if dim != "width"]
             of_bias = (bias.fillna(0.0) ** 2 * weight).sum(others)
             of_field = (field.fillna(0.0) ** 2 * weight).sum(others)
-            parts = {"bias": np.sqrt(of_bias / of_field)}
+            parts = {"bias with noise": np.sqrt(of_bias / of_field)}
         values = {part: one.to_numpy() for part, one in parts.items()}
         return {"width": found["width"].to_numpy() / self.size, **values}
 

@@ -20,7 +20,7 @@ LONGEST = 520  # pixels of the longer side of a map
 SHORTEST = 80  # pixels of its shorter side; very flat maps are not to scale
 LETTERS = 60  # in a line of a title
 COLOURS = 256
-_OF_ERRORS = {"bias": "#1f77b4", "noise": "#ff7f0e", "total": "black"}
+_OF_ERRORS = {"bias": "#1f77b4", "bias with noise": "#1f77b4", "noise": "#ff7f0e", "total": "black"}
 CLEAR = "rgba(0, 0, 0, 0)"
 TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 _EMPTY_IMAGE: dict[str, list] = {"image": [], "x": [], "y": [], "dw": [], "dh": []}
@@ -72,7 +72,7 @@ class Map:
         self.circles = models.ColumnDataSource(_EMPTY_CIRCLES)
         self._colours = models.LinearColorMapper(palette="Viridis256", nan_color=CLEAR)
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            x_range=models.Range1d(0, 1), y_range=models.Range1d(0, 1), tools=TOOLS
+            x_range=models.Range1d(0, 1), y_range=models.Range1d(0, 1), tools=TOOLS, name="map"
         )
         drawn = self.figure.image(
             image="image", source=self.image, color_mapper=self._colours,
@@ -148,7 +148,7 @@ class Profile:
         self.lines = extra("bokeh.models", "explore", "explore").ColumnDataSource(_EMPTY_LINES)
         self._palette = extra("bokeh.palettes", "explore", "explore").Category10[10]
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            frame_width=LONGEST, frame_height=LONGEST, tools=TOOLS
+            frame_width=LONGEST, frame_height=LONGEST, tools=TOOLS, name="profile"
         )
         self.figure.multi_line(
             "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
@@ -199,7 +199,7 @@ class Errors:
         models = extra("bokeh.models", "explore", "explore")
         self.lines = models.ColumnDataSource(_EMPTY_LINES)
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            frame_width=LONGEST // 2, frame_height=LONGEST // 2, tools="save",
+            frame_width=LONGEST // 2, frame_height=LONGEST // 2, tools="save", name="errors",
             x_axis_type="log", y_axis_type="log",
             x_axis_label="width of the kernel [d43]", y_axis_label="relative error of this step",
         )  # fmt: skip
@@ -218,7 +218,7 @@ class Errors:
 
     def draw(self, errors: Mapping[str, NDArray], width: float) -> None:
         """Draw the errors of widths (in d43) by their names, and mark the present width."""
-        parts = [name for name in ("bias", "noise", "total") if name in errors]
+        parts = [name for name in _OF_ERRORS if name in errors]
         self.lines.data = {
             "x": [errors["width"]] * len(parts),
             "y": [np.where(errors[name] > 0, errors[name], np.nan) for name in parts],
@@ -228,7 +228,7 @@ class Errors:
         self.mark(width)
 
     def refuse(self, message: str) -> None:
-        """Show why there are no errors in place of them."""
+        """Show in place of errors why there are none."""
         self.lines.data = _EMPTY_LINES
         self.figure.title.text = textwrap.fill(message, LETTERS // 2)
 
