@@ -5,7 +5,7 @@ from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
-from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
+from .chains.selection import BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
 from .fields.analysis.correlations import spatial_correlation, time_correlation
@@ -39,6 +39,8 @@ from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
 from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.schema import Variable
+from .steps.analysis import FrameAnalysis
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save
@@ -46,13 +48,13 @@ from .writers.save import register_writer, save
 __version__: str
 __all__ = [
     "FIELDS",
-    "Box",
     "BoxRegion",
     "CoarseGrainAccessor",
     "Conduction",
     "Cylinder",
     "Cylindrical",
     "Flux",
+    "FrameAnalysis",
     "Gaussian",
     "Heaviside",
     "Kernel",
@@ -68,6 +70,7 @@ __all__ = [
     "Sphere",
     "Sum",
     "Surface",
+    "Variable",
     "Variance",
     "adjacency",
     "assign_phases",

@@ -1,7 +1,7 @@
 """The accessor `ds.cg`: its methods are the functions of the package that take a Dataset first.
 
-A function is loaded when its method is first used. ``accessor.pyi`` imports it, so that editors and
-type checkers know its arguments.
+A function is loaded when its method is first used. Editors and type checkers take its arguments from
+``accessor.pyi``, which imports it.
 """
 
 from __future__ import annotations

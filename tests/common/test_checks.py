@@ -66,8 +66,8 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
     [
         (lambda ds: ds.cg.force_chains(alpha="45"), "alpha='45': expected an angle"),
         (
-            lambda ds: ds.cg.force_chains(threshold=[1.0]),
-            r"threshold=\[1.0\]: expected a finite stress",
+            lambda ds: ds.cg.force_chains(min_stress=[1.0]),
+            r"min_stress=\[1.0\]: expected a finite stress",
         ),
         (lambda ds: ds.cg.force_chains(min_length="3"), "min_length='3': expected a whole number"),
         (lambda ds: ds.cg.find_phases(max_phases="2"), "max_phases='2': expected a whole number"),

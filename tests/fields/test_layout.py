@@ -40,7 +40,7 @@ def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, 
     """All steps of a scene in memory, one chunk of a lazy one."""
     ds, nodes = scene(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
-    monkeypatch.setattr("xcg.fields.coarse_grain.evaluate_plan", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr("xcg.fields.coarse_grain.run", lambda *_, **__: pytest.fail("computed"))
     with pytest.raises(
         ValueError, match=r"205 x 105 x 205 nodes, and its fields take .* GB at once"
     ):

@@ -36,7 +36,7 @@ from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
-# threshold by less than this share of it likewise: both are known to rounding only.
+# `min_stress` by less than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
 # what a loop finds of each chain, in the order of its arguments
@@ -53,7 +53,7 @@ class SearchRule:
         How the stress of a particle is made.
     cosine : float
         Of the largest angle between the major stress and the branch.
-    threshold : float or "mean" or None
+    min_stress : float or "mean" or None
         Least major stress (Pa).
     min_length : int
         Least number of particles.
@@ -67,7 +67,7 @@ class SearchRule:
 
     stress: StressRule
     cosine: float
-    threshold: float | Literal["mean"] | None
+    min_stress: float | Literal["mean"] | None
     min_length: int
     linear: bool
     one_sided: bool
@@ -78,9 +78,9 @@ class SearchRule:
         chosen = carries(stress)
         if "frozen" in frame:
             chosen &= frame["frozen"] != 1
-        if self.threshold is not None and len(chosen):
+        if self.min_stress is not None and len(chosen):
             major = stress["major_stress"]
-            least = major.mean() if isinstance(self.threshold, str) else self.threshold
+            least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
             chosen &= major >= least - _SHARE * abs(least)
         if self.region is not None:
             chosen &= self.region.contains(frame, time, lattice)
@@ -91,7 +91,7 @@ class SearchRule:
 def force_chains(
     ds: xr.Dataset,
     alpha: float = 45.0,
-    threshold: float | Literal["mean"] | None = None,
+    min_stress: float | Literal["mean"] | None = None,
     min_length: int = 3,
     *,
     algorithm: Algorithm = "branching",
@@ -103,7 +103,7 @@ def force_chains(
 ) -> xr.Dataset:
     """Find the force chains of each step of a scene.
 
-    A contact is a link where both of its particles are compressed (and reach the threshold), and
+    A contact is a link where both of its particles are compressed (and reach `min_stress`), and
     the branch between their centres is within `alpha` of the direction of the most compressive
     stress of both. A chain is what a depth-first search reaches through links, with all branches
     and loops. Lazy where the scene is, one task for each chunk of time.
@@ -115,7 +115,7 @@ def force_chains(
     alpha : float
         Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where
         every contact of two compressed particles is a link.
-    threshold : float or "mean", optional
+    min_stress : float or "mean", optional
         Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step.
         By default any compressed particle may be part of a chain.
     min_length : int
@@ -171,7 +171,7 @@ def force_chains(
     --------
     >>> import xcg
     >>> ds = xcg.datasets.random_scene(200, seed=1)
-    >>> fc = force_chains(ds, alpha=45, threshold="mean")
+    >>> fc = force_chains(ds, alpha=45, min_stress="mean")
     >>> fc.chain_id.dims
     ('time', 'particle')
     """
@@ -185,12 +185,12 @@ def force_chains(
             f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
         )
     if not (
-        threshold is None
-        or is_finite(threshold)
-        or (isinstance(threshold, str) and threshold == "mean")
+        min_stress is None
+        or is_finite(min_stress)
+        or (isinstance(min_stress, str) and min_stress == "mean")
     ):
         raise ValueError(
-            f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
+            f"min_stress={min_stress!r}: expected a finite stress (Pa), 'mean', or None for no limit"
         )
     if not is_whole(min_length, 2):
         raise ValueError(
@@ -204,7 +204,7 @@ def force_chains(
     rule = SearchRule(
         stress,
         cosine,
-        threshold,
+        min_stress,
         int(min_length),
         algorithm == "peters2005",
         bool(one_sided),
@@ -225,12 +225,15 @@ def force_chains(
         on_error,
     )
     lengths = rule.min_length + np.arange(sizes["length"])
-    beside = {name: ds.variables[name] for name in BOX if name in ds}
-    beside["length"] = xr.Variable(
-        "length", lengths, {"units": "1", "long_name": "particles of a chain"}
-    )
+    coords = {
+        "length": xr.Variable(
+            "length", lengths, {"units": "1", "long_name": "particles of a chain"}
+        )
+    }
     about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
+    call = format_call("force_chains", given)
+    result = label(ds, RESULTS, arrays, call, coords=coords, **about)
+    return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
 
 def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:

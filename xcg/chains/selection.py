@@ -179,9 +179,6 @@ class BoxRegion(_Moving):
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
 
 
-Box = BoxRegion  # its former name, kept for a release
-
-
 @dataclass(frozen=True)
 class Sphere(_Moving):
     """A ball; its surface belongs to it.
@@ -220,7 +217,7 @@ class Sphere(_Moving):
 
 
 _GRAINS = ("particle_id", "position", "major_stress", *OF_STEP)
-OF = {"any": np.logical_or, "all": np.logical_and}
+HOW = {"any": np.logical_or, "all": np.logical_and}
 
 
 @takes_scene
@@ -229,7 +226,7 @@ def select_chains(
     region: Region | None = None,
     *,
     min_stress: float | None = None,
-    of: str = "any",
+    how: str = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -244,7 +241,7 @@ def select_chains(
         Where particles must be: `xcg.BoxRegion`, `xcg.Sphere`, or a combination.
     min_stress : float, optional
         Least major stress (Pa).
-    of : str
+    how : str
         "any" (default) keeps a chain if one of its particles fulfils the condition, "all" if all of
         them do.
 
@@ -263,8 +260,8 @@ def select_chains(
     """
     given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
     require_chains(fc, "select_chains", whole=("chain", "length"))
-    if of not in OF:
-        raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
+    if how not in HOW:
+        raise ValueError(f"how={how!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
@@ -276,7 +273,7 @@ def select_chains(
         _compute,
         region=region,
         min_stress=min_stress,
-        of=of,
+        how=how,
         periodic=fc.attrs.get("periodic", ""),
         min_length=int(fc.attrs.get("min_length", 3)),
     )
@@ -292,7 +289,7 @@ def _compute(
     *,
     region: Region | None,
     min_stress: float | None,
-    of: str,
+    how: str,
     periodic: str,
     min_length: int,
 ) -> dict[str, NDArray]:
@@ -314,8 +311,8 @@ def _compute(
         inside = np.zeros(particles, bool)
         inside[particle_rows(arrays["particle_id"][t])] = fulfilled
         chain, exists = arrays["chain_id"][t], arrays["chain_particles"][t] > 0
-        kept = np.full(len(exists), of == "all")
-        OF[of].at(kept, chain[chain >= 0], inside[chain >= 0])
+        kept = np.full(len(exists), how == "all")
+        HOW[how].at(kept, chain[chain >= 0], inside[chain >= 0])
         kept &= exists
         _drop(out, t, kept)
         for name, value in statistics_of(

@@ -244,7 +244,7 @@ class Request(SharedOptions):
         xarray's pointwise indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share
         dimensions, or broadcast against each other; results have these dimensions and coordinates,
         and axes without an array are averaged.
-    walls : list of Plane, Cylinder and Surface, optional
+    surfaces : list of Plane, Cylinder and Surface, optional
         Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the
         share of the kernel that lies on their accessible side, averaged axes included. A `frame`
         turns them with the scene.
@@ -258,19 +258,20 @@ class Request(SharedOptions):
         as of independent fluctuations of the grains, see `xcg.fields.formulas.rows.errors`.
         Densities and contact stress have none, as neighbours are not independent: their errors come
         from several steps (`time_average`).
-    for_averages : bool
-        Also compute the sums that `time_average` and `profile` of the fields need beside them, such
-        as the density beside a velocity.
+    for_averages : bool, optional
+        What becomes of the sums that `time_average` and `profile` of the fields need beside them,
+        such as the density beside a velocity. By default they are coordinates of the result; True
+        makes them variables, and False leaves them out, so that averages of ratios raise an error.
     """
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
-    walls: Sequence[Wall] | None = None
+    surfaces: Sequence[Wall] | None = None
     per: Per | None = None
     errors: bool = False
-    for_averages: bool = False
+    for_averages: bool | None = None
 
     def changed(self, names: Sequence[str]) -> list[str]:
         """Names of arguments that differ from their defaults."""

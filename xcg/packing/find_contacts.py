@@ -96,7 +96,7 @@ class Search:
     skin: float
     method: PairMethod
     levels: int | None
-    most: int | None
+    max_contacts: int | None
     threads: int | None
 
     @property
@@ -105,9 +105,13 @@ class Search:
         return (*FOUND, "contact_force") if self.stiffness.given else FOUND
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> Frame:
-        """Contacts of one chunk of time, padded to `most` rows, or as many as the largest step has."""
+        """Contacts of one chunk of time, padded to `max_contacts` rows, or as many as the largest step has."""
         frames = [self.contacts(*step) for step in steps_in(arrays, self.setup.periodic)]
-        rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
+        rows = (
+            max(len(frame["overlap"]) for frame in frames)
+            if self.max_contacts is None
+            else self.max_contacts
+        )
         return stack(frames, self.names, rows)
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
@@ -122,7 +126,7 @@ class Search:
             method=self.method,
             levels=self.levels,
             threads=self.threads,
-            most=self.most,
+            max_pairs=self.max_contacts,
             source=source,
         ).T
         if "frozen" in frame:
@@ -135,9 +139,10 @@ class Search:
         reach = radius[i] + radius[j] + self.skin
         rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
         i, j = i[rows], j[rows]
-        if self.most is not None and len(i) > self.most:
+        if self.max_contacts is not None and len(i) > self.max_contacts:
             raise SceneError(
-                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
+                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.max_contacts} rows "
+                "set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
@@ -255,15 +260,21 @@ def find_contacts(
     setup = describe(ds).setup
     read = [name for name in (*READ, *OPTIONAL) if name in ds]
     lazy = is_lazy(ds, read)
-    most = max_contacts
-    if lazy and most is None:
-        most = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
+    if lazy and max_contacts is None:
+        max_contacts = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
     # under dask other steps keep the other cores busy
     search = Search(
-        setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None
+        setup,
+        Stiffness(k_n, E, nu),
+        skin,
+        method,
+        levels,
+        max_contacts,
+        threads=1 if lazy else None,
     )
     results = {
-        name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names
+        name: (variable(name).shape(max_contacts or 0), variable(name).dtype)
+        for name in search.names
     }
     names = [*read, *(name for name in OF_STEP if name in ds)]
     arrays = map_over_time(ds, names, search, results, "find-contacts")

@@ -80,7 +80,7 @@ def microstructure(
         wider than it. Or such bounds by name, ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``,
         which adds the dimension ``region``.
     min_contacts : int
-        Partners from which a particle counts as bearing load, in Z_mech and d_bar.
+        Partners from which a particle counts as load-bearing, in Z_mech and d_bar.
     rattlers : str
         "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers.
         "iterative": they are taken out, with their contacts, until every particle left has that
@@ -157,7 +157,7 @@ def microstructure(
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
     stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
     mean_stress                        :math:`p' = tr \sigma / D`
-    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev sym :math:`\sigma`; 2D:
                                        :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
                                        axisymmetric states
     stress_ratio                       :math:`\eta = q / p'`

@@ -223,7 +223,7 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
     return SimpleNamespace(
         partners=contacts.partners,
-        held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
+        backbone=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=contacts.normal_force,
         tangential_force=tangential,
         virial=contacts.sum_over_particles(virial_i, virial_j),
@@ -269,7 +269,7 @@ def _sample(
     sample.tangential_force = shared.tangential_force[pushing]
     sample.clusters = Clusters(contacts, member)
     sample.partners = shared.partners[member]
-    sample.held = shared.held[member]
+    sample.backbone = shared.backbone[member]
     sample.virial = shared.virial[member].sum(axis=0)
     return sample
 

@@ -228,7 +228,7 @@ class Source:
     engine : Engine
         Reads one step.
     frozen : tuple of int or None
-        Species that are held in place; None where the caller said nothing.
+        Species that are fixed in place; None where the caller said nothing.
     once : Once
         Gives warnings of the scene's steps once.
     opened : Opened

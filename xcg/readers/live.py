@@ -63,7 +63,7 @@ def scene_from_lammps(
     walls : str, list or mapping
         IDs of ``fix wall/gran ... contacts``, or a mapping from names of walls to these.
     frozen : int or sequence of int, optional
-        Types that are held in place and act as walls.
+        Types that are fixed in place and act as walls.
     gravity : three floats, optional
         Acceleration of gravity (m s-2, or reduced).
     units : mapping, "SI" or "reduced", optional

@@ -122,7 +122,7 @@ def open_scene(
     density : float, optional
         Density of the material (kg m-3, or reduced) for files that hold neither mass nor density.
     frozen : int or sequence of int, optional
-        Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
+        Species that are fixed in place and act as walls: they get ``frozen = 1``, all others 0.
     units : mapping or str, optional
         Factors from the files' units to SI, for example ``{"length": 1e-3}``; "SI", "reduced", or a
         unit system of LAMMPS by name ("lj", "si", "cgs", "micro", "nano"). By default what the

@@ -415,7 +415,7 @@ def _within(plane: str | None, periodic: str) -> str:
 
 
 def _frozen_species(frozen: int | Sequence[int], ends: Mapping[StepRef, Frame]) -> tuple[int, ...]:
-    """Return the species that are held in place; raise SceneError unless the ends hold them."""
+    """Return the species that are fixed in place; raise SceneError unless the ends hold them."""
     numbers = np.atleast_1d(floats(frozen)).tolist()
     if not all(number.is_integer() for number in numbers):
         raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")

@@ -25,7 +25,7 @@ from xcg.scene.schema import PADDING, Frame
 # radius.
 SPHERES = 1e-2
 # Partners from which a grain may bear load, with friction (Thornton 2000).
-BEARING = 2
+LOAD_BEARING = 2
 Walls: TypeAlias = str | int | Sequence[str | int]
 FIRST_WALL = PADDING - 1  # walls that have names are -2, -3, ... in their order
 
@@ -224,15 +224,15 @@ class Contacts:
         return self.sum_over_particles(first, first)
 
     @cached_property
-    def bearing(self) -> NDArray:
+    def load_bearing(self) -> NDArray:
         """Return whether each particle has two contact partners or more, so that it may bear load; (particles,)."""
-        return self.partners >= BEARING
+        return self.partners >= LOAD_BEARING
 
     @property
-    def between_bearing(self) -> NDArray:
+    def between_load_bearing(self) -> NDArray:
         """Return whether all particles of each contact that are there may bear load; (n,)."""
-        bearing = np.append(self.bearing, True)  # row -1 is that of a wall
-        return bearing[self.i] & bearing[self.j] & (self.first_row >= 0)
+        load_bearing = np.append(self.load_bearing, True)  # row -1 is that of a wall
+        return load_bearing[self.i] & load_bearing[self.j] & (self.first_row >= 0)
 
     def k_core(self, least: int) -> NDArray:
         """Return whether each particle keeps `least` partners when all that have fewer are taken out, again and again.

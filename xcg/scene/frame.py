@@ -120,8 +120,8 @@ def require_steps(ds: xr.Dataset, purpose: str) -> None:
         raise SceneError(f"{purpose}: there is no step; select one at least")
 
 
-def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
-    """Select a step by its position; `name` is the argument in messages. Data without steps stay as they are.
+def step_at(ds: xr.Dataset, index: int) -> xr.Dataset:
+    """Select a step by its position; data without a dimension of time are one step.
 
     Raises
     ------
@@ -129,21 +129,19 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
         If the step does not exist, or none.
     """
     ds = with_time(ds)
-    require_steps(ds, f"{name}={plain(position)}")
-    if "time" not in ds.sizes:
-        return ds
-    count = ds.sizes["time"]
-    if not (isinstance(position, int | np.integer) and is_whole(position, -count, count - 1)):
+    require_steps(ds, f"index={plain(index)}")
+    count = ds.sizes.get("time", 1)
+    if not (isinstance(index, int | np.integer) and is_whole(index, -count, count - 1)):
         raise ValueError(
-            f"{name}={plain(position)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
+            f"index={plain(index)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
             "select a time by .sel(time=...)"
         )
-    return ds.isel(time=int(position))
+    return ds.isel(time=int(index)) if "time" in ds.sizes else ds
 
 
-def frame_at(ds: xr.Dataset, position: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
+def frame_at(ds: xr.Dataset, index: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
     """Compute some variables of the step at a position: its frame, periodic images and name; errors as `step_at`."""
-    step, wanted = step_at(ds, position, "time"), {*names, *OF_STEP}
+    step, wanted = step_at(ds, index), {*names, *OF_STEP}
     step = step[[name for name in step.variables if name in wanted]].compute()
     arrays = {
         str(name): values.to_numpy()[None]

@@ -38,12 +38,27 @@ Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable of the scene: dimensions besides time, SI unit, kind."""
+    """Variable of a scene or result: dimensions besides time, SI unit, name in words, kind.
+
+    Parameters
+    ----------
+    dims : tuple of str
+        Dimensions besides time.
+    units : str
+        SI unit such as "m s^-1"; "1" without one.
+    long_name : str
+        Name in words.
+    dtype : {"float64", "int64"}
+        Kind of number.
+    formula : str
+        Formula in words, for the attributes of a result.
+    """
 
     dims: tuple[str, ...]
     units: str
     long_name: str
     dtype: str = "float64"
+    formula: str = ""
 
     @property
     def fill(self) -> float | int:
@@ -82,7 +97,7 @@ VARIABLES: dict[str, Variable] = {
         _PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"
     ),
     "frozen": Variable(
-        _PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"
+        _PARTICLE, "1", "1 where the particle is fixed in place and acts as a wall", "int64"
     ),
     "director": Variable(
         (*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"

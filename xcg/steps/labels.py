@@ -64,10 +64,11 @@ def label(
     variables: Mapping[str, Variable],
     arrays: Mapping[str, Any],
     call: str,
-    further: Mapping[str, xr.Variable] | None = None,
+    *,
+    coords: Mapping[str, xr.Variable] | None = None,
     **attrs: Any,
 ) -> xr.Dataset:
-    """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
+    """Label arrays, time first, as a result of the scene `ds`, with further coordinates.
 
     All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much
     as making it.
@@ -75,18 +76,21 @@ def label(
     system = ds.attrs.get("unit_system", "SI")
     data = {}
     for name, array in arrays.items():
-        if name != SKIPPED:
-            row = variables[name]
-            about = {"units": units_in(row.units, system), "long_name": row.long_name}
-            data[name] = xr.Variable(("time", *row.dims), array, about)
-    data |= further or {}
+        if name == SKIPPED:
+            continue
+        row = variables[name]
+        about = {"units": units_in(row.units, system), "long_name": row.long_name}
+        if row.formula:
+            about["formula"] = row.formula
+        data[name] = xr.Variable(("time", *row.dims), array, about)
     # those of the scene may be changed in place
-    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    labels: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    labels |= coords or {}
     used = {dim for given in data.values() for dim in given.dims}
-    coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    result = storable(xr.Dataset(data, coords))
+    labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
+    result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    return mark_skipped(result, arrays)
+    return mark_skipped(with_phase_labels(result), arrays)
 
 
 def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:

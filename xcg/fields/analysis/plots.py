@@ -40,7 +40,7 @@ def plot(
     f: xr.Dataset,
     field: str | None = None,
     *,
-    time: int = -1,
+    index: int = -1,
     component: str | None = None,
     direction: str | None = None,
     phase: int | str | None = None,
@@ -68,8 +68,8 @@ def plot(
         A result with one, two or three axes, lazy or in memory. Only what is drawn is computed.
     field : str, optional
         Which field; the first one but `sample_count` by default.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     component, direction : str, optional
         "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw.
         A tensor needs both.
@@ -114,7 +114,7 @@ def plot(
     """
     extra("matplotlib.pyplot", "plot", "drawing")
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, time, phase).compute()
+    picture = _one_step(part, index, phase).compute()
     ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], axes_of(picture)
     if len(axes) == 1:
@@ -334,7 +334,7 @@ def numbers_of(
     f: xr.Dataset,
     field: str,
     *,
-    time: int = -1,
+    index: int = -1,
     component: str | None = None,
     direction: str | None = None,
     phase: int | str | None = None,
@@ -345,7 +345,7 @@ def numbers_of(
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
     part = _part(with_time(f), field, component, direction, at, None, "flat")
-    step = _one_step(part, time, phase)
+    step = _one_step(part, index, phase)
     return step[field].transpose(*axes_of(step)[::-1], ...).compute()
 
 
@@ -373,9 +373,9 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 
-def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Dataset:
+def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
     """Select a step, and of maps a phase."""
-    part = step_at(part, time, "time")
+    part = step_at(part, index)
     if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)

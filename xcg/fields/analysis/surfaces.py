@@ -40,7 +40,7 @@ _FINE = 0.25  # widths between the points of a quadrature
 def flow_rate(
     ds: xr.Dataset,
     surface: Wall,
-    of: Flow | Sequence[Flow] = "mass",
+    quantities: Flow | Sequence[Flow] = "mass",
     *,
     width: float | str | None = None,
     kernel: KernelName | str | Kernel = "lucy",
@@ -67,7 +67,7 @@ def flow_rate(
         periodic axes over one period. Planes with `bounds`, the side of a cylinder between `low`
         and `high` and triangles are sums over points, see `spacing`. In a scene of one layer,
         planes and cylinders across it count within its thickness.
-    of : str or list of str
+    quantities : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
@@ -107,12 +107,13 @@ def flow_rate(
     """
     if not isinstance(surface, Wall):
         raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
-    flows: list[Any] = [of] if isinstance(of, str) else list(of)
+    flows: list[Any] = [quantities] if isinstance(quantities, str) else list(quantities)
     for flow in flows:
         if flow not in get_args(Flow):
             raise ValueError(unknown("flow", flow, get_args(Flow)))
     call = format_call(
-        "flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by}
+        "flow_rate",
+        {"surface": surface, "quantities": quantities, "width": width, "kernel": kernel, "by": by},
     )
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)

@@ -274,7 +274,8 @@ def slice_temperature(
         "planes": slices overlap, each holds ``2 planes + 1`` planes; on plane m a grain weighs by
         the area ``A_im`` of its cut, ``V_m = S A_im v_i / S A_im``, and the slice takes ``T = S_m
         w_m S_i A_im |v_i - V_m|^2 / (D S_m w_m S_i A_im)`` with weights ``w_m = 1 - |m| / (planes +
-        1)``. After Zhang & Kamrin (2017). "bins": slices touch, a grain belongs to the one that
+        1)``. Both sums of T are over the planes that cut two grains or more; one grain has no
+        fluctuation about itself. After Zhang & Kamrin (2017). "bins": slices touch, a grain belongs to the one that
         holds its centre, ``T = S m_i |v_i - V|^2 / (D S m_i)`` about the velocity V of the bin, as
         LAMMPS computes it by chunks.
     width : float, optional
@@ -297,7 +298,7 @@ def slice_temperature(
     xarray.Dataset
         ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m
         s-1, and ``sample_count`` (time, axis), the grains in each slice. The temperature is NaN for
-        slices with fewer than two, the velocity for empty ones.
+        slices with fewer than two (on one plane, for planes), the velocity for empty ones.
 
     Raises
     ------
