@@ -25,6 +25,7 @@ OPTIONAL = [
     "sklearn",
     "distributed",
     "bokeh",
+    "panel",
     "networkx",
     "pyvista",
     "pyarrow",
@@ -130,6 +131,13 @@ def bare(session):
     absent = f"from importlib.util import find_spec; assert not [name for name in {OPTIONAL} if find_spec(name)]"
     session.run("python", "-c", absent)
     run_core(session)
+
+
+@nox.session
+def explore(session):
+    """Run the tests of the explorer in Chromium, which has to be installed."""
+    session.install("--editable", ".", *group("explore"), *RUNNER)
+    session.run("pytest", "tests/explore", *session.posargs)
 
 
 @nox.session

@@ -176,3 +176,4 @@ class CoarseGrainAccessor:
     to_pyvista = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     view = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     save = Method("xcg.writers.save", SCENE, RESULT, CHAINS)
+    explore = Method("xcg.explore.app", SCENE, RESULT)

@@ -10,6 +10,7 @@ from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
 from xcg.chains.selection import select_chains
+from xcg.explore.app import explore
 from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
@@ -113,3 +114,4 @@ class CoarseGrainAccessor:
     to_pyvista = _Bound(to_pyvista)
     view = _Bound(view)
     save = _Bound(save)
+    explore = _Bound(explore)

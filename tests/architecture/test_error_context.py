@@ -138,7 +138,11 @@ def parsers():
         for parameter in parameters if kind is None else parameters[1:]:
             variadic = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
             # any value is true or false
-            if variadic or parameter.name in FREE or parameter.annotation in ("bool", "bool | None"):
+            if (
+                variadic
+                or parameter.name in FREE
+                or parameter.annotation in ("bool", "bool | None")
+            ):
                 continue
             key = parameter.name, str(parameter.annotation)
             first.setdefault(key, Parser(kind, name, parameter.name))

@@ -19,6 +19,7 @@ FLOORS = [
     ["fields", "packing", "chains", "readers"],
     ["analysis"],
     ["datasets", "writers"],
+    ["explore"],
     ["accessor"],
     ["__init__"],
     ["jobs"],

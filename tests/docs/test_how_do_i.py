@@ -15,6 +15,7 @@ PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
 SETTING, *ANSWERS = re.split(r"^### ", PAGE, flags=re.MULTILINE)
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 OPTIONAL = {
+    "explore": "panel",
     "contact_graph(": "networkx",
     "pyvista(": "pyvista",
     "view(": "pyvista",

@@ -140,7 +140,7 @@ def plot(
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
     picture = _one_step(part, index, phase).compute()
     ax = drawing.new_axes() if ax is None else ax
-    name, axes = picture.attrs["drawn"], _axes(picture)
+    name, axes = picture.attrs["drawn"], axes_of(picture)
     try:
         if len(axes) == 1:
             _draw_profile(picture, name, axes[0], ax, options)
@@ -294,7 +294,7 @@ def movie(
             figsize=(7, 5), layout="constrained"
         )
         ax = figure.add_subplot()
-        axes = _axes(steps[0])
+        axes = axes_of(steps[0])
 
         def draw(k: int) -> None:
             ax.clear()
@@ -349,7 +349,7 @@ def _part(
         hint = hint if name in FIELDS else did_you_mean(str(name), fields, synonyms=OTHER_NAMES)
         raise ValueError(f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}{hint}")
     cut = _slice(f, at)
-    axes = _axes(cut)
+    axes = axes_of(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
         drawn, dims = (
             ", ".join(_AXES),
@@ -407,6 +407,25 @@ def _part(
     return xr.Dataset(found, attrs={"drawn": name})
 
 
+def numbers_of(
+    f: xr.Dataset,
+    field: str,
+    *,
+    index: int = -1,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+) -> xr.DataArray:
+    """Return the numbers that `plot` draws with these arguments, in memory; errors as `plot`.
+
+    Maps have the dimensions (up, across), and profiles that of their axis first.
+    """
+    part = _part(with_time(f), field, component, direction, at, None, "flat")
+    step = _one_step(part, index, phase)
+    return step[field].transpose(*axes_of(step)[::-1], ...).compute()
+
+
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
     for dim, label in chosen.items():
         if dim in value.dims and not isinstance(label, str):
@@ -420,12 +439,12 @@ def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.
 
 def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
-    if set(at or ()) - set(_axes(f)):
+    if set(at or ()) - set(axes_of(f)):
         raise ValueError(
-            f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}"
+            f"at={dict(at or {})!r}: the axes of this result are {', '.join(axes_of(f)) or 'none'}"
         )
     cut = f.sel(at, method="nearest") if at else f
-    if len(axes := _axes(cut)) < 3:
+    if len(axes := axes_of(cut)) < 3:
         return cut
     shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
@@ -434,7 +453,7 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
 def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
     """Select a step, and of maps a phase."""
     part = step_at(part, index)
-    if phase is None and "phase" in part.dims and len(_axes(part)) == 2:
+    if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
 
@@ -450,7 +469,8 @@ def _labelled(part: T, dim: str, label: int | str) -> T:
     return part.isel({dim: labels.index(str(label))})
 
 
-def _axes(f: xr.Dataset) -> list[str]:
+def axes_of(f: xr.Dataset) -> list[str]:
+    """Return the axes of a result in the order in which maps have them: across, then up."""
     return [a for a in _AXES if a in f.dims]
 
 
