@@ -24,7 +24,7 @@ pytestmark = [  # of panel's packages
 
 DATA = ROOT / "examples" / "data" / "lammps_plane_shear"
 FILES = [f"{DATA}/particles.*.dump.gz", "-c", f"{DATA}/contacts.*.dump.gz", "--frozen", "2"]
-PATIENCE = 60_000  # milliseconds, for machines with other work
+PATIENCE = 180_000  # milliseconds, for machines with other work
 # numbers, labels and texts of the page
 SEEN = """() => {
   const found = {};

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -234,11 +235,12 @@ class Explorer:
         if self.controls["grains"].value:
             self.map.draw_grains(*pictures.grains(choice))
         else:
-            self.map.draw_grains({"x": [], "y": [], "radius": []}, 0)
+            self.map.draw_grains({name: np.zeros(0) for name in ("x", "y", "radius")}, 0)
 
     async def _draw_errors(self) -> None:
         """Draw the errors of all widths once the controls rest: they take longer than a picture."""
-        latest, pictures = self._latest, self.pictures
+        latest = self._latest
+        pictures: Any = self.pictures
         await asyncio.sleep(REST)
         choice = replace(self.choice, width=USUAL_WIDTH)
         if latest is not self._latest or choice == self._errors_of or not pictures.widths:

@@ -118,7 +118,7 @@ class Pictures:
         self.fields = {"fields": names}
         self.axes = [str(label) for label in self.ds.get("component", [])]
         self.phases = [str(label) for label in self.ds.get("phase", [])]
-        pairs = [(a, b) for k, a in enumerate(axes) for b in axes[k + 1 :]]
+        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(axes) for b in axes[k + 1 :]]
         views = {"slice": pairs} if len(axes) == 3 else {"map": pairs}
         self.views: dict[str, list[tuple[str, ...]]] = {
             **{view: found for view, found in views.items() if found},
@@ -213,7 +213,7 @@ class ScenePictures(Pictures):
             "with further data or options": others,
         }
         self.axes = list(plane)
-        pairs = [(a, b) for k, a in enumerate(plane) for b in plane[k + 1 :]]
+        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(plane) for b in plane[k + 1 :]]
         pairs.sort(key=lambda pair: pair != (plane[0], plane[-1]))
         self.views = {"map": pairs}
         if len(plane) == 3:
@@ -272,7 +272,7 @@ class ScenePictures(Pictures):
         longest = self._longest(choice)
         width = float(choice.width.split()[0]) * self.size
         reach = REACH * width
-        grains = self.ds.sizes["particle"]
+        grains = float(self.ds.sizes["particle"])
         if choice.view == "slice":
             low, high = self.range_of(self.cut_axis(choice))
             grains *= min(1.0, 2 * reach / max(high - low, reach))
@@ -332,7 +332,8 @@ class ScenePictures(Pictures):
         """
         steps = self._read(max(0, min(choice.time, self.steps - 2)), 2)
         request = self._request(choice)
-        nodes = {key: request[key] for key in ("axes", "at", "extent") if key in request}
+        names = {"axes", "at", "extent"}
+        nodes = {key: value for key, value in request.items() if key in names}
         far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
         nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
         if self.steps > 1 or f"{choice.field}_error" in FIELDS:
@@ -345,7 +346,7 @@ class ScenePictures(Pictures):
             others = [dim for dim in field.dims if dim != "width"]
             of_bias = (bias.fillna(0.0) ** 2 * weight).sum(others)
             of_field = (field.fillna(0.0) ** 2 * weight).sum(others)
-            parts = {"bias with noise": np.sqrt(of_bias / of_field)}
+            parts = {"bias with noise": (of_bias / of_field) ** 0.5}
         values = {part: one.to_numpy() for part, one in parts.items()}
         return {"width": found["width"].to_numpy() / self.size, **values}
 
