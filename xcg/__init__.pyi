@@ -41,7 +41,7 @@ from .scene.contacts import select_walls
 from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
 from .scene.schema import Variable
-from .scene.selection import select
+from .scene.selected import select
 from .steps.analysis import FrameAnalysis
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record

@@ -143,7 +143,7 @@ class CoarseGrainAccessor:
     find_phases = Method("xcg.scene.phases", SCENE)
     assign_phases = Method("xcg.scene.phases", SCENE)
     plot_phases = Method("xcg.scene.phases", SCENE)
-    select = Method("xcg.scene.selection", SCENE)
+    select = Method("xcg.scene.selected", SCENE)
     select_walls = Method("xcg.scene.contacts", SCENE)
     derive_director = Method("xcg.fields.analysis.derived", SCENE)
     derive_superquadric = Method("xcg.fields.analysis.derived", SCENE)

@@ -30,7 +30,7 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.selection import select
+from xcg.scene.selected import select
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save

@@ -217,7 +217,7 @@ def test_names_are_imported_from_where_the_stub_says():
 
 def test_unknown_names_raise_attribute_error():
     done = run("import xcg; xcg.schema")
-    assert "AttributeError: No xcg attribute schema" in done.stderr
+    assert "AttributeError: module 'xcg' has no attribute 'schema'" in done.stderr
 
 
 def test_every_dataset_has_the_accessor_once_the_package_is_imported():

@@ -17,6 +17,7 @@ from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
+from xcg.scene.schema import periodic_axes
 
 # Largest over smallest radius within a level, where the caller gives no number of levels. A level
 # costs each smaller particle four or five runs of cells (20 ns each), a wide level more tests (2 ns
@@ -322,6 +323,7 @@ def find_pairs(
     check_search(skin, method, levels, threads)
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
+    periodic = periodic_axes(periodic)
     arrays = domain_of(box, lattice, {}, periodic, 1)
     images = Lattice.of(
         {name: values[0] for name, values in arrays.items()}, periodic, "find_pairs"
