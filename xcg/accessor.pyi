@@ -5,6 +5,10 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
 
 import xarray as xr
 
+from xcg.analysis.bond_order import bond_order
+from xcg.analysis.contact_value import contact_value
+from xcg.analysis.radial_distribution import radial_distribution
+from xcg.analysis.structure_factor import structure_factor
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
@@ -67,6 +71,10 @@ class CoarseGrainAccessor:
     contact_graph = Method(contact_graph)
     particle_stress = Method(particle_stress)
     force_chains = Method(force_chains)
+    radial_distribution = Method(radial_distribution)
+    contact_value = Method(contact_value)
+    structure_factor = Method(structure_factor)
+    bond_order = Method(bond_order)
     measure = Method(measure)
     size_statistics = Method(size_statistics)
     group_bodies = Method(group_bodies)

@@ -105,7 +105,7 @@ class Measure:
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, source)
         for r, bounds in enumerate(self.regions):
-            position, inside = _images_in(bounds, frame["position"], lattice, source)
+            position, inside = images_in(bounds, frame["position"], lattice, source)
             volume = self._volume(bounds, lattice.edges)
             images = frame | {"position": position}
             if "velocity" in frame:
@@ -182,7 +182,7 @@ class Measure:
         return float(np.prod(lengths)) * thickness
 
 
-def _images_in(
+def images_in(
     bounds: Bounds, position: NDArray, lattice: Lattice, source: str
 ) -> tuple[NDArray, NDArray]:
     """Return positions (n, 3) as images in a region, and which of them are inside (n,).
