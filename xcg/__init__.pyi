@@ -2,7 +2,11 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.bond_order import bond_order
+from .analysis.contact_value import contact_value
 from .analysis.principal import plot_principal, principal
+from .analysis.radial_distribution import radial_distribution
+from .analysis.structure_factor import structure_factor
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
@@ -77,11 +81,13 @@ __all__ = [
     "adjacency",
     "assign_phases",
     "balance",
+    "bond_order",
     "cell_volumes",
     "chain_table",
     "choose_width",
     "coarse_grain",
     "contact_graph",
+    "contact_value",
     "datasets",
     "depth_average",
     "derive_director",
@@ -115,6 +121,7 @@ __all__ = [
     "principal",
     "profile",
     "pysammos_mesh",
+    "radial_distribution",
     "readers",
     "record",
     "register_field",
@@ -130,6 +137,7 @@ __all__ = [
     "size_statistics",
     "slice_temperature",
     "spatial_correlation",
+    "structure_factor",
     "time_average",
     "time_correlation",
     "track_chains",

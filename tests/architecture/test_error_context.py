@@ -49,6 +49,8 @@ NEEDED = {
     "wall_stress": {"surface": PLANE},
     "spatial_correlation": {"field": "density"},
     "time_correlation": {"field": "density"},
+    "radial_distribution": {"r_max": 1.0},
+    "structure_factor": {"k_max": 5.0},
     "assign_phases": {"edges": [1.0]},
     "plot": {"field": "density"},
     "movie": {"field": "density", "path": "f.gif"},

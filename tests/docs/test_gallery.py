@@ -20,6 +20,7 @@ CHECKS = {
     "dense_suspension": ("jammed", "measured", 0.03),
     "drum_mixing": ("down", "up", 0.2),
     "fluid_cells": ("found", "solid", 1e-6),
+    "gas_structure": ("measured", "expected", 0.05),
     "glued_spheres": ("carried", "load", 0.001),
     "heat_conduction": ("carried", "given", 1e-7),
     "impact": ("contact", "expected", 0.01),

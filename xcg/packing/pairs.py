@@ -100,6 +100,8 @@ class CellLists:
         Pairs closer than the sum of their radii and this are found (m).
     slack : float
         Rounding of coordinates (m).
+    axes : tuple of int
+        Which of x, y, z each component of the records is.
     """
 
     lower: NDArray
@@ -115,6 +117,7 @@ class CellLists:
     period: NDArray
     skin: float
     slack: float
+    axes: tuple[int, ...]
 
     @classmethod
     def of(
@@ -191,14 +194,13 @@ class CellLists:
             period,
             skin,
             slack,
+            tuple(axes),
         )
 
-    def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
-        """Pairs of the records from `first` to `last` (of more than `max_pairs` some), and the distances taken."""
-        capacity = 4 * (last - first) + 64
-        left, right, found, tested = loops.find(
-            first,
-            last,
+    @property
+    def for_loops(self) -> tuple:
+        """The cells as the loops over pairs take them."""
+        return (
             self.records,
             self.first_record,
             self.first_cell,
@@ -211,6 +213,15 @@ class CellLists:
             self.fold,
             self.skin,
             self.slack,
+        )
+
+    def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
+        """Pairs of the records from `first` to `last`, of more than `max_pairs` only some, and the distances that took."""
+        capacity = 4 * (last - first) + 64
+        left, right, found, tested = loops.find(
+            first,
+            last,
+            *self.for_loops,
             max_pairs,
             np.empty(capacity, "int32"),
             np.empty(capacity, "int32"),
@@ -355,25 +366,13 @@ def pairs_of(
     """Find pairs of spheres in any box, see `find_pairs`."""
     if len(centres) < 2:
         return np.empty((0, 2), "int64")
-    corner = (
-        np.zeros(3)
-        if lattice.edges is None
-        else np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
-    )
-    count, whose = len(centres), np.arange(len(centres))
-    if lattice.vectors is not None:  # images near the box stand beside it as particles of their own
-        centres, reach = lattice.wrapped(centres, corner, source), 2 * radii.max() + skin
-        low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
-        row, shift, _ = lattice.images(centres, low, high, source)
-        others = shift.any(axis=1)
-        centres = np.concatenate([centres, centres[row[others]] + shift[others]])
-        whose = np.concatenate([whose, row[others]])
-    workers = threads or threads_for(len(centres), THREADS)
+    count = len(centres)
     levels = 1 if method == "linked-cell" else levels
-    lists = CellLists.of(
-        centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
+    lists, whose = cells_of(
+        centres, radii, lattice, skin=skin, levels=levels, threads=threads, source=source
     )
-    max_pairs = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), max_pairs or 0)
+    workers = threads or threads_for(len(whose), THREADS)
+    max_pairs = max(MOST_PAIRS, MOST_A_PARTICLE * len(whose), max_pairs or 0)
     counts = [0]
 
     def find(first: int, last: int) -> tuple[NDArray, NDArray]:
@@ -383,18 +382,17 @@ def pairs_of(
         return left, right
 
     # more parts than threads, as large particles take longer than small ones
-    found = for_parts(len(centres), find, workers, each=8)
+    found = for_parts(len(whose), find, workers, each=8)
     if sum(counts) > max_pairs:
         raise SceneError(
-            f"more than {max_pairs} pairs of near particles among {len(centres)}: positions coincide, or "
-            "diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= "
-            "(max_contacts= of find_contacts)"
+            f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, or diameters or skin= "
+            "are too large for their unit. Where so many are meant, give max_pairs= (max_contacts= of find_contacts)"
         )
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")
     for_parts(
-        len(centres),
-        lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs),
+        len(whose),
+        lambda first, last: sort_pairs(low, high, len(whose), first, last, pairs),
         workers,
     )
     if lattice.vectors is None:
@@ -402,6 +400,43 @@ def pairs_of(
     # of two images that are near each other one is in the box
     near = whose[pairs[pairs[:, 0] < count]]
     return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
+
+
+def cells_of(
+    centres: NDArray,
+    radii: NDArray,
+    lattice: Lattice,
+    *,
+    skin: float = 0.0,
+    levels: int | None = None,
+    threads: int | None = None,
+    source: str = "scene",
+) -> tuple[CellLists, NDArray]:
+    """Sort particles in any box into cells.
+
+    Returns
+    -------
+    CellLists
+        Cells of the particles; in tilted boxes also of those of their images that are near the box.
+    array
+        Row of the particle that each of them is, or is an image of: first the particles in order.
+    """
+    corner = np.zeros(3)
+    if lattice.edges is not None:
+        corner = np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
+    whose = np.arange(len(centres))
+    if lattice.vectors is not None:
+        centres, reach = lattice.wrapped(centres, corner, source), 2 * radii.max() + skin
+        low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+        row, shift, _ = lattice.images(centres, low, high, source)
+        others = shift.any(axis=1)
+        centres = np.concatenate([centres, centres[row[others]] + shift[others]])
+        whose = np.concatenate([whose, row[others]])
+    workers = threads or threads_for(len(centres), THREADS)
+    lists = CellLists.of(
+        centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
+    )
+    return lists, whose
 
 
 def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:

@@ -133,7 +133,7 @@ class Measure(FrameAnalysis):
         phase = phase_of(frame, self.by, self.groups, source)
         samples = []
         for bounds in self.regions.values():
-            position, inside = _images_in(bounds, frame["position"], lattice, source)
+            position, inside = images_in(bounds, frame["position"], lattice, source)
             volume = self._volume(bounds, lattice.edges)
             images = frame | {"position": position}
             if "velocity" in frame:
@@ -217,7 +217,7 @@ class Measure(FrameAnalysis):
         return float(np.prod(lengths)) * thickness
 
 
-def _images_in(
+def images_in(
     bounds: Bounds, position: NDArray, lattice: Lattice, source: str
 ) -> tuple[NDArray, NDArray]:
     """Return positions (n, 3) as images in a region, and which of them are inside (n,).
