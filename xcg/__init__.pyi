@@ -2,6 +2,8 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.fit_law import fit_law
+from .analysis.voronoi import voronoi
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
@@ -90,6 +92,7 @@ __all__ = [
     "find_contacts",
     "find_pairs",
     "find_phases",
+    "fit_law",
     "fit_slope",
     "flow_rate",
     "force_chains",
@@ -129,6 +132,7 @@ __all__ = [
     "time_average",
     "time_correlation",
     "track_chains",
+    "voronoi",
     "wall_stress",
     "width_sweep",
 ]

@@ -5,6 +5,8 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
 
 import xarray as xr
 
+from xcg.analysis.fit_law import fit_law
+from xcg.analysis.voronoi import voronoi
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
@@ -65,6 +67,7 @@ class CoarseGrainAccessor:
     microstructure = Method(microstructure)
     adjacency = Method(adjacency)
     contact_graph = Method(contact_graph)
+    voronoi = Method(voronoi)
     particle_stress = Method(particle_stress)
     force_chains = Method(force_chains)
     measure = Method(measure)
@@ -82,6 +85,7 @@ class CoarseGrainAccessor:
     spatial_correlation = Method(spatial_correlation)
     time_correlation = Method(time_correlation)
     free_surface = Method(free_surface)
+    fit_law = Method(fit_law)
     fit_slope = Method(fit_slope)
     plot = Method(plot)
     plot_width = Method(plot_width)
