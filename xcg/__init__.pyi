@@ -2,6 +2,7 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.contact_history import contact_history
 from .analysis.fit_law import fit_law
 from .analysis.voronoi import voronoi
 from .chains.particle_stress import particle_stress
@@ -83,6 +84,7 @@ __all__ = [
     "choose_width",
     "coarse_grain",
     "contact_graph",
+    "contact_history",
     "datasets",
     "depth_average",
     "derive_director",

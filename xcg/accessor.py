@@ -92,6 +92,7 @@ class CoarseGrainAccessor:
     microstructure = Method("xcg.packing.microstructure", SCENE)
     adjacency = Method("xcg.packing.network", SCENE)
     contact_graph = Method("xcg.packing.network", SCENE)
+    contact_history = Method("xcg.analysis.contact_history", SCENE)
     voronoi = Method("xcg.analysis.voronoi", SCENE)
     particle_stress = Method("xcg.chains.particle_stress", SCENE)
     force_chains = Method("xcg.chains.search", SCENE)

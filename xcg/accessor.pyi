@@ -5,6 +5,7 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
 
 import xarray as xr
 
+from xcg.analysis.contact_history import contact_history
 from xcg.analysis.fit_law import fit_law
 from xcg.analysis.voronoi import voronoi
 from xcg.chains.particle_stress import particle_stress
@@ -67,6 +68,7 @@ class CoarseGrainAccessor:
     microstructure = Method(microstructure)
     adjacency = Method(adjacency)
     contact_graph = Method(contact_graph)
+    contact_history = Method(contact_history)
     voronoi = Method(voronoi)
     particle_stress = Method(particle_stress)
     force_chains = Method(force_chains)
