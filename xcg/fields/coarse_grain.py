@@ -15,6 +15,7 @@ from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import in_frame, is_cylindrical
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import about_strays, check_size
+from xcg.fields.like import request_like, with_nodes_of
 from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
@@ -76,8 +77,11 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    if request.walls is not None or request.per is not None:
+    if request.surfaces is not None or request.per is not None:
         check_walls(request)
+    like = request.like
+    if like is not None:
+        request = request_like(request)
     walls = walls_of(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
     ds, request = prepare(ds, request)
@@ -88,14 +92,24 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     scene = describe(ds, request.by)
     if request.preset is not None:
         request, rename = _in_own_names(scene, request)
+    by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
-        raise ValueError(f"{error}; {about_strays(ds, scene)}") from None
-    check_size(ds, scene, plan.deposit.grid, sum(map(math.prod, plan.shapes.values())))
+        units = "check that sizes and positions have one unit; " if by_sizes else ""
+        raise ValueError(f"{error}; {units}{about_strays(ds, scene)}") from None
+    check_size(
+        ds,
+        scene,
+        plan.deposit.grid,
+        sum(map(math.prod, plan.shapes.values())),
+        by_sizes=by_sizes,
+    )
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
-    if request.walls is not None:
+    if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
+    if like is not None:
+        result = with_nodes_of(result, like)
     return rename(result) if rename else result
 
 
@@ -119,7 +133,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     Returns
     -------
     Plan
-        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts,
+        Its text names fields, variables read, nodes, kernel, sums, loops, the rule for contacts,
         memory, the noise of velocity and temperature that a dense packing would have, and the time
         for the accessible fraction.
 
@@ -135,8 +149,10 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
-    if request.walls is not None or request.per is not None:
+    if request.surfaces is not None or request.per is not None:
         check_walls(request)
+    if request.like is not None:
+        request = request_like(request)
     walls = walls_of(request)
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)
@@ -175,4 +191,5 @@ def _in_own_names(
     """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
     if request.preset not in PRESETS:
         raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
-    return PRESETS[request.preset](scene, request)
+    of_fields, rename = PRESETS[request.preset](scene, request)
+    return replace(of_fields, for_averages=False), rename

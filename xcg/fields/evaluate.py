@@ -26,7 +26,7 @@ from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
-from xcg.steps.labels import ABOUT
+from xcg.steps.labels import ABOUT, phases_of
 
 # means of squared fluctuations
 _TEMPERATURES = (
@@ -116,7 +116,7 @@ class CoarseGraining(FrameAnalysis):
                     f"without rotation, as the scene holds no {' and no '.join(lacking)}"
                 )
             result.variables[name].attrs = attrs
-        return result
+        return result.set_coords([n for n in self.plan.fields if n not in self.plan.asked])
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
@@ -260,9 +260,7 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
                 attrs["period"] = wrapped[name]  # also of a part of the nodes
         coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
     if plan.deposit.by:
-        attrs = {"long_name": f"phase by {plan.deposit.by}"}
-        phases = ["bulk", *map(str, plan.deposit.groups)]
-        coords["phase"] = xr.Variable("phase", phases, attrs)
+        coords["phase"] = phases_of(plan.deposit.by, plan.deposit.groups)
     fields = [registry.row(name, options) for name in plan.fields]
     axes = list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)
     for dim in ("component", "direction")[: max(field.rank for field in fields)]:

@@ -53,10 +53,9 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
-        What is computed: what was asked for, and what averages of it need where they are to be
-        taken.
+        What is computed: what was asked for, and the sums that averages of it need.
     asked : tuple of str
-        What was asked for.
+        The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
     deposit : DepositSpec
@@ -128,7 +127,7 @@ class Plan:
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        passes = {over: len(columns) for over, columns in self._columns.items()}
+        loops = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
         own = (
@@ -144,26 +143,29 @@ class Plan:
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
-            "fields": ", ".join(self.fields),
+            "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
             **grid.text,
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
             or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
-            f"{passes['contacts']} over contacts"
+            "loops": f"{loops['particles']} over particles, {loops['slopes']} with grad Psi, "
+            f"{loops['contacts']} over contacts"
             + (
-                f", {passes['contact points']} over contact points"
-                if passes["contact points"]
+                f", {loops['contact points']} over contact points"
+                if loops["contact points"]
                 else ""
             )
-            + (f", {passes['means']} relative to means" if passes["means"] else ""),
+            + (f", {loops['means']} relative to means" if loops["means"] else ""),
             "contacts": f"{rules} (rtol = {self.rtol:g})"
-            if passes["contacts"]
+            if loops["contacts"]
             else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
+        beside = [name for name in self.fields if name not in self.asked]
+        if beside:
+            lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
         if (seen := self.effective_count) is not None:
             velocity, temperature = (
                 min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
@@ -227,7 +229,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(
-        min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping)
+        min(k.width for k in kernels),
+        scene.sizes,
+        _extent_of(scene),
+        of_groups=isinstance(request.width, Mapping),
     )
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
@@ -271,6 +276,14 @@ def make_plan(scene: Description, request: Request) -> Plan:
     )
 
 
+def _extent_of(scene: Description) -> float:
+    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
+    if scene.corners is None:
+        return math.inf
+    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+    return max(*lengths, *scene.periods.values())
+
+
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
 
 
@@ -308,8 +321,10 @@ def _fields_and_options(
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
-    if request.for_averages or request.per is not None:
+    if request.for_averages is not False or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
+    if request.for_averages:
+        asked = names
     if options.averaged_gradient == "unknown" and (
         lost := [name for name in asked if takes_gradient(name, options)]
     ):
@@ -361,7 +376,13 @@ def _choose_fields(
         if name not in listed and name not in ours:
             known = [*listed, *scene.rows]
             raise ValueError(
-                unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars")
+                unknown(
+                    "field",
+                    name,
+                    known,
+                    "others are listed by xcg.FIELDS and by ds.data_vars",
+                    registry.OTHER_NAMES,
+                )
             )
     for name in names:
         if name in lacking and rows[name].option == "lag":

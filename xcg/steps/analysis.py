@@ -64,8 +64,6 @@ class FrameAnalysis:
 
     # name in messages, in the history and of dask's tasks; by default that of the class
     name: ClassVar[str] = ""
-    # variable that divides the particles into groups, usually a field of the subclass
-    by: ClassVar[str | None] = None
 
     threads: int = field(default=1, kw_only=True, repr=False, compare=False)
 
@@ -205,7 +203,8 @@ def run(
     name = analysis.name or type(analysis).__name__
     require_scene(ds, (), name)
     if scene is None:
-        scene = describe(ds, analysis.by)
+        # an option of analyses of groups of particles
+        scene = describe(ds, getattr(analysis, "by", None))
     analysis = analysis.prepare(scene)
     required = list(analysis.reads(scene))
     require_scene(ds, [n for n in required if n not in ds.coords], name)
@@ -220,6 +219,7 @@ def run(
         sizes,
         frozenset(coords),
         scene.setup.periodic,
+        {n: _rows_along(ds.variables[n]) for n in read},
     )
     series, beside = _with_others(ds, read, analysis.lags)
     results = {n: (tuple(sizes[d] or 0 for d in row.dims), row.dtype) for n, row in rows.items()}
@@ -252,6 +252,12 @@ def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:
     return list(dict.fromkeys([*keys, *required, *(name for name in OF_STEP if name in ds)]))
 
 
+def _rows_along(values: xr.Variable) -> str:
+    """Return the dimension of the rows of a variable; "" for one value a step."""
+    dims = [str(dim) for dim in values.dims if dim != "time" and dim not in AXES]
+    return dims[0] if dims else ""
+
+
 # --- one chunk of time ----------------------------------------------------------------------------
 
 
@@ -281,6 +287,7 @@ class _Task:
     sizes: Mapping[str, int | None]
     labelled: frozenset[str]
     periodic: str
+    dims: Mapping[str, str]
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Return the results of all steps, padded to the declared lengths."""
@@ -327,7 +334,7 @@ class _Task:
         exists = arrays.get("exists")
         of_step = {n: a for n, a in arrays.items() if a.ndim == 1 and n not in ("step", "exists")}
         rows = {n: a for n, a in arrays.items() if n not in of_step and n != "exists"}
-        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic)):
+        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic, self.dims)):
             if exists is not None and not exists[t]:
                 yield None
                 continue

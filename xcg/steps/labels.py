@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Self
@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from xarray.indexes import PandasIndex
 
 from xcg.common.messages import printable
@@ -18,7 +18,7 @@ from xcg.scene.conform import storable
 from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, Variable, units_in
-from xcg.steps.faults import SKIPPED, Result
+from xcg.steps.faults import SKIPPED
 
 # attributes of a scene that hold for its results, too
 ABOUT = (
@@ -37,26 +37,6 @@ ABOUT = (
     "estimated_forces",
 )
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
-
-
-def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
-    """Shape of one step, and type, of each variable."""
-    lengths = {**sizes, **dict.fromkeys(AXES, 3)}
-    return {
-        name: (tuple(lengths[dim] for dim in row.dims), row.dtype)
-        for name, row in variables.items()
-    }
-
-
-def empty_results(
-    variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int
-) -> dict[str, NDArray]:
-    """Arrays of padding, time first."""
-    found = results_of(variables, sizes).items()
-    return {
-        name: np.full((steps, *shape), variables[name].fill, dtype)
-        for name, (shape, dtype) in found
-    }
 
 
 def label(
@@ -145,6 +125,11 @@ def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
 
 
 PHASES = ("phase", "other_phase")
+
+
+def phases_of(by: str | None, groups: Iterable[int]) -> xr.Variable:
+    """Return the coordinate ``phase``: the bulk, and the values of the variable `by`."""
+    return xr.Variable("phase", ["bulk", *map(str, groups)], {"long_name": f"phase by {by}"})
 
 
 class PhaseLabels(pd.Index):

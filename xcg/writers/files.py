@@ -272,7 +272,7 @@ def _part(path: Path) -> Iterator[Path]:
         temporary.discard(part)
 
 
-# What file systems without locks answer, as some of clusters; runs are not held apart there.
+# What file systems without locks answer, as some of clusters; runs are not kept apart there.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
 

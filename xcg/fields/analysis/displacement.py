@@ -77,8 +77,8 @@ class DisplacementRequest(SharedOptions):
         in `coarse_grain`.
     at : mapping, optional
         Coordinate of fixed axes (m), or points, as in `coarse_grain`.
-    for_averages : bool
-        Also compute what `time_average` and `profile` of the fields need beside them.
+    for_averages : bool, optional
+        As in `coarse_grain`.
     by_pair : bool
         Refused: displacements take no contacts.
     preset : str, optional
@@ -91,7 +91,7 @@ class DisplacementRequest(SharedOptions):
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
-    for_averages: bool = False
+    for_averages: bool | None = None
 
 
 @takes(DisplacementRequest)
@@ -169,8 +169,10 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         {**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature}
     )
     options = replace(options, lag=asked.lag)
-    if asked.for_averages:
-        names = (*names, *needed_for_averages(names, options))
+    beside: tuple[str, ...] = ()
+    if asked.for_averages is not False:
+        beside = needed_for_averages(names, options)
+        names = (*names, *beside)
     # fields that follow from the gradient relative to the box, once the box is added to it
     derived = [
         name
@@ -194,7 +196,8 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     for name in names:
         values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
-    return xr.Dataset(data, f.coords, f.attrs).unify_chunks()
+    result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
+    return result if asked.for_averages else result.set_coords(beside)
 
 
 def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> dict[str, Any]:
@@ -350,7 +353,8 @@ def _between_frames(
     scene = describe(first, asked.by)
     made = dict.fromkeys(_MADE, scene.columns["position"])
     moved = replace(scene, columns={**scene.columns, **made}, lag=asked.lag)
-    plan = make_plan(moved, asked.ask(fields=names, width=asked.width, at=asked.at))
+    request = asked.ask(fields=names, width=asked.width, at=asked.at, for_averages=False)
+    plan = make_plan(moved, request)
     analysis = _Displacements(CoarseGraining(plan), asked.lag, box_changes)
     return run(first, analysis, call=call, scene=moved, on_error=asked.on_error)
 
