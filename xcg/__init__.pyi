@@ -3,10 +3,13 @@
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .analysis.bond_order import bond_order
+from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
+from .analysis.fit_law import fit_law
 from .analysis.principal import plot_principal, principal
 from .analysis.radial_distribution import radial_distribution
 from .analysis.structure_factor import structure_factor
+from .analysis.voronoi import voronoi
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
@@ -87,6 +90,7 @@ __all__ = [
     "choose_width",
     "coarse_grain",
     "contact_graph",
+    "contact_history",
     "contact_value",
     "datasets",
     "depth_average",
@@ -97,6 +101,7 @@ __all__ = [
     "find_contacts",
     "find_pairs",
     "find_phases",
+    "fit_law",
     "fit_slope",
     "flow_rate",
     "force_chains",
@@ -141,6 +146,7 @@ __all__ = [
     "time_average",
     "time_correlation",
     "track_chains",
+    "voronoi",
     "wall_stress",
     "width_sweep",
 ]

@@ -36,7 +36,6 @@ _OTHER_NAMES = {
     "rdf": "microstructure",
     "g_r": "microstructure",
     "radial_distribution": "microstructure",
-    "voronoi": "cell_volumes",
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
@@ -135,6 +134,8 @@ class CoarseGrainAccessor:
     microstructure = Method("xcg.packing.microstructure", SCENE)
     adjacency = Method("xcg.packing.network", SCENE)
     contact_graph = Method("xcg.packing.network", SCENE)
+    contact_history = Method("xcg.analysis.contact_history", SCENE)
+    voronoi = Method("xcg.analysis.voronoi", SCENE)
     particle_stress = Method("xcg.chains.particle_stress", SCENE)
     force_chains = Method("xcg.chains.search", SCENE)
     radial_distribution = Method("xcg.analysis.radial_distribution", SCENE)
@@ -160,6 +161,7 @@ class CoarseGrainAccessor:
     spatial_correlation = Method("xcg.fields.analysis.correlations", RESULT)
     time_correlation = Method("xcg.fields.analysis.correlations", RESULT)
     free_surface = Method("xcg.fields.analysis.shallow", RESULT)
+    fit_law = Method("xcg.analysis.fit_law", RESULT)
     fit_slope = Method("xcg.fields.analysis.shallow", RESULT)
     plot = Method("xcg.fields.analysis.plots", SCENE, RESULT)
     plot_width = Method("xcg.fields.analysis.widths", RESULT)

@@ -6,10 +6,13 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload, type_chec
 import xarray as xr
 
 from xcg.analysis.bond_order import bond_order
+from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
+from xcg.analysis.fit_law import fit_law
 from xcg.analysis.principal import plot_principal, principal
 from xcg.analysis.radial_distribution import radial_distribution
 from xcg.analysis.structure_factor import structure_factor
+from xcg.analysis.voronoi import voronoi
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
@@ -82,6 +85,8 @@ class CoarseGrainAccessor:
     microstructure = _Bound(microstructure)
     adjacency = _Bound(adjacency)
     contact_graph = _Bound(contact_graph)
+    contact_history = _Bound(contact_history)
+    voronoi = _Bound(voronoi)
     particle_stress = _Bound(particle_stress)
     force_chains = _Bound(force_chains)
     measure = _Bound(measure)
@@ -100,6 +105,7 @@ class CoarseGrainAccessor:
     spatial_correlation = _Bound(spatial_correlation)
     time_correlation = _Bound(time_correlation)
     free_surface = _Bound(free_surface)
+    fit_law = _Bound(fit_law)
     fit_slope = _Bound(fit_slope)
     plot = _Bound(plot)
     plot_width = _Bound(plot_width)

@@ -33,11 +33,19 @@ CHECKS = {
     "heap": ("angle", "of_grains", 0.05),
     "silo_discharge": ("C", "published", 0.15),
     "silo_pressure": ("measured", "expected", 0.05),
+    "voronoi_cells": ("measured", "expected", 0.01),
 }
 
 
 # building the site runs all scripts; these take seconds
-QUICK = {"glued_spheres", "heap", "heat_conduction", "photoelastic", "rods_in_shear"}
+QUICK = {
+    "glued_spheres",
+    "heap",
+    "heat_conduction",
+    "photoelastic",
+    "rods_in_shear",
+    "voronoi_cells",
+}
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ class CellLists:
         )
 
     def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
-        """Pairs of the records from `first` to `last`, of more than `max_pairs` only some, and the distances that took."""
+        """Pairs of some records, only some of more than `max_pairs`, and the distances that took."""
         capacity = 4 * (last - first) + 64
         left, right, found, tested = loops.find(
             first,
@@ -385,8 +385,8 @@ def pairs_of(
     found = for_parts(len(whose), find, workers, each=8)
     if sum(counts) > max_pairs:
         raise SceneError(
-            f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, or diameters or skin= "
-            "are too large for their unit. Where so many are meant, give max_pairs= (max_contacts= of find_contacts)"
+            f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, "
+            "or diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= (max_contacts= of find_contacts)"
         )
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")

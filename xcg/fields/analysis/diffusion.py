@@ -99,7 +99,7 @@ def mean_squared_displacement(
     require_scene(ds, (), "mean_squared_displacement")
     require_ids(ds, "mean_squared_displacement")
     steps = ds.sizes["time"]
-    chosen = _lags(lags, steps)
+    chosen = chosen_lags(lags, steps, "mean_squared_displacement")
     require_known_times(ds, "mean_squared_displacement")
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
     at = interval * np.array(chosen)
@@ -179,11 +179,10 @@ def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
     return sum(parts[1:], start=parts[0])
 
 
-def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
+def chosen_lags(lags: int | Sequence[int] | None, steps: int, purpose: str) -> list[int]:
+    """Return numbers of steps between two, sorted; None is powers of two up to half of the steps."""
     if steps < 2:
-        raise ValueError(
-            f"mean_squared_displacement needs two steps or more, and the scene has {steps}"
-        )
+        raise ValueError(f"{purpose} needs two steps or more, and the scene has {steps}")
     if lags is None:
         lags = [2**k for k in range(64) if 2**k <= steps // 2]
     given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)

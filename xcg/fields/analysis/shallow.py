@@ -173,14 +173,9 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     grids = np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")
     places = np.stack([grid.ravel() for grid in grids], axis=1)
     support = 2 * float(np.max(facts.attrs.get("cutoff", 0.0)))
-    nodes_a_support = 1.0
-    for a in axes:
-        if height.sizes[a] > 1:
-            spacing = float(abs(height[a][1] - height[a][0]))
-            nodes_a_support *= max(1.0, support / spacing)
     count = len(axes)
     fit = xr.apply_ufunc(
-        partial(_fitted, places=places, shared=nodes_a_support),
+        partial(_fitted, places=places, shared=nodes_a_support(height, axes, support)),
         height.chunk(dict.fromkeys(axes, -1)) if height.chunks else height,
         input_core_dims=[axes],
         output_core_dims=[["number"]],
@@ -199,6 +194,16 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         for name, (numbers, units, text) in parts.items()
     }
     return xr.Dataset(data).rename(number="component").assign_coords(component=axes)
+
+
+def nodes_a_support(nodes: xr.Dataset | xr.DataArray, axes: Sequence[str], support: float) -> float:
+    """Return the number of nodes along `axes` that share a support (m) of the kernel, 1 or more."""
+    number = 1.0
+    for a in axes:
+        if nodes.sizes[a] > 1:
+            spacing = float(abs(nodes[a][1] - nodes[a][0]))
+            number *= max(1.0, support / spacing)
+    return number
 
 
 def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
