@@ -20,7 +20,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import require_times, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable, units_in
-from xcg.steps.labels import empty_results, format_call, label
+from xcg.steps.labels import format_call, label
 from xcg.steps.mapping import each_step
 
 # intervals that are longer than the median by more than this share are gaps
@@ -108,7 +108,10 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     _warn_of_gaps(times, interval)
     names = [n for n in ("particle_id", *CONTACT_VARIABLES, *OF_STEP) if n in ds]
     periodic = describe(ds).setup.periodic
-    arrays = empty_results(_ROWS, ds.sizes, len(times))
+    arrays = {}
+    for name, row in _ROWS.items():
+        shape = (len(times), *(ds.sizes[dim] for dim in row.dims))
+        arrays[name] = np.full(shape, row.fill, row.dtype)
     arrays["births"][0] = arrays["losses"][0] = 0
     survivors = np.zeros((len(times), len(chosen)))  # by first step and lag
     lifetimes = []

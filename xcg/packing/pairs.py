@@ -386,7 +386,8 @@ def pairs_of(
     if sum(counts) > max_pairs:
         raise SceneError(
             f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, "
-            "or diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= (max_contacts= of find_contacts)"
+            "or diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= "
+            "(max_contacts= of find_contacts)"
         )
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")
