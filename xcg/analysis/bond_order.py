@@ -1,4 +1,4 @@
-"""Bond order of each particle: directions of its neighbours, compared with those of crystals."""
+"""Bond order of each particle: symmetry of the directions of its neighbours."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ class BondOrder(FrameAnalysis):
                 method="hierarchical",
                 levels=None,
                 threads=self.threads,
-                most=2**62,
+                max_pairs=2**62,
                 source=source,
             )
             bond = lattice.shortest(position[pairs[:, 1]] - position[pairs[:, 0]])
@@ -214,12 +214,12 @@ class BondOrder(FrameAnalysis):
         position = lattice.wrapped(position, np.where(np.isfinite(corner), corner, 0.0), source)
         low, high = position.min(axis=0), position.max(axis=0)
         # without images, the farthest neighbour is at least as far away as with them
-        reach = float(cKDTree(position).query(position, count + 1)[0].max())
+        reach = float(np.max(cKDTree(position).query(position, count + 1)[0]))
         reach = min(reach, half) if len(lattice.basis) else 0.0
         rows, shift, _ = lattice.images(position, low - reach, high + reach, source)
         images = position[rows] + shift
         distance, near = cKDTree(images).query(position, count + 1)
-        if len(lattice.basis) and distance.max() > reach:
+        if len(lattice.basis) and np.max(distance) > reach:
             raise SceneError(
                 f"{source}: some of the nearest {count} particles are beyond half the distance to "
                 f"the nearest image ({half:g} m); take fewer neighbours"
@@ -235,8 +235,7 @@ class BondOrder(FrameAnalysis):
 def _waves(degree: int, bond: NDArray) -> list[NDArray]:
     """Return exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
 
-    They are scaled so that `_length` is the bond order: those of -m have the same length, and count
-    by a factor of sqrt(2).
+    They are scaled so that `_length` is the bond order. A factor of sqrt(2) for m > 0 includes -m.
     """
     if bond.shape[1] == 2:
         return [np.exp(1j * degree * np.arctan2(bond[:, 1], bond[:, 0]))]
