@@ -196,7 +196,7 @@ class BondOrder(FrameAnalysis):
                 method="hierarchical",
                 levels=None,
                 threads=self.threads,
-                most=2**62,
+                max_pairs=2**62,
                 source=source,
             )
             bond = lattice.shortest(position[pairs[:, 1]] - position[pairs[:, 0]])
@@ -214,11 +214,13 @@ class BondOrder(FrameAnalysis):
         position = lattice.wrapped(position, np.where(np.isfinite(corner), corner, 0.0), source)
         low, high = position.min(axis=0), position.max(axis=0)
         # without images, the farthest neighbour is at least as far away as with them
-        reach = float(cKDTree(position).query(position, count + 1)[0].max())
+        alone: Any = cKDTree(position).query(position, count + 1)[0]
+        reach = float(alone.max())
         reach = min(reach, half) if len(lattice.basis) else 0.0
         rows, shift, _ = lattice.images(position, low - reach, high + reach, source)
         images = position[rows] + shift
-        distance, near = cKDTree(images).query(position, count + 1)
+        found: Any = cKDTree(images).query(position, count + 1)
+        distance, near = found
         if len(lattice.basis) and distance.max() > reach:
             raise SceneError(
                 f"{source}: some of the nearest {count} particles are beyond half the distance to "

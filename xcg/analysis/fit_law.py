@@ -144,10 +144,10 @@ def fit_law(
     system = f.attrs.get("unit_system", "SI")
     units = row.units or [None] * len(fit.names)
     data: dict[str, Any] = {}
-    for name, value, error, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
+    for name, value, deviation, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
         about = {"units": units_in(unit, system)} if unit else {}
         data[name] = ((), value, {"long_name": f"{name} of the law"} | about)
-        data[f"{name}_error"] = ((), error, {"long_name": f"standard error of {name}"} | about)
+        data[f"{name}_error"] = ((), deviation, {"long_name": f"standard error of {name}"} | about)
     of_parameters = ("parameter", "other_parameter")
     numbers = {
         "chi_squared": (fit.chi_squared, "squared residuals over squared standard errors"),
