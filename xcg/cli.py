@@ -25,7 +25,7 @@ import click
 if TYPE_CHECKING:
     import xarray as xr
 
-    from xcg.chains.search import Algorithm
+    from xcg.analysis.force_chains import Algorithm
     from xcg.steps.faults import OnError
 
 
@@ -53,7 +53,7 @@ def stop(*_: object) -> None:
     os._exit(128 + signal.SIGINT)
 
 
-# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares
+# what xcg.steps.faults and xcg.analysis.force_chains take, which are not imported for help; a test compares
 # them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
@@ -246,7 +246,7 @@ def chains(
     For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv
     "chains_{step}.csv" --vtp "chains_{step}.vtp"
     """
-    from xcg.chains.search import force_chains
+    from xcg.analysis.force_chains import force_chains
     from xcg.readers.open import open_scene
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped

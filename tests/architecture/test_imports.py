@@ -16,7 +16,7 @@ FLOORS = [
     ["compiled", "common"],
     ["scene"],
     ["steps"],
-    ["fields", "packing", "chains", "readers"],
+    ["fields", "readers"],
     ["analysis"],
     ["datasets", "writers"],
     ["explore"],
@@ -37,7 +37,6 @@ INSIDE = {
         ["evaluate"],
         ["accessible", "presets"],
         ["coarse_grain"],
-        ["analysis"],
         ["__init__"],
     ],
     "readers": [
@@ -226,7 +225,7 @@ def test_every_dataset_has_the_accessor_once_the_package_is_imported():
 
 
 def test_a_method_loads_only_the_rooms_it_uses():
-    rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.analysis")
+    rooms = ("analysis", "readers", "writers", "datasets")
     code = "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; "
     code += "print('xcg.fields.coarse_grain' in sys.modules, "
     done = run(

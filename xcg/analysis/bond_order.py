@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.pairs import pairs_of
 from xcg.common.checks import floats, is_positive, is_whole
 from xcg.common.messages import SceneError, plain
-from xcg.packing.pairs import pairs_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite

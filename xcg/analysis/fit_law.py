@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.laws import LAWS, Law
+from xcg.analysis.shallow import nodes_a_support
 from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
-from xcg.fields.analysis.shallow import nodes_a_support
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import format_call, provenance

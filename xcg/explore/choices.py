@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.analysis.plots import axes_of, numbers_of
-from xcg.fields.analysis.widths import WIDTHS as SWEPT
-from xcg.fields.analysis.widths import choose_width, width_sweep
+from xcg.analysis.plots import axes_of, numbers_of
+from xcg.analysis.widths import WIDTHS as SWEPT
+from xcg.analysis.widths import choose_width, width_sweep
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.averages import profile
 from xcg.fields.formulas.registry import FIELDS, listed

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import xcg
 from tests import ROOT, shared_data, steps_of_random_scenes
-from xcg.packing.microstructure import NAMES
-from xcg.packing.quantities import QUANTITIES
+from xcg.analysis.microstructure import NAMES
+from xcg.analysis.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
 from xcg.scene.lattice import Lattice
 

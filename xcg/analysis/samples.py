@@ -31,9 +31,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.network import Clusters
+from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.common.messages import SceneError, warn_once
-from xcg.packing.network import Clusters
-from xcg.packing.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description
 from xcg.scene.frame import phase_of, without_frozen

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.results import (
+from xcg.analysis.chain_results import (
     CHAINS,
     MEMBERS,
     STATISTICS,

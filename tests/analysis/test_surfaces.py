@@ -12,7 +12,7 @@ import xarray as xr
 import xcg
 from tests.fields.formulas.test_field import LUCY, cumulative, marginal
 from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
-from xcg.fields.analysis.surfaces import _points
+from xcg.analysis.surfaces import _points
 from xcg.fields.grids.walls import Wall
 
 L = np.array([6.0, 5.0, 4.0])
