@@ -437,7 +437,7 @@ def run(
     """
     from xcg.common.messages import printable
     from xcg.jobs.config import read_config
-    from xcg.jobs.run import open_job, outputs_of, run_job
+    from xcg.jobs.run import open_job, outputs_of, run_job, work_of
     from xcg.steps.mapping import shown
 
     if resume and overwrite:
@@ -458,9 +458,11 @@ def run(
             return
         with _dashboard(jobs) if dashboard else nullcontext():
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
-            done = 0
+            done = count = 0
 
             def kept() -> str:
+                if done and done == count and not work_of(job).exists():
+                    return f"{count} steps in {job.folder}"
                 return f"{done} step{'s' * (done != 1)} kept; the same command continues from there"
 
             try:
