@@ -31,7 +31,7 @@ from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import leftovers, publish, work_folder
+from xcg.writers.files import leftovers, lock_of, publish, work_folder
 from xcg.writers.formats import NETCDF
 from xcg.writers.store import Format, Mismatch, Output, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
@@ -140,7 +140,8 @@ def run_job(
         Refuse to start anew where an interrupted run was of another job or other input, and be
         content where this job has ended already.
     jobs : int, optional
-        Chunks of time at the same time; as many as there are processors by default.
+        Chunks of time at the same time; as many as there are processors by default. A cluster takes
+        as many as it has threads.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def run_job(
     work = work_of(job)
     is_begun = (work / "state.json").exists()
     # also by a run that was killed at its very end
-    is_interrupted = work.exists() or bool(leftovers(work))
+    is_interrupted = work.exists() or lock_of(work).exists() or bool(leftovers(work))
     existing = [path for path in targets if path.exists()]
     if (
         (resume or is_interrupted)
@@ -338,6 +339,8 @@ def _description(job: Job) -> dict[str, str]:
     digest = hashlib.sha256(states.encode()).hexdigest()
     about = {"[scene] sizes and times of files": f"{len(files)}, {digest[:8]}"}
     for option, value in vars(job).items():
+        if option == "scheduler":  # results are the same wherever they are computed
+            continue
         table = value if isinstance(value, dict) else {"": value}
         for key, entry in table.items():
             about[f"[{option}] {key}".rstrip()] = repr(entry)

@@ -281,7 +281,7 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
             yield work
         return
     what = kept.name.removeprefix(".").removesuffix(".begun")
-    with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
+    with locked(lock_of(kept), str(kept.with_name(what))):
         kept.mkdir(exist_ok=True)
         yield kept
         # at once, so that no half of it is taken for a run to go on with
@@ -308,6 +308,30 @@ def _part(path: Path) -> Iterator[Path]:
                 break
             remove(part)
         temporary.discard(part)
+
+
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Let one process of any machine at a time write to a file, where its file system has locks.
+
+    Tasks of a cluster may outlive the run that sent them, and its locks. This one ends with its
+    process. Its file stays.
+    """
+    lock = FileLock(path.with_name(f"{path.name}.lock"), thread_local=False)
+    try:
+        lock.acquire(poll_interval=0.01)
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def lock_of(kept: Path) -> Path:
+    """Return the lock of a hidden folder that stays."""
+    return kept.with_name(f"{kept.name}.lock")
 
 
 # What file systems without locks answer, as some of clusters; runs are not held apart there.

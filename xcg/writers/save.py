@@ -9,6 +9,7 @@ from typing import Protocol
 import xarray as xr
 from numpy.typing import DTypeLike
 
+from xcg.common.compat import stored_data
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
@@ -167,7 +168,9 @@ def save(
         known = ", ".join(f"{end} ({_NAMES[end]})" if end in _NAMES else end for end in _WRITERS)
         raise ValueError(f"{path}: expected a name that ends with {known}")
     with_units = [
-        str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")
+        str(name)
+        for name, v in ds.variables.items()
+        if type(stored_data(v)).__module__.startswith("pint")
     ]
     if with_units:
         raise TypeError(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
@@ -25,16 +26,16 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import dask
 import numpy as np
 import xarray as xr
-from dask.base import tokenize
+from dask.base import get_scheduler, tokenize
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
+from dask.utils import SerializableLock
 from numpy.typing import NDArray
-from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.scene.conform import storable
-from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
+from xcg.steps.faults import SKIPPED, SKIPS, listen_for_skips, skips_heard
 from xcg.steps.mapping import Gathered, count_tasks, shown
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import (
@@ -205,19 +206,28 @@ class Format:
     whole: Callable[..., AbstractContextManager[Path]] = whole_file
 
 
+def client() -> Any:
+    """Return the client of the distributed cluster that computes; None if there is none."""
+    distributed = sys.modules.get("distributed")
+    if distributed is None:
+        return None
+    of_scheduler = getattr(get_scheduler(), "__self__", None)
+    return of_scheduler if isinstance(of_scheduler, distributed.Client) else None
+
+
 def lock_for(path: Path) -> AbstractContextManager[Any]:
     """Lock that lets one task at a time write to a file, whichever scheduler runs them."""
-    with _config():
-        return get_write_lock(str(path))
+    if client() is not None:
+        return sys.modules["distributed"].Lock(str(path))
+    return SerializableLock(str(path))
 
 
 def _config() -> AbstractContextManager[Any]:
     """Select threads for writing where dask's own scheduler of processes is set: processes cannot share a lock."""
-    return (
-        dask.config.set(scheduler="threads")
-        if get_dask_scheduler() == "multiprocessing"
-        else nullcontext()
-    )
+    processes = sys.modules.get("dask.multiprocessing")
+    if processes is not None and get_scheduler() is processes.get:
+        return dask.config.set(scheduler="threads")
+    return nullcontext()
 
 
 def joined(parts: Sequence[NDArray]) -> NDArray:
@@ -356,7 +366,8 @@ def _begin_all(
             kind.begin(layout, begun.folder / path.name, is_begun)
             for path, kind in output.files.items()
         ]
-        writes.append(_WriteTask(tuple(stores), begun.log(k), _numbers(layout.ds)))
+        write = _WriteTask(tuple(stores), begun, state, begun.log(k), _numbers(layout.ds))
+        writes.append(write)
     if not is_begun:
         begun.begin(state)
     return writes
@@ -384,10 +395,14 @@ class _WriteTask:
     """Writes the values of some steps to all stores, and notes that they are there."""
 
     stores: tuple[Store, ...]
+    begun: Begun
+    state: Mapping[str, str]
     log: Log
     numbers: NDArray
 
     def __call__(self, parts: Parts, steps: slice, *, noted: bool = True) -> None:
+        # a task of a cluster may outlive its run, and find the files of the next one
+        self.begun.matches(self.state)
         for store in self.stores:
             store(parts, steps)
         if noted:
@@ -403,9 +418,11 @@ class _WriteTask:
         if not skipped:
             return
         steps = self.numbers[list(skipped)]
-        because = [
-            f"step {n}: {cause}" for n, cause in zip(steps, skipped.values(), strict=True) if cause
-        ]
+        heard = self.log.causes()
+        because: list[str] = []
+        for step, cause in zip(steps.tolist(), skipped.values(), strict=True):
+            if cause := cause or heard.get(step, ""):
+                because.append(f"step {step}: {cause}")
         for store in self.stores:
             store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
 
@@ -416,6 +433,11 @@ def _fill_all(
     """Fill the files of all outputs, a batch each in turn; yield the number of steps that all hold."""
     with ExitStack() as running:
         running.enter_context(listen_for_skips())
+        cluster = client()
+        if cluster is not None:
+            logs = [write.log for write in writes]
+            cluster.subscribe_topic(SKIPS, partial(_note_cause, logs))
+            running.callback(cluster.unsubscribe_topic, SKIPS)
         fills = [
             running.enter_context(closing(_fill(layout, write, batch)))
             for layout, write in zip(layouts, writes, strict=True)
@@ -429,6 +451,13 @@ def _fill_all(
             yield min(done)
     for write in writes:
         write.describe_skipped()
+
+
+def _note_cause(logs: Sequence[Log], event: tuple[float, Mapping[str, Any]]) -> None:
+    """Add the cause of a skipped step to logs, from an event of a worker."""
+    _, said = event
+    for log in logs:
+        log.add_cause(said["step"], said["cause"])
 
 
 def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generator[int, None, None]:
@@ -445,11 +474,27 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generato
         write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
     if not arrays:
         return
+    cluster = client()
+    if cluster is not None and batch is not None:
+        batch = 1  # the cluster orders its tasks by itself
     graph, layer, waits = graph_of(arrays, write, layout.steps, done, batch)
-    for wait in waits:
-        with _config():
-            Delayed(wait, graph, layer=layer).compute()
-        yield sum(stop - first for first, stop in write.log.steps())
+    ready = sum(stop - first for first, stop in done)
+    if cluster is None:
+        for wait, steps in waits.items():
+            with _config():
+                Delayed(wait, graph, layer=layer).compute()
+            ready += steps
+            yield ready
+        return
+    futures = cluster.compute([Delayed(wait, graph, layer=layer) for wait in waits])
+    counts = dict(zip(futures, waits.values(), strict=True))
+    try:
+        for future in sys.modules["distributed"].as_completed(futures):
+            future.result()
+            ready += counts[future]
+            yield ready
+    finally:
+        cluster.cancel(futures)
 
 
 def graph_of(
@@ -458,8 +503,11 @@ def graph_of(
     steps: int,
     done: Set[tuple[int, int]],
     batch: int | None,
-) -> tuple[HighLevelGraph, str, list[str]]:
-    """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch."""
+) -> tuple[HighLevelGraph, str, dict[str, int]]:
+    """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch.
+
+    The keys come with the number of steps in their batch.
+    """
     gathered = Gathered.of(arrays)
     token = uuid.uuid4().hex
     edges = np.cumsum([0, *next(iter(arrays.values())).chunks[0]]).tolist()
@@ -468,15 +516,20 @@ def graph_of(
         if edge - edges[firsts[-1]] >= steps and t < len(edges) - 1:
             firsts.append(t)
     tasks: dict[Any, Any] = {}
+    sizes: list[int] = []  # steps of each task
     for first, end in pairwise([*firsts, len(edges) - 1]):
         if (edges[first], edges[end]) not in done:
             keys = [key for t in range(first, end) for key in gathered.keys(t)]
             task = partial(_take_and_write, write, gathered, slice(edges[first], edges[end]))
             tasks[_WRITES + token, first] = (task, *keys)
-    todo, waits = list(tasks), []
-    for first in range(0, len(todo), batch or len(todo) or 1):
-        waits.append(f"wait-{token}-{first}")
-        tasks[waits[-1]] = (_wait, todo[first : first + (batch or len(todo))])
+            sizes.append(edges[end] - edges[first])
+    todo = list(tasks)
+    waits: dict[str, int] = {}
+    batch = batch or len(todo) or 1
+    for first in range(0, len(todo), batch):
+        wait = f"wait-{token}-{first}"
+        waits[wait] = sum(sizes[first : first + batch])
+        tasks[wait] = (_wait, todo[first : first + batch])
     return (
         HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())),
         _WRITES + token,
@@ -573,9 +626,15 @@ class Log:
 
     def add(self, steps: slice, skipped: Mapping[int, str]) -> None:
         """Record that steps are in all files, and why some of them were skipped."""
-        line = json.dumps({"steps": [steps.start, steps.stop], "skipped": skipped})
+        self._write({"steps": [steps.start, steps.stop], "skipped": skipped})
+
+    def add_cause(self, step: int, cause: str) -> None:
+        """Record why a step with this number was skipped in another process, where nobody listens."""
+        self._write({"steps": [0, 0], "skipped": {}, "causes": {step: cause}})
+
+    def _write(self, line: Mapping[str, Any]) -> None:
         with open(self.file, "ab", buffering=0) as file:
-            file.write(f"\n{line}".encode())
+            file.write(f"\n{json.dumps(line)}".encode())
 
     def steps(self) -> set[tuple[int, int]]:
         """First and last (exclusive) step of each chunk that is there."""
@@ -588,6 +647,11 @@ class Log:
                 (int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()
             )
         )
+
+    def causes(self) -> dict[int, str]:
+        """Return the causes that other processes sent, by number of the step."""
+        causes = (line.get("causes", {}) for line in self._lines())
+        return {int(step): cause for given in causes for step, cause in given.items()}
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         for line in self.file.read_text().splitlines() if self.file.exists() else ():
