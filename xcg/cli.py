@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -411,7 +412,7 @@ def _computer(
             "--jobs is for this machine; a cluster takes as many chunks as it has threads"
         )
     if job.scheduler:
-        return cluster_of(job, lambda line: quiet or click.echo(line, err=True))
+        return cluster_of(job, (lambda _: None) if quiet else partial(click.echo, err=True))
     return _dashboard(jobs) if dashboard else nullcontext()
 
 
