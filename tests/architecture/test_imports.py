@@ -254,3 +254,25 @@ def test_the_stub_lists_each_method_of_the_accessor():
         "print({name: m.module for name, m in vars(cg).items() if isinstance(m, Method)})"
     )
     assert ast.literal_eval(done.stdout) == {name: homes[name] for name in has}
+
+
+# private names of other packages, which a new version may move
+PRIVATE = {
+    "numba.core": PACKAGE / "compiled" / "_jit.py",
+    "xarray.core": PACKAGE / "common" / "compat.py",
+}
+
+
+def test_private_names_of_other_packages_are_in_one_module_each():
+    files = sorted(PACKAGE.rglob("*.py"))
+    assert {*PRIVATE.values()} <= {*files}
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [str(node.module)]
+            for name in names:
+                owner = PRIVATE.get(".".join(name.split(".")[:2]), file)
+                assert owner == file, f"{file.name} imports {name}"
+            reads_private = isinstance(node, ast.Attribute) and node.attr == "_data"
+            assert not reads_private or file == PRIVATE["xarray.core"], f"{file}:{node.lineno}"
