@@ -101,7 +101,7 @@ def unknown(
     names = [str(name) for name in known]
     rest = listed or f"expected one of {', '.join(names)}"
     hint = did_you_mean(str(word), names, synonyms=synonyms)
-    if not hint and len(str(word)) > 3:
+    if not hint and len(str(word)) > 2:
         longer = sorted((name for name in names if _plainly(str(word)) in name), key=len)
         hint = f"; did you mean {longer[0]!r}?" if longer else ""
     if not hint:

@@ -284,11 +284,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
 
 
 def _extent_of(scene: Description) -> float:
-    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
-    if scene.corners is None:
+    """Return the largest extent of the grains (m); infinity in periodic scenes, or if it is not known."""
+    if scene.corners is None or scene.setup.periodic:
         return math.inf
-    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
-    return max(*lengths, *scene.periods.values())
+    return max(high - low for low, high in zip(*scene.corners, strict=True))
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
