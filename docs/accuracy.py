@@ -859,7 +859,7 @@ def wrapped(text: str) -> str:
 
 def one_thread() -> Any:
     """Hold everything to one thread: the alternatives fill all nodes in one call."""
-    return mock.patch("xcg.fields.coarse_grain.THREADS", 1)
+    return mock.patch("xcg.steps.analysis.THREADS", 1)
 
 
 @one_thread()

@@ -71,7 +71,7 @@ def biaxial() -> None:
         "shear_strain", vmax=0.3
     )
     save("strain")
-    ds.cg.force_chains(alpha=45, threshold="mean").cg.plot_chains(time=1)
+    ds.cg.force_chains(alpha=45, min_stress="mean").cg.plot_chains(index=1)
     save("chains")
 
 

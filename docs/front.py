@@ -17,7 +17,7 @@ def main() -> None:
     plotter = pyvista.Plotter(off_screen=True, window_size=(1000, 640))
     grains = ds.isel(particle=(ds.position.sel(component="x")[0] < 9.6).values).drop_dims("contact")
     grains.drop_vars("box").assign_attrs(periodic="").cg.view(
-        "velocity", clim=(0, 10), plotter=plotter
+        "velocity", vmin=0, vmax=10, plotter=plotter
     )
     field = (
         f.sel(x=slice(9.6, None), z=slice(-0.5, None))

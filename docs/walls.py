@@ -47,7 +47,7 @@ def main() -> None:
     side = ds.cg.wall_stress(SIDE, "1 d43", walls="side").isel(time=0)
     floor = ds.cg.wall_stress(FLOOR, "1 d43", walls="floor").isel(time=0)
     inside = ds.cg.coarse_grain(
-        ["volume_fraction", "density", "stress"], width="1 d43", axes="z", walls=[SIDE, FLOOR], per="accessible",
+        ["volume_fraction", "density", "stress"], width="1 d43", axes="z", surfaces=[SIDE, FLOOR], per="accessible",
         spacing=1e-3,
     ).isel(time=0)  # fmt: skip
     weight = GRAVITY * float(ds.mass.sum())

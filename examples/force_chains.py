@@ -37,10 +37,10 @@ def draw(fc: xr.Dataset, path: Path) -> None:
     """Chains of the last step, distribution of lengths, and directions of links."""
     figure = plt.figure(figsize=(12, 6.2), layout="constrained")
     grid = figure.add_gridspec(2, 3, width_ratios=[1.25, 1.25, 1])
-    ax = fc.cg.plot_chains(time=-1, ax=figure.add_subplot(grid[:, :2]))
+    ax = fc.cg.plot_chains(index=-1, ax=figure.add_subplot(grid[:, :2]))
     ax.set_title("chains of the last step, line width by force")
     fc.cg.plot_lengths(ax=figure.add_subplot(grid[0, 2]))
-    rose = fc.cg.plot_rose(time=-1, ax=figure.add_subplot(grid[1, 2], projection="polar"))
+    rose = fc.cg.plot_rose(index=-1, ax=figure.add_subplot(grid[1, 2], projection="polar"))
     rose.plot(np.deg2rad([135, 315]), [rose.get_rmax()] * 2, "k:", lw=1)
     rose.set_title("links by force\n(dotted: compressive diagonal)", fontsize="medium")
     figure.savefig(path, dpi=80)
@@ -51,7 +51,7 @@ def main(output: Path) -> None:
     scene = xcg.open_scene(
         DATA / "particles.*.dump.gz", contacts=DATA / "contacts.*.dump.gz", periodic="x", frozen=2
     )  # fmt: skip
-    fc = scene.cg.force_chains(alpha=45, threshold="mean").compute()
+    fc = scene.cg.force_chains(alpha=45, min_stress="mean").compute()
 
     for t in range(fc.sizes["time"]):
         step = fc.isel(time=t)

@@ -41,6 +41,28 @@ def planning(**replaced: Any) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def sharing_threads(threads: int, worth: int = 0) -> Iterator[None]:
+    """Let so many threads share steps of more visits of nodes than `worth`."""
+    with (
+        mock.patch("xcg.steps.analysis.THREADS", threads),
+        mock.patch("xcg.fields.evaluate.WORTH_SHARING", worth),
+    ):
+        yield
+
+
+@contextmanager
+def raise_if_dask_computes() -> Iterator[None]:
+    """Raise AssertionError where dask computes anything."""
+    import dask
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise AssertionError("dask computes")
+
+    with dask.config.set(scheduler=fail):
+        yield
+
+
 @cache
 def pyvista_draws() -> bool:
     """Whether PyVista is here and draws: VTK ends the process where there is neither a screen, EGL nor OSMesa."""

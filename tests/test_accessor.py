@@ -60,7 +60,10 @@ def test_every_argument_has_a_type_and_a_meaning(name):
     entries = [line.split(" : ")[0] for line in told.splitlines() if not line.startswith(" ")]
     named = {word.strip() for entry in entries for word in entry.split(",")}
     for parameter in parameters:
-        assert parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        assert parameter.kind != parameter.VAR_POSITIONAL
+        if parameter.kind == parameter.VAR_KEYWORD:  # for matplotlib
+            assert f"**{parameter.name}" in told
+            continue
         assert "Any" not in str(parameter.annotation)
         assert parameter.annotation is not parameter.empty
         assert not told or parameter.name in named
@@ -147,8 +150,8 @@ def test_completion_offers_the_methods_of_each_kind(scene):
         ("explain", {"spacin": 1.0}, "did you mean 'spacing'"),
         (
             "width_sweep",
-            {"widths": [1, 2, 3], "treshold": 1.0},
-            r"width_sweep\(\).*did you mean 'threshold'",
+            {"widths": [1, 2, 3], "max_slop": 1.0},
+            r"width_sweep\(\).*did you mean 'max_slope'",
         ),
         ("width_sweep", {}, r"width_sweep\(\).*'widths'"),
         ("balance", {"kernal": "lucy"}, "did you mean 'kernel'"),
@@ -206,6 +209,49 @@ def test_balance_refuses_presets_and_takes_bodies_and_skips(scene):
     np.testing.assert_allclose(of_bodies.force_residual, plain.force_residual, atol=1e-9)
 
 
+PICTURES = {
+    "plot": lambda f, fc, ds, **at: f.cg.plot("density", **at).collections[0].get_array(),
+    "to_pyvista": lambda f, fc, ds, **at: f.cg.to_pyvista(**at)["density"],
+    "plot_chains": lambda f, fc, ds, **at: fc.cg.plot_chains(**at).collections[-1].get_array(),
+    "plot_rose": lambda f, fc, ds, **at: [p.get_height() for p in fc.cg.plot_rose(**at).patches],
+    "adjacency": lambda f, fc, ds, **at: ds.cg.adjacency(**at).toarray(),
+    "contact_graph": lambda f, fc, ds, **at: sorted(ds.cg.contact_graph(**at).edges),
+    "plot_phases": lambda f, fc, ds, **at: ds.cg.plot_phases(**at).axes[0].collections[0].get_offsets(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_an_index_is_a_position_in_time_as_in_isel(name):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    pytest.importorskip(
+        {"to_pyvista": "pyvista", "contact_graph": "networkx"}.get(name, "matplotlib")
+    )
+    steps = [
+        xcg.datasets.random_scene(60, seed=k, dimension=2).isel(contact=slice(50)) for k in range(3)
+    ]
+    ds = xr.concat(steps, "time", data_vars="all", combine_attrs="override")
+    ds = ds.assign_coords(time=[0.0, 1.0, 2.0])
+    ds = ds.cg.assign_phases(mapping={1: 1, 2: 2}, by="species")
+    f = ds.cg.coarse_grain("density", width=1.0)
+    fc = ds.cg.force_chains(alpha=80.0, min_length=2)
+
+    def draw(*data, **at):
+        picture = np.array(PICTURES[name](*data, **at))
+        plt.close("all")
+        return picture
+
+    pictures = [draw(f, fc, ds, index=k) for k in range(3)]
+    for k, picture in enumerate(pictures):
+        one = draw(f.isel(time=k), fc.isel(time=k), ds.isel(time=k))
+        np.testing.assert_array_equal(picture, one)
+        np.testing.assert_array_equal(picture, draw(f, fc, ds, index=k - 3))
+    assert not any(np.array_equal(pictures[0], picture) for picture in pictures[1:])
+    np.testing.assert_array_equal(pictures[-1], draw(f, fc, ds))
+    for index in (1, "first", None, 0.0):
+        with pytest.raises(ValueError, match=re.escape(f"index={index!r}: expected the position")):
+            draw(f.isel(time=0), fc.isel(time=0), ds.isel(time=0), index=index)
+
+
 def test_completion_by_jedi(scene):
     jedi = pytest.importorskip("jedi")
     names = {c.name for c in jedi.Interpreter("ds.cg.", [{"ds": scene}]).complete()}
@@ -216,8 +262,8 @@ def test_completion_by_jedi(scene):
         inspect.signature(scene.cg.coarse_grain).parameters
     )
     assert [
-        c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()
-    ] == ["threshold="]
+        c.name for c in jedi.Interpreter("ds.cg.width_sweep(max_s", [{"ds": scene}]).complete()
+    ] == ["max_slope="]
 
 
 def test_the_accessor_keeps_no_dataset_alive():

@@ -88,6 +88,7 @@ def test_every_sample_opens_and_is_listed(name):
         line for line in table.splitlines() if f"| `{xcg.datasets._SAMPLES[name].folder}` |" in line
     )
     assert f'"{name}"' in row
+    assert xcg.datasets.samples()[name] in row
 
 
 def test_the_version_is_the_same_everywhere():

@@ -15,7 +15,39 @@ import lazy_loader
 import xarray as xr
 
 __version__ = version("xcg")
-__getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+# Names of other packages for what is here.
+_OTHER_NAMES = {
+    "open": "open_scene",
+    "load": "open_scene",
+    "read": "open_scene",
+    "open_dataset": "open_scene",
+    "open_mfdataset": "open_scene",
+    "scene": "scene_from_arrays",
+    "from_arrays": "scene_from_arrays",
+    "from_table": "scene_from_table",
+    "from_pandas": "scene_from_table",
+    "from_dataframe": "scene_from_table",
+    "from_lammps": "scene_from_lammps",
+    "data": "datasets",
+    "examples": "datasets",
+    "samples": "datasets",
+    "fields": "FIELDS",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name; raise AttributeError with the most similar one for another name."""
+    if name in __all__ or name.startswith("_"):
+        return _load(name)
+    from xcg.common.messages import did_you_mean
+
+    likely = did_you_mean(name, __all__, synonyms=_OTHER_NAMES)
+    try:
+        return _load(name)
+    except AttributeError:
+        raise AttributeError(f"module 'xcg' has no attribute {name!r}{likely}", name=name) from None
 
 
 def __dir__() -> list[str]:

@@ -2,10 +2,11 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.principal import plot_principal, principal
 from .chains.particle_stress import particle_stress
 from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from .chains.search import force_chains, track_chains
-from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
+from .chains.selection import BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
 from .fields.analysis.correlations import spatial_correlation, time_correlation
@@ -39,6 +40,9 @@ from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
 from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.schema import Variable
+from .scene.selection import select
+from .steps.analysis import FrameAnalysis
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save
@@ -46,13 +50,13 @@ from .writers.save import register_writer, save
 __version__: str
 __all__ = [
     "FIELDS",
-    "Box",
     "BoxRegion",
     "CoarseGrainAccessor",
     "Conduction",
     "Cylinder",
     "Cylindrical",
     "Flux",
+    "FrameAnalysis",
     "Gaussian",
     "Heaviside",
     "Kernel",
@@ -68,6 +72,7 @@ __all__ = [
     "Sphere",
     "Sum",
     "Surface",
+    "Variable",
     "Variance",
     "adjacency",
     "assign_phases",
@@ -104,8 +109,10 @@ __all__ = [
     "plot_chains",
     "plot_lengths",
     "plot_phases",
+    "plot_principal",
     "plot_rose",
     "plot_width",
+    "principal",
     "profile",
     "pysammos_mesh",
     "readers",
@@ -117,6 +124,7 @@ __all__ = [
     "scene_from_arrays",
     "scene_from_lammps",
     "scene_from_table",
+    "select",
     "select_chains",
     "select_walls",
     "size_statistics",

@@ -1,7 +1,7 @@
 """The accessor `ds.cg`: its methods are the functions of the package that take a Dataset first.
 
-A function is loaded when its method is first used. ``accessor.pyi`` imports it, so that editors and
-type checkers know its arguments.
+A function is loaded when its method is first used. Editors and type checkers take its arguments from
+``accessor.pyi``, which imports it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,43 @@ def kind_of(ds: xr.Dataset) -> str:
     if "chain_id" in ds:
         return CHAINS
     return SCENE if "position" in ds else RESULT
+
+
+# Names of other packages for methods.
+_OTHER_NAMES = {
+    "coarsen": "coarse_grain",
+    "compute": "coarse_grain",
+    "fields": "coarse_grain",
+    "rdf": "microstructure",
+    "g_r": "microstructure",
+    "radial_distribution": "microstructure",
+    "voronoi": "cell_volumes",
+    "msd": "mean_squared_displacement",
+    "mean": "time_average",
+    "average": "time_average",
+    "query": "select",
+    "where": "select",
+    "filter": "select",
+    "to_netcdf": "save",
+    "to_zarr": "save",
+    "write": "save",
+    "export": "save",
+    "to_vtk": "to_vtu",
+    "to_paraview": "to_vtkhdf",
+    "animate": "movie",
+    "show": "view",
+}
+
+
+def _likely_call(name: str) -> str:
+    """Return the method, or the field, that was probably meant, as the end of a message."""
+    fields = import_module("xcg.fields.formulas.registry")
+    field = fields.OTHER_NAMES.get(name, name)
+    methods = [n for n, m in vars(CoarseGrainAccessor).items() if isinstance(m, Method)]
+    if field in fields.FIELDS and name not in _OTHER_NAMES:
+        return f"; a field is computed by its name, ds.cg.coarse_grain({field!r})"
+    messages = import_module("xcg.common.messages")
+    return str(messages.did_you_mean(name, methods, synonyms=_OTHER_NAMES))
 
 
 class Method:
@@ -65,6 +102,12 @@ class CoarseGrainAccessor:
     def _repr_html_(self) -> str:
         return self._summary().html()
 
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError with the method or call that was probably meant."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise AttributeError(f"ds.cg has no method {name!r}{_likely_call(name)}", name=name)
+
     def __dir__(self) -> list[str]:
         kind = kind_of(self._ds)
         others = {
@@ -100,18 +143,21 @@ class CoarseGrainAccessor:
     find_phases = Method("xcg.scene.phases", SCENE)
     assign_phases = Method("xcg.scene.phases", SCENE)
     plot_phases = Method("xcg.scene.phases", SCENE)
+    select = Method("xcg.scene.selection", SCENE)
     select_walls = Method("xcg.scene.contacts", SCENE)
     derive_director = Method("xcg.fields.analysis.derived", SCENE)
     derive_superquadric = Method("xcg.fields.analysis.derived", SCENE)
     derive_velocity = Method("xcg.fields.analysis.derived", SCENE)
 
+    principal = Method("xcg.analysis.principal", RESULT)
+    plot_principal = Method("xcg.analysis.principal", RESULT)
     profile = Method("xcg.fields.formulas.averages", RESULT)
     time_average = Method("xcg.fields.formulas.averages", RESULT)
     spatial_correlation = Method("xcg.fields.analysis.correlations", RESULT)
     time_correlation = Method("xcg.fields.analysis.correlations", RESULT)
     free_surface = Method("xcg.fields.analysis.shallow", RESULT)
     fit_slope = Method("xcg.fields.analysis.shallow", RESULT)
-    plot = Method("xcg.fields.analysis.plots", RESULT)
+    plot = Method("xcg.fields.analysis.plots", SCENE, RESULT)
     plot_width = Method("xcg.fields.analysis.widths", RESULT)
     movie = Method("xcg.fields.analysis.plots", RESULT)
 

@@ -1,10 +1,11 @@
-"""Where functions stand that are methods of `ds.cg`: read by editors and type checkers, and by `xcg/accessor.py`."""
+"""Signatures of the methods of `ds.cg`, read by editors and type checkers."""
 
 from collections.abc import Callable
-from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
+from typing import Concatenate, Generic, ParamSpec, TypeVar, overload, type_check_only
 
 import xarray as xr
 
+from xcg.analysis.principal import plot_principal, principal
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
 from xcg.chains.search import force_chains, track_chains
@@ -28,6 +29,7 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.selection import select
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
@@ -39,7 +41,15 @@ R = TypeVar("R")
 
 def kind_of(ds: xr.Dataset) -> str: ...
 
-class Method(Generic[P, R]):
+class Method:
+    module: str
+    kinds: tuple[str, ...]
+    name: str
+    def __init__(self, module: str, *kinds: str) -> None: ...
+
+# at run time each method is a `Method`, which imports its function when it is first used
+@type_check_only
+class _Bound(Generic[P, R]):
     def __init__(self, function: Callable[Concatenate[xr.Dataset, P], R]) -> None: ...
     @overload
     def __get__(self, accessor: None, owner: type) -> Callable[Concatenate[xr.Dataset, P], R]: ...
@@ -49,54 +59,57 @@ class Method(Generic[P, R]):
 class CoarseGrainAccessor:
     def __init__(self, ds: xr.Dataset) -> None: ...
     def _repr_html_(self) -> str: ...
-    coarse_grain = Method(coarse_grain)
-    explain = Method(explain)
-    displacement = Method(displacement)
-    mean_squared_displacement = Method(mean_squared_displacement)
-    width_sweep = Method(width_sweep)
-    choose_width = Method(choose_width)
-    balance = Method(balance)
-    slice_temperature = Method(slice_temperature)
-    flow_rate = Method(flow_rate)
-    depth_average = Method(depth_average)
-    cell_volumes = Method(cell_volumes)
-    wall_stress = Method(wall_stress)
-    find_contacts = Method(find_contacts)
-    microstructure = Method(microstructure)
-    adjacency = Method(adjacency)
-    contact_graph = Method(contact_graph)
-    particle_stress = Method(particle_stress)
-    force_chains = Method(force_chains)
-    measure = Method(measure)
-    size_statistics = Method(size_statistics)
-    group_bodies = Method(group_bodies)
-    find_phases = Method(find_phases)
-    assign_phases = Method(assign_phases)
-    plot_phases = Method(plot_phases)
-    select_walls = Method(select_walls)
-    derive_velocity = Method(derive_velocity)
-    derive_director = Method(derive_director)
-    derive_superquadric = Method(derive_superquadric)
-    profile = Method(profile)
-    time_average = Method(time_average)
-    spatial_correlation = Method(spatial_correlation)
-    time_correlation = Method(time_correlation)
-    free_surface = Method(free_surface)
-    fit_slope = Method(fit_slope)
-    plot = Method(plot)
-    plot_width = Method(plot_width)
-    movie = Method(movie)
-    select_chains = Method(select_chains)
-    track_chains = Method(track_chains)
-    chain_table = Method(chain_table)
-    link_table = Method(link_table)
-    plot_chains = Method(plot_chains)
-    plot_lengths = Method(plot_lengths)
-    plot_rose = Method(plot_rose)
-    to_csv = Method(to_csv)
-    to_vtp = Method(to_vtp)
-    to_vtkhdf = Method(to_vtkhdf)
-    to_vtu = Method(to_vtu)
-    to_pyvista = Method(to_pyvista)
-    view = Method(view)
-    save = Method(save)
+    coarse_grain = _Bound(coarse_grain)
+    explain = _Bound(explain)
+    principal = _Bound(principal)
+    plot_principal = _Bound(plot_principal)
+    displacement = _Bound(displacement)
+    mean_squared_displacement = _Bound(mean_squared_displacement)
+    width_sweep = _Bound(width_sweep)
+    choose_width = _Bound(choose_width)
+    balance = _Bound(balance)
+    slice_temperature = _Bound(slice_temperature)
+    flow_rate = _Bound(flow_rate)
+    depth_average = _Bound(depth_average)
+    cell_volumes = _Bound(cell_volumes)
+    wall_stress = _Bound(wall_stress)
+    find_contacts = _Bound(find_contacts)
+    microstructure = _Bound(microstructure)
+    adjacency = _Bound(adjacency)
+    contact_graph = _Bound(contact_graph)
+    particle_stress = _Bound(particle_stress)
+    force_chains = _Bound(force_chains)
+    measure = _Bound(measure)
+    size_statistics = _Bound(size_statistics)
+    group_bodies = _Bound(group_bodies)
+    find_phases = _Bound(find_phases)
+    assign_phases = _Bound(assign_phases)
+    plot_phases = _Bound(plot_phases)
+    select = _Bound(select)
+    select_walls = _Bound(select_walls)
+    derive_velocity = _Bound(derive_velocity)
+    derive_director = _Bound(derive_director)
+    derive_superquadric = _Bound(derive_superquadric)
+    profile = _Bound(profile)
+    time_average = _Bound(time_average)
+    spatial_correlation = _Bound(spatial_correlation)
+    time_correlation = _Bound(time_correlation)
+    free_surface = _Bound(free_surface)
+    fit_slope = _Bound(fit_slope)
+    plot = _Bound(plot)
+    plot_width = _Bound(plot_width)
+    movie = _Bound(movie)
+    select_chains = _Bound(select_chains)
+    track_chains = _Bound(track_chains)
+    chain_table = _Bound(chain_table)
+    link_table = _Bound(link_table)
+    plot_chains = _Bound(plot_chains)
+    plot_lengths = _Bound(plot_lengths)
+    plot_rose = _Bound(plot_rose)
+    to_csv = _Bound(to_csv)
+    to_vtp = _Bound(to_vtp)
+    to_vtkhdf = _Bound(to_vtkhdf)
+    to_vtu = _Bound(to_vtu)
+    to_pyvista = _Bound(to_pyvista)
+    view = _Bound(view)
+    save = _Bound(save)

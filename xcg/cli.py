@@ -154,7 +154,7 @@ _OPTIONS = (
         help="Time between steps of the simulation, where files do not tell it.",
     ),
     click.option(
-        "--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."
+        "--frozen", type=int, multiple=True, help="Species that are fixed in place; repeatable."
     ),
     click.option(
         "--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps without contacts."
@@ -178,7 +178,7 @@ def said(options: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _threshold(
+def _stress(
     context: click.Context, parameter: click.Parameter, value: str | None
 ) -> float | Literal["mean"] | None:
     if value is None:
@@ -199,9 +199,7 @@ def _threshold(
     show_default=True,
     help="Largest angle between stress and branch (degrees).",
 )
-@click.option(
-    "--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean."
-)
+@click.option("--min-stress", callback=_stress, help="Least major stress: a number (Pa), or mean.")
 @click.option(
     "--min-length", default=3, show_default=True, help="Least number of particles of a chain."
 )
@@ -233,7 +231,7 @@ def chains(
     files: tuple[str, ...],
     *,
     alpha: float,
-    threshold: float | Literal["mean"] | None,
+    min_stress: float | Literal["mean"] | None,
     min_length: int,
     algorithm: Algorithm,
     raw: bool,
@@ -265,7 +263,7 @@ def chains(
         fc = force_chains(
             scene,
             alpha,
-            threshold,
+            min_stress,
             min_length,
             algorithm=algorithm,
             symmetric=not raw,

@@ -107,7 +107,45 @@ _SAMPLES = {
         },
     ),
 }
+_ABOUT = {
+    "lammps_bedload": "1000 spheres of 1 mm that a viscous fluid shears from above",
+    "lammps_biaxial": "2400 discs in a biaxial test",
+    "lammps_chute": "4398 spheres that flow down a rough plane",
+    "lammps_column": "columns of 1600 discs that collapse",
+    "lammps_cooling": "2000 inelastic spheres that lose their energy in a periodic box",
+    "lammps_glued": "400 rods of three glued spheres at rest on a tilted floor",
+    "lammps_impact": "a sphere of 10 mm that falls on 2200 of 2.5 mm",
+    "lammps_segregation": "1100 small and 140 large spheres that part in a flow down a plane",
+    "lammps_suspension": "400 spheres sheared in a viscous drag",
+    "lammps_hopper": "1300 spheres that flow out of a silo through a slot",
+    "lammps_mixing": "700 spheres in a drum, whose left and right half mix in two turns",
+    "lammps_plane_shear": "225 spheres sheared between two rough walls that move",
+    "lammps_shear_cell": "400 discs in plane shear without walls",
+    "lammps_silo": "3800 spheres at rest in a cylinder",
+}
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
+
+
+def __getattr__(name: str) -> Any:
+    """Raise AttributeError with the call that was probably meant."""
+    if name.startswith("_"):
+        raise AttributeError(name)
+    likely = f"; samples are opened by xcg.datasets.open({name!r})"
+    if name not in _SAMPLES:
+        likely = "; samples are listed by xcg.datasets.samples(), and opened by xcg.datasets.open"
+    raise AttributeError(f"module 'xcg.datasets' has no attribute {name!r}{likely}", name=name)
+
+
+def samples() -> dict[str, str]:
+    """Return the names of the sample data that come with xcg, each with a description.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> xcg.datasets.samples()["silo"]
+    '3800 spheres at rest in a cylinder'
+    """
+    return {name: _ABOUT[sample.folder] for name, sample in _SAMPLES.items()}
 
 
 def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
@@ -116,8 +154,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     Parameters
     ----------
     name : str
-        One of the `sample data <../api.html#sample-data-and-synthetic-scenes>`_, such as "chute":
-        one step of 4398 spheres that flow down a rough plane.
+        One of the `sample data <../api.html#sample-data-and-synthetic-scenes>`_, which `samples`
+        lists, such as "chute": one step of 4398 spheres that flow down a rough plane.
     **options
         For `xcg.open_scene`.
 

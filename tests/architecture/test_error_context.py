@@ -83,7 +83,7 @@ NEEDED = {
 ACCEPTED = {
     ("Mean", "name"),
     ("Mean", "variable"),
-    ("force_chains", "threshold"),
+    ("force_chains", "min_stress"),
     ("microstructure", "strain_rate"),
     ("open_scene", "names"),
     ("plot", "vmax"),
@@ -97,9 +97,11 @@ ACCEPTED = {
     # to be checked
     ("Cylinder", "high"),
     ("Cylinder", "low"),
-    ("find_pairs", "most"),
-    ("view", "clim"),
-    ("width_sweep", "threshold"),
+    ("find_pairs", "max_pairs"),
+    ("view", "vmax"),
+    ("view", "vmin"),
+    ("width_sweep", "max_bias"),
+    ("width_sweep", "max_slope"),
 }
 # arguments whose errors speak of something else: to be bettered
 UNNAMED = {

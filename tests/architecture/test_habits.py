@@ -31,7 +31,7 @@ def test_units_in_the_tables_are_canonical():
 FLOOR, MIDDLE = (xcg.Plane(point=(0, 0, z), normal=(0, 0, 1)) for z in (0.0, 1.0))
 RESULTS_OF = {
     "coarse_grain": lambda ds: ds.cg.coarse_grain(width=0.6, axes="z"),
-    "accessible": lambda ds: ds.cg.coarse_grain("density", width=0.6, axes="z", walls=[FLOOR]),
+    "accessible": lambda ds: ds.cg.coarse_grain("density", width=0.6, axes="z", surfaces=[FLOOR]),
     "displacement": lambda ds: ds.cg.displacement(width=0.6, axes="z"),
     "time_average": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_average(),
     "profile": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.profile("z"),

@@ -23,7 +23,7 @@ def _close():
 @pytest.mark.parametrize("colour", ["stress", "chain"])
 def test_plot_chains(colour):
     fc = fork().cg.force_chains()
-    ax = fc.cg.plot_chains(colour=colour)
+    ax = fc.cg.plot_chains(color=colour)
     grains, links = ax.collections
     assert len(grains.get_offsets()) == 9
     assert len(links.get_segments()) == 8
@@ -62,13 +62,13 @@ def test_pictures_are_those_of_the_last_step():
     fc = one.isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]).cg.force_chains()
     fc["link_chain"][0] = -1
     for name in ("plot_chains", "plot_rose"):
-        first, last = getattr(fc.cg, name)(time=0), getattr(fc.cg, name)()
+        first, last = getattr(fc.cg, name)(index=0), getattr(fc.cg, name)()
     assert sum(petal.get_height() for petal in first.patches) == 0
     assert sum(petal.get_height() for petal in last.patches) == pytest.approx(1)
 
 
 def test_plots_of_no_chains_are_empty():
-    fc = fork().cg.force_chains(threshold=1e9)
+    fc = fork().cg.force_chains(min_stress=1e9)
     fc.cg.plot_chains()
     fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
     fc.cg.plot_lengths(ax=plt.figure().add_subplot())
@@ -84,15 +84,15 @@ def test_the_example_script_runs(tmp_path, capsys):
 
 def test_wrong_plots_raise():
     fc = fork().cg.force_chains()
-    with pytest.raises(ValueError, match="colour='red'"):
-        fc.cg.plot_chains(colour="red")
+    with pytest.raises(ValueError, match="color='red'"):
+        fc.cg.plot_chains(color="red")
     with pytest.raises(ValueError, match="bins=7: expected an even number"):
         fc.cg.plot_rose(bins=7)
     with pytest.raises(ValueError, match="plane='xx': expected two axes"):
         fc.cg.plot_rose(plane="xx")
     with pytest.raises(
-        ValueError, match="time=1: expected the position of a step, a whole number from -1 to 0"
+        ValueError, match="index=1: expected the position of a step, a whole number from -1 to 0"
     ):
-        fc.cg.plot_rose(time=1)
+        fc.cg.plot_rose(index=1)
     with pytest.raises(ValueError, match="plot_chains draws one-layer scenes"):
         xcg.datasets.random_scene(20).cg.force_chains().cg.plot_chains()

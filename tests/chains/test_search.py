@@ -117,10 +117,10 @@ def test_one_sided_does_not_turn_back():
 
 def test_threshold_and_least_length():
     ds = network(np.arange(9)[:, None], [(k, k + 1) for k in range(8)], [1, 1, 1, 1, 5, 5, 5, 5])
-    assert chains_of(ds.cg.force_chains(threshold="mean")) == {frozenset([4, 5, 6, 7])}
+    assert chains_of(ds.cg.force_chains(min_stress="mean")) == {frozenset([4, 5, 6, 7])}
     strong = ds.cg.particle_stress().major_stress.values[0, 6]
-    assert chains_of(ds.cg.force_chains(threshold=strong)) == {frozenset([5, 6, 7])}
-    none = ds.cg.force_chains(threshold=2 * strong)
+    assert chains_of(ds.cg.force_chains(min_stress=strong)) == {frozenset([5, 6, 7])}
+    none = ds.cg.force_chains(min_stress=2 * strong)
     assert none.chain_count.item() == 0
     assert np.isnan([none[f"length_{f}"].item() for f in ("mean", "median", "min", "max")]).all()
     assert chains_of(ds.cg.force_chains(min_length=10)) == set()
@@ -282,7 +282,7 @@ options = st.fixed_dictionaries(
     {
         "alpha": st.floats(5.0, 90.0),
         "algorithm": st.sampled_from(["branching", "peters2005"]),
-        "threshold": st.sampled_from([None, "mean"]),
+        "min_stress": st.sampled_from([None, "mean"]),
         "min_length": st.integers(2, 4),
         "symmetric": st.booleans(),
     }
@@ -293,7 +293,7 @@ options = st.fixed_dictionaries(
 @given(ds=scenes, given_options=options, seed=st.integers(0, 1000), mirror=st.booleans())
 @example(  # three particles in contact with each other, of which either end of a chain could take the third
     ds=xcg.datasets.random_scene(27, seed=6246, periodic="", polydispersity=2.75, edge=3.0), mirror=False, seed=0,
-    given_options={"alpha": 81.0, "algorithm": "peters2005", "threshold": None, "min_length": 2, "symmetric": True},
+    given_options={"alpha": 81.0, "algorithm": "peters2005", "min_stress": None, "min_length": 2, "symmetric": True},
 )  # fmt: skip
 def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirror):
     rng = np.random.default_rng(seed)
@@ -314,7 +314,7 @@ def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirr
 @settings(deadline=None, max_examples=40)
 @given(ds=scenes, threshold=st.sampled_from([None, "mean"]), seed=st.integers(0, 1000))
 def test_ninety_degrees_are_connected_components(ds, threshold, seed):
-    fc = ds.cg.force_chains(alpha=90, threshold=threshold, min_length=2)
+    fc = ds.cg.force_chains(alpha=90, min_stress=threshold, min_length=2)
     stress = ds.cg.particle_stress()
     major = stress.major_stress.values[0]
     qualifies = major > 1e-9
@@ -381,13 +381,13 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     region = xcg.BoxRegion((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere(
         (1, 1, 1), 2, follow=None
     )
-    options = {"alpha": 60, "threshold": "mean", "region": region}
+    options = {"alpha": 60, "min_stress": "mean", "region": region}
     eager = ds.cg.force_chains(**options).drop_attrs()
     for chunk in (1, 3):
         lazy = ds.chunk(time=chunk).cg.force_chains(**options)
         assert lazy.chain_id.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
         xr.testing.assert_identical(lazy.compute(**computing(scheduler)).drop_attrs(), eager)
-    select = {"region": xcg.Sphere((2, 2, 2), 2), "min_stress": 0.1, "of": "any"}
+    select = {"region": xcg.Sphere((2, 2, 2), 2), "min_stress": 0.1, "how": "any"}
     some = ds.chunk(time=1).cg.force_chains(**options).cg.select_chains(**select)
     expected = ds.cg.force_chains(**options).cg.select_chains(**select).drop_attrs()
     xr.testing.assert_identical(some.compute(**computing(scheduler)).drop_attrs(), expected)
@@ -400,7 +400,7 @@ def test_nothing_computes_while_the_graph_is_built():
         pytest.fail("computed while the graph was built")
 
     with dask.config.set(scheduler=refuse):
-        fc = ds.cg.force_chains(threshold="mean").cg.select_chains(xcg.Sphere((1, 1, 1), 1))
+        fc = ds.cg.force_chains(min_stress="mean").cg.select_chains(xcg.Sphere((1, 1, 1), 1))
         mean = fc.length_mean.mean()
         stress = ds.cg.particle_stress().major_stress.max()
     assert dask.is_dask_collection(mean)
@@ -421,7 +421,7 @@ def test_memory_grows_in_proportion():
 
 
 def test_chains_written_to_netcdf_read_back_equal(tmp_path):
-    fc = series().cg.force_chains(threshold="mean")
+    fc = series().cg.force_chains(min_stress="mean")
     fc.to_netcdf(tmp_path / "fc.nc")
     with xr.open_dataset(tmp_path / "fc.nc") as back:
         xr.testing.assert_equal(back.load(), fc)
@@ -435,8 +435,11 @@ def test_chains_written_to_netcdf_read_back_equal(tmp_path):
     [
         ({"alpha": 0}, "alpha=0: expected an angle in degrees"),
         ({"alpha": 91}, "alpha=91"),
-        ({"threshold": "median"}, "threshold='median': expected a finite stress \\(Pa\\), 'mean'"),
-        ({"threshold": np.nan}, "expected a finite stress"),
+        (
+            {"min_stress": "median"},
+            "min_stress='median': expected a finite stress \\(Pa\\), 'mean'",
+        ),
+        ({"min_stress": np.nan}, "expected a finite stress"),
         ({"min_length": 1}, "min_length=1: expected a whole number"),
         ({"algorithm": "peters"}, "algorithm='peters': expected one of 'branching', 'peters2005'"),
         ({"region": "box"}, r"region='box': expected xcg.BoxRegion"),
@@ -469,8 +472,8 @@ def test_threads_give_the_same_bits(monkeypatch, symmetric):
     ds = xcg.datasets.random_scene(300, seed=4, periodic="xy")
     alone = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
     monkeypatch.setattr("xcg.compiled._jit.PARTICLES_A_THREAD", 90)
-    for module in ("search", "particle_stress"):
-        monkeypatch.setattr(f"xcg.chains.{module}.THREADS", 3)
+    for module in ("chains.search", "steps.analysis"):
+        monkeypatch.setattr(f"xcg.{module}.THREADS", 3)
     shared = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
     for one, other in zip(alone, shared, strict=True):
         xr.testing.assert_equal(one, other)

@@ -26,10 +26,10 @@ def test_chains_with_any_or_all_particles_in_a_region():
     fc = three_chains()
     corner = xcg.BoxRegion((-0.5, -0.5, -1), (1.5, 1.5, 1))
     assert chains_of(fc.cg.select_chains(corner)) == {frozenset([0, 1, 2]), frozenset([3, 4, 5])}
-    assert chains_of(fc.cg.select_chains(corner, of="all")) == set()
+    assert chains_of(fc.cg.select_chains(corner, how="all")) == set()
     left = xcg.BoxRegion((-0.5, -0.5, -1), (0.5, 2.5, 1))
-    assert chains_of(fc.cg.select_chains(left, of="all")) == {frozenset([0, 1, 2])}
-    assert chains_of(fc.cg.select_chains(~left, of="all")) == {
+    assert chains_of(fc.cg.select_chains(left, how="all")) == {frozenset([0, 1, 2])}
+    assert chains_of(fc.cg.select_chains(~left, how="all")) == {
         frozenset([3, 4, 5]),
         frozenset([6, 7, 8]),
     }
@@ -43,7 +43,7 @@ def test_stress_and_composition():
     fc = three_chains()
     strong = 2 * float(fc.major_stress[0, 1])
     assert chains_of(fc.cg.select_chains(min_stress=strong)) == {frozenset([3, 4, 5])}
-    assert chains_of(fc.cg.select_chains(min_stress=strong, of="all")) == set()
+    assert chains_of(fc.cg.select_chains(min_stress=strong, how="all")) == set()
     right = xcg.BoxRegion((1.5, -1, -1), (3, 3, 1))
     assert chains_of(fc.cg.select_chains(min_stress=strong).cg.select_chains(right)) == set()
     # in one call, one particle must fulfil both
@@ -106,8 +106,8 @@ def test_moving_region_follows_time():
 
 def test_wrong_regions_and_limits_raise():
     fc = three_chains()
-    with pytest.raises(ValueError, match="of='most': expected 'any' or 'all'"):
-        fc.cg.select_chains(EVERYWHERE, of="most")
+    with pytest.raises(ValueError, match="how='most': expected 'any' or 'all'"):
+        fc.cg.select_chains(EVERYWHERE, how="most")
     with pytest.raises(ValueError, match="nothing to select by"):
         fc.cg.select_chains()
 
@@ -210,10 +210,6 @@ def test_regions_are_intersected_united_and_inverted():
 def test_wrong_regions_raise(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_xcg_box_is_an_alias_of_box_region():
-    assert xcg.Box is xcg.BoxRegion
 
 
 @pytest.mark.parametrize(

@@ -38,10 +38,10 @@ def scene():
         ({"axes": "xz", "at": {"y": "0.1"}}, r"at\['y'\]='0.1': expected one finite coordinate"),
         ({"bounds": {"x": ("0", "1")}}, r"bounds\['x'\]=\('0', '1'\): expected \(first, last\)"),
         ({"bounds": {"x": 1.0}}, r"bounds\['x'\]=1.0: expected \(first, last\)"),
-        ({"spacing": "0.1"}, "spacing='0.1': expected a distance"),
+        ({"spacing": "0.1"}, "spacing='0.1': expected a length in metres or a multiple of d43"),
         (
             {"spacing": {"x": "a", "y": 1.0, "z": 1.0}},
-            "spacing along 'x' is 'a': expected a positive distance",
+            r"spacing\['x'\]='a': expected a length in metres or a multiple of d43",
         ),
         ({"rtol": "0.001"}, "rtol='0.001': expected 0 "),
         ({"axes": 3}, "axes=3: expected any of 'xyz'"),
@@ -66,8 +66,8 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
     [
         (lambda ds: ds.cg.force_chains(alpha="45"), "alpha='45': expected an angle"),
         (
-            lambda ds: ds.cg.force_chains(threshold=[1.0]),
-            r"threshold=\[1.0\]: expected a finite stress",
+            lambda ds: ds.cg.force_chains(min_stress=[1.0]),
+            r"min_stress=\[1.0\]: expected a finite stress",
         ),
         (lambda ds: ds.cg.force_chains(min_length="3"), "min_length='3': expected a whole number"),
         (lambda ds: ds.cg.find_phases(max_phases="2"), "max_phases='2': expected a whole number"),

@@ -103,6 +103,17 @@ def test_unpickled_copies_do_not_repeat_a_warning():
         copy.warn("b", "third")
 
 
+def test_the_memory_of_warnings_is_bounded(monkeypatch):
+    monkeypatch.setattr(Once, "REMEMBERED", 3)
+    monkeypatch.setattr(Once, "_said", {})
+    once = Once()
+    for k in range(5):
+        with pytest.warns(xcg.SceneWarning, match=f"number {k}"):
+            once.warn(f"fact {k}", f"number {k}")
+    once.warn("fact 4", "the latest ones are remembered")  # a warning would be an error
+    assert len(Once._said) == 3
+
+
 def test_warnings_from_a_user_thread_point_at_its_line():
     def work():
         warn_user("from a thread")  # the thread's own line
@@ -130,3 +141,41 @@ def test_numbers_of_numpy_are_plain_in_messages_and_history():
     f = ds.cg.coarse_grain("density", axes="z", width=np.float64(0.5), at={"x": np.float64(1)})
     assert "width=0.5" in f.attrs["history"]
     assert "np." not in f.attrs["history"]
+
+
+def test_names_of_others_are_answered_by_those_of_the_package(ds):
+    f = ds.cg.coarse_grain("density", width=1.0)
+    cases = [
+        (lambda: ds.cg.coarse_grain("phi"), "did you mean 'volume_fraction'"),
+        (lambda: ds.cg.coarse_grain("Volume Fraction"), "did you mean 'volume_fraction'"),
+        (lambda: ds.cg.coarse_grain("density", w=1.0), "did you mean 'width'"),
+        (lambda: ds.cg.coarse_grain("density", time=0), r"ds\.isel\(time=-1\)"),
+        (lambda: ds.cg.coarse_grain("density", axes="Z"), "did you mean 'z'"),
+        (lambda: ds.cg.coarse_grain("density", at="z"), "axes='z' resolves an axis"),
+        (lambda: ds.cg.coarse_grain("density", kernel="gauss"), "did you mean 'gaussian'"),
+        (lambda: ds.cg.stress, r"ds\.cg\.coarse_grain\('stress'\)"),
+        (lambda: ds.cg.msd(), "did you mean 'mean_squared_displacement'"),
+        (lambda: f.cg.save("f.vtu"), r"ParaView opens \.vtkhdf"),
+        (lambda: xcg.open("file"), "did you mean 'open_scene'"),
+        (lambda: xcg.coarsegrain, "did you mean 'coarse_grain'"),
+        (lambda: xcg.datasets.chute, r"xcg\.datasets\.open\('chute'\)"),
+        (lambda: xcg.scene_from_arrays(np.zeros((2, 3)), dt=0.1), "did you mean time="),
+        (lambda: xcg.scene_from_arrays(np.zeros((3, 5))), r"give its transpose, position\.T"),
+        (lambda: xcg.scene_from_arrays(np.zeros((2, 3)), gravity=9.8), r"\(0\.0, 0\.0, -9\.81\)"),
+        (lambda: xcg.scene_from_arrays(np.zeros((2, 3)), periodic="all"), "True for all axes"),
+    ]
+    for call, message in cases:
+        with pytest.raises((AttributeError, TypeError, ValueError), match=message):
+            call()
+    assert not hasattr(ds.cg, "_repr_png_")
+
+
+@pytest.mark.parametrize("given", [True, "xy", ["y", "x"], (True, True), "YX"])
+def test_periodic_axes_may_be_given_in_several_forms(given):
+    if given == (True, True):
+        given = (True, True, False)
+    box = [[0.0, 2.0]] * 3
+    ds = xcg.scene_from_arrays(
+        np.zeros((2, 3)), diameter=0.5, box=box, periodic=given, dimension=2 if given is True else 3
+    )
+    assert ds.attrs["periodic"] == "xy"

@@ -102,7 +102,9 @@ NAMES = [
 
 def test_density_per_accessible_volume_is_constant_up_to_the_wall(packed):
     given = {"width": 1.5, "axes": "z", "bounds": {"z": (0, 10)}, "spacing": 0.25}
-    f = packed.isel(time=[0]).cg.coarse_grain("density", walls=BETWEEN, per="accessible", **given)
+    f = packed.isel(time=[0]).cg.coarse_grain(
+        "density", surfaces=BETWEEN, per="accessible", **given
+    )
     plain = packed.isel(time=[0]).cg.coarse_grain("density", **given)
     mean = 2.0 * np.pi / 6
     np.testing.assert_allclose(f.density, mean, rtol=0.03)
@@ -118,8 +120,8 @@ def test_sums_are_divided_ratios_stay_and_the_rest_follows():
     packed = xr.concat([scene, moved], "time", data_vars="all")
     given = {"fields": NAMES, "width": 1.0, "spacing": 1.0, "axes": "xz", "bounds": {"z": (-3, 13)}}
     given["pressure_dims"] = "z"
-    plain = packed.cg.coarse_grain(walls=BETWEEN, **given)
-    f = packed.cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    plain = packed.cg.coarse_grain(surfaces=BETWEEN, **given)
+    f = packed.cg.coarse_grain(surfaces=BETWEEN, per="accessible", **given)
     assert list(f.data_vars) == [*NAMES, "accessible_fraction"]
     known = plain.accessible_fraction >= LEAST
     assert 0 < float(known.mean()) < 1
@@ -132,11 +134,11 @@ def test_sums_are_divided_ratios_stay_and_the_rest_follows():
         f.friction_coefficient, plain.friction_coefficient.where(known), rtol=1e-12
     )
     np.testing.assert_array_equal(f.sample_count, plain.sample_count)
-    lazy = packed.chunk(time=1).cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    lazy = packed.chunk(time=1).cg.coarse_grain(surfaces=BETWEEN, per="accessible", **given)
     assert lazy.density.chunks is not None
     assert lazy.accessible_fraction.chunks is not None
     xr.testing.assert_identical(lazy.compute().drop_attrs(), f.drop_attrs())
-    one = packed.isel(time=0).cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    one = packed.isel(time=0).cg.coarse_grain(surfaces=BETWEEN, per="accessible", **given)
     np.testing.assert_array_equal(one.density, f.density[0])
     mean = f[["density", "velocity", "accessible_fraction"]].cg.time_average()
     np.testing.assert_allclose(mean.accessible_fraction, f.accessible_fraction[0])
@@ -155,7 +157,7 @@ def test_the_accessible_fraction_with_averaged_axes(axes, at):
     given = {"width": 0.75, "spacing": 0.5, "bounds": {"z": (-1, 3)} if "z" in axes else {}}
     resolved = {"axes": axes.replace("r", ""), "at": at}
     f = grains.cg.coarse_grain(
-        "density", walls=[SIDE, FLOOR], **given, **resolved
+        "density", surfaces=[SIDE, FLOOR], **given, **resolved
     ).accessible_fraction[0]
     if axes == "z":
         points = np.stack([0 * f.z, 0 * f.z, f.z], axis=1)
@@ -185,7 +187,7 @@ def test_rings_average_the_fraction_over_their_angles(axes, origin):
         del given["bounds"]["z"]
     frame = xcg.Cylindrical("z", origin=origin)
     found = grains.cg.coarse_grain(
-        "density", walls=[SIDE, FLOOR], axes=axes, frame=frame, **given
+        "density", surfaces=[SIDE, FLOOR], axes=axes, frame=frame, **given
     ).accessible_fraction[0]
     angle = 2 * np.pi * np.arange(60) / 60
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -213,20 +215,20 @@ def test_walls_turn_with_rotated_axes():
     options = {"width": 0.75, "per": "accessible", "bounds": {"z": (0.0, 3.0)}, "axes": "z"}
     options["extent"] = {"x": 5.0, "y": 5.0}
     options["spacing"] = 0.5
-    expected = upright.cg.coarse_grain("density", walls=[SIDE, FLOOR], **options)
-    found = leaning.cg.coarse_grain("density", walls=[side, floor], frame=frame, **options)
+    expected = upright.cg.coarse_grain("density", surfaces=[SIDE, FLOOR], **options)
+    found = leaning.cg.coarse_grain("density", surfaces=[side, floor], frame=frame, **options)
     np.testing.assert_allclose(found.accessible_fraction, expected.accessible_fraction, atol=1e-9)
     np.testing.assert_allclose(found.density, expected.density, rtol=1e-9)
-    assert found.attrs["walls"] == f"{side!r}\n{floor!r}"  # as they were given
+    assert found.attrs["surfaces"] == f"{side!r}\n{floor!r}"  # as they were given
 
 
 def test_explain_names_the_work_for_walls(packed):
-    text = str(packed.cg.explain("density", axes="z", walls=[SIDE, *BETWEEN]))
+    text = str(packed.cg.explain("density", axes="z", surfaces=[SIDE, *BETWEEN]))
     assert "walls     the accessible fraction by 75025 rays along z takes about" in text
-    text = str(packed.cg.explain("density", axes="xyz", spacing=2.0, walls=BETWEEN))
+    text = str(packed.cg.explain("density", axes="xyz", spacing=2.0, surfaces=BETWEEN))
     assert "points, by up to 576 rays from each takes about" in text
     assert "walls " not in str(packed.cg.explain("density", axes="z"))
-    with pytest.raises(ValueError, match="needs walls="):
+    with pytest.raises(ValueError, match="needs surfaces="):
         packed.cg.explain("density", axes="z", per="accessible")
 
 
@@ -243,7 +245,7 @@ def test_long_work_for_walls_warns_before_and_counts_all_of_its_steps(packed, mo
     monkeypatch.setattr(accessible, "_LONG", 0.0)
     monkeypatch.setattr(accessible, "shown", bar)
     with pytest.warns(xcg.SceneWarning, match="the accessible fraction .* takes about"):
-        packed.cg.coarse_grain("density", axes=axes, spacing=2.0, walls=[SIDE, *BETWEEN])
+        packed.cg.coarse_grain("density", axes=axes, spacing=2.0, surfaces=[SIDE, *BETWEEN])
     assert counted
 
 
@@ -260,7 +262,7 @@ def test_layers_accept_walls_across_them():
     }
     disc = xcg.Cylinder((0, 0, 0), (0, 0, 1), 3.0)
     chi = ds.cg.coarse_grain(
-        walls=[xcg.Plane((0, 0, 0), (0, 1, 0)), disc], **given
+        surfaces=[xcg.Plane((0, 0, 0), (0, 1, 0)), disc], **given
     ).accessible_fraction[0]
     kernel = xcg.Lucy(1.0, dimension=2)
     s = np.linspace(-2, 2, 801)
@@ -272,20 +274,20 @@ def test_layers_accept_walls_across_them():
         )
         np.testing.assert_allclose(chi[i, j], (weight * inside).sum() / weight.sum(), atol=5e-3)
     with pytest.raises(ValueError, match="one layer across 'z'"):
-        ds.cg.coarse_grain(walls=[FLOOR], **given)
+        ds.cg.coarse_grain(surfaces=[FLOOR], **given)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"walls": FLOOR}, r"expected a list of xcg\.Plane"),
-        ({"walls": []}, r"expected a list of xcg\.Plane"),
-        ({"walls": ["floor"]}, r"expected a list of xcg\.Plane"),
-        ({"per": "accessible"}, r"needs walls="),
-        ({"walls": [FLOOR], "per": "volume"}, "per='volume'"),
-        ({"walls": [FLOOR], "preset": "pysammos"}, "presets know no"),
+        ({"surfaces": FLOOR}, r"expected a list of xcg\.Plane"),
+        ({"surfaces": []}, r"expected a list of xcg\.Plane"),
+        ({"surfaces": ["floor"]}, r"expected a list of xcg\.Plane"),
+        ({"per": "accessible"}, r"needs surfaces="),
+        ({"surfaces": [FLOOR], "per": "volume"}, "per='volume'"),
+        ({"surfaces": [FLOOR], "preset": "pysammos"}, "presets know no"),
         (
-            {"walls": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"},
+            {"surfaces": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"},
             "kernels of the scene's dimension",
         ),
     ],
@@ -298,12 +300,12 @@ def test_wrong_walls_raise(packed, options, message):
 def test_averages_over_unbounded_space_raise():
     ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(ValueError, match="nor a box bound the space"):
-        ds.cg.coarse_grain("density", axes="xy", extent={"z": 1.0}, walls=[FLOOR])
+        ds.cg.coarse_grain("density", axes="xy", extent={"z": 1.0}, surfaces=[FLOOR])
 
 
 def test_normals_that_point_away_from_the_grains_warn(packed):
     with pytest.warns(xcg.SceneWarning, match="the middle of the grains lies behind it"):
-        packed.cg.coarse_grain("density", axes="z", walls=[xcg.Plane((0, 0, 0), (0, 0, -1))])
+        packed.cg.coarse_grain("density", axes="z", surfaces=[xcg.Plane((0, 0, 0), (0, 0, -1))])
 
 
 @pytest.mark.parametrize("periodic", ["xy", ""])
@@ -317,7 +319,7 @@ def test_surfaces_beyond_the_box_count_as_far_as_the_box(periodic, reach):
     given = {"axes": "z", "width": 0.5, "spacing": 0.25, "bounds": {"z": (-0.5, 2.0)}}
 
     def fraction(wall):
-        return ds.cg.coarse_grain("density", walls=[wall], **given).accessible_fraction[0]
+        return ds.cg.coarse_grain("density", surfaces=[wall], **given).accessible_fraction[0]
 
     plane = fraction(xcg.Plane((0, 0, 0), (0, 0, 1)))
     floor = fraction(xcg.Surface(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]])))

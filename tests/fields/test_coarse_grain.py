@@ -13,12 +13,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import planning, steps_of_random_scenes
+from tests import planning, sharing_threads, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg import SceneWarning
 from xcg.compiled.points import deposit
 from xcg.compiled.segments import deposit_segments, list_segments
-from xcg.fields.coarse_grain import WORTH_SHARING
+from xcg.fields.evaluate import WORTH_SHARING
 from xcg.fields.sums.nodes import BLOCK_NODES
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
@@ -531,7 +531,7 @@ def test_threads_and_blocks_change_no_bit(long, rtol):
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
         with (
             planning(BLOCK_NODES=box),
-            mock.patch.multiple("xcg.fields.coarse_grain", THREADS=threads, WORTH_SHARING=0),
+            sharing_threads(threads),
         ):
             results.append(
                 [ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)]
@@ -566,7 +566,7 @@ def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, wo
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
     pool = mock.patch("xcg.compiled._jit.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
     with (
-        mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=worth),
+        sharing_threads(2, worth),
         pool as pools,
     ):
         f = lazy.cg.coarse_grain(width=0.8).compute()

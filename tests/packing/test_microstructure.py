@@ -85,6 +85,18 @@ def test_fabric_and_stress_of_one_bond(axis):
     assert one(m, "non_rattler_fraction") == 0
 
 
+def test_the_deviator_stress_is_of_the_symmetric_part():
+    ds = column(0)
+    force = np.zeros((1, 1, 3))
+    force[..., 1] = 2.0  # across the branch, so that the stress is not symmetric
+    m = ds.assign(contact_force=ds.contact_force.copy(data=force)).cg.microstructure()
+    stress = one(m, "stress")
+    assert abs(stress - stress.T).max() > 0.1
+    symmetric = (stress + stress.T) / 2
+    deviator = symmetric - np.trace(symmetric) / 3 * np.eye(3)
+    assert one(m, "deviator_stress") == pytest.approx(np.sqrt(1.5 * (deviator**2).sum()))
+
+
 def test_fabric_and_stress_of_one_bond_in_a_plane():
     ds = column(0).assign_attrs(dimension=2, plane="xy", thickness=0.2)
     m = ds.cg.microstructure()
@@ -192,7 +204,7 @@ def brute(ds, member, volume, least):
     mine = [s for s in sides if member[s[0]]]
     weight = sum(s[1] for s in mine)
     pushing = [(s[1], s[5]) for s in mine if s[5] > 0]
-    bearing = z >= 2
+    load_bearing = z >= 2
     order = sorted(inside, key=lambda k: d[k])
     half = next(
         (
@@ -207,13 +219,13 @@ def brute(ds, member, volume, least):
         "contact_count": weight,
         "volume_fraction": sum(v[k] for k in inside) / volume,
         "coordination_number": mean(z),
-        "mechanical_coordination_number": mean(z[bearing]),
+        "mechanical_coordination_number": mean(z[load_bearing]),
         "non_rattler_fraction": np.mean(z >= least),
         "mean_normal_force": ratio(sum(w * f for w, f in pushing), sum(w for w, _ in pushing)),
         "fabric": ratio(sum(s[1] * np.outer(s[4], s[4]) for s in mine), weight),
         "stress": sum(np.outer(s[2], s[3]) for s in mine) / volume,
         "d50": half,
-        "d_bar": ratio((v[inside] * d[inside])[bearing].sum(), v[inside][bearing].sum()),
+        "d_bar": ratio((v[inside] * d[inside])[load_bearing].sum(), v[inside][load_bearing].sum()),
     }
 
 

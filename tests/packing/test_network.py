@@ -52,7 +52,7 @@ def rows_of_contacts(ds, t=0):
 
 def test_edges_are_sums_over_contacts():
     ds = xcg.datasets.random_scene(150, seed=4, periodic="xy")
-    graph = ds.cg.contact_graph(walls=True)
+    graph = ds.cg.contact_graph(include_walls=True)
     c, expected = rows_of_contacts(ds), {}
     for i, j, f in zip(
         c["contact_i"].tolist(), c["contact_j"].tolist(), c["contact_force"], strict=True
@@ -84,7 +84,7 @@ def test_edges_are_sums_over_contacts():
 
 def test_nodes_have_the_variables_of_their_step():
     ds = steps_of_random_scenes(3)
-    graph = ds.cg.contact_graph(time=1)
+    graph = ds.cg.contact_graph(index=1)
     step = ds.isel(time=1)
     ids = step.particle_id.values
     assert sorted(graph) == ids[ids >= 0].tolist()
@@ -100,7 +100,7 @@ def test_nodes_have_the_variables_of_their_step():
     }
     alone = step.cg.contact_graph()
     assert nx.utils.graphs_equal(nx.Graph(alone.edges), nx.Graph(graph.edges))
-    lazy = ds.chunk(time=1).cg.contact_graph(time=-2)
+    lazy = ds.chunk(time=1).cg.contact_graph(index=-2)
     assert set(lazy.edges) == set(graph.edges)
 
 
@@ -371,7 +371,7 @@ def test_wrong_arguments_raise(monkeypatch):
     ):
         ds.cg.adjacency(weight="mass")
     with pytest.raises(
-        ValueError, match="time=3: expected the position of a step, a whole number from -1 to 0"
+        ValueError, match="index=3: expected the position of a step, a whole number from -1 to 0"
     ):
         ds.cg.adjacency(3)
     with pytest.raises(xcg.SceneError, match="contact_force"):

@@ -190,6 +190,6 @@ for call in (lambda: find_pairs(np.zeros((30_000, 3)), np.ones(30_000)), lambda:
 
 def test_most_raises_the_limit_on_pairs():
     n = 1500
-    assert len(find_pairs(np.zeros((n, 3)), np.ones(n), most=2_000_000)) == n * (n - 1) // 2
+    assert len(find_pairs(np.zeros((n, 3)), np.ones(n), max_pairs=2_000_000)) == n * (n - 1) // 2
     with pytest.raises(xcg.SceneError, match="more than 1000000 pairs"):
         find_pairs(np.zeros((n, 3)), np.ones(n))

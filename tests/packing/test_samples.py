@@ -204,7 +204,8 @@ def test_indices_of_three_phases_over_time():
 
 def test_one_phase_and_wrong_arguments_raise():
     ds = scene(lattice(), np.ones(64, int), box=BOX)
-    m = ds.cg.microstructure(MIXING, by="species")
+    with pytest.warns(xcg.SceneWarning, match="all 64 grains are of one phase"):
+        m = ds.cg.microstructure(MIXING, by="species")
     assert np.isnan(m.lacey_index).all()
     assert np.isnan(m.nearest_neighbour_index).all()
     assert not set(MIXING) & set(ds.cg.microstructure(by="species"))

@@ -177,3 +177,26 @@ def test_half_of_the_mass_lies_in_grains_up_to_d50(weighed):
     up_to = np.array([share[diameter <= d].sum() for d in diameter])
     expected = diameter[up_to >= 0.5 * share.sum()].min()
     assert sizes_of(diameter, mass if weighed else None)["d50"] == expected
+
+
+@pytest.mark.parametrize("count", [4000, 5000, 50_000])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng, count: rng.uniform(0.9, 1.1, count),
+        lambda rng, count: rng.lognormal(0.0, 2.0, count),
+        lambda rng, count: rng.choice([1.0, 2.0, 5.0], count),
+        lambda rng, count: np.full(count, 0.3),
+        lambda rng, count: 1.0 + 1e-15 * rng.integers(0, 9, count),
+    ],
+    ids=["uniform", "wide", "three sizes", "one size", "rounding apart"],
+)
+@pytest.mark.parametrize("weights", ["drawn", "cubes", "zero"])
+def test_d50_of_many_grains_is_that_of_all_of_them_in_order(count, draw, weights):
+    rng = np.random.default_rng(count)
+    diameter = draw(rng, count)
+    mass = {"drawn": rng.uniform(0.5, 2.0, count), "zero": np.zeros(count)}.get(weights)
+    order = np.argsort(diameter)
+    share = np.cumsum((diameter**3 if mass is None else mass)[order])
+    expected = diameter[order][np.searchsorted(share, 0.5 * share[-1])]
+    assert sizes_of(diameter, mass)["d50"] == expected

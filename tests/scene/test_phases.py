@@ -159,9 +159,9 @@ def test_plot_of_clusters_and_scores():
     )
     assert right.lines[0].get_xydata()[0].tolist() == [2.0, 1.0]
     with pytest.raises(
-        ValueError, match="step=1: expected the position of a step, a whole number from -1 to 0"
+        ValueError, match="index=1: expected the position of a step, a whole number from -1 to 0"
     ):
-        scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(step=1)
+        scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(index=1)
     plt.close(figure)
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 import xcg
 from tests import dumps
 from xcg.scene.lattice import Lattice, minimum_image
-from xcg.scene.sanity import check_ends
+from xcg.scene.sanity_contacts import check_ends
 
 CONTACT_FIELDS = ["contact_stress"]
 
@@ -212,9 +212,9 @@ def test_wrong_shapes_raise_with_a_remedy():
     ):
         xcg.scene_from_arrays(np.zeros((5, 2)))
     with pytest.raises(
-        xcg.SceneError, match=r"'diameter' has shape \(\): .*numpy\.full\(n, 0\.1\)"
+        xcg.SceneError, match=r"'volume' has shape \(\): .*numpy\.full\(\(n,\), 0\.1\)"
     ):
-        xcg.scene_from_arrays(np.zeros((5, 3)), diameter=0.1)
+        xcg.scene_from_arrays(np.zeros((5, 3)), volume=0.1)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,10 @@ import pytest
 import xcg
 from tests.benchmarks import series
 from xcg.fields.sums import segments
+from xcg.scene.complete import complete_particles
 from xcg.scene.frame import stack
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
+from xcg.scene.schema import Setup
 
 FEW, MANY = 4, 32
 
@@ -101,6 +103,27 @@ def test_a_scene_is_built_in_little_more_memory_than_it_takes(packing, shuffled,
     most = peak(lambda: built.append(xcg.scene_from_arrays(**given)))
     assert most < 1.3 * built[0].nbytes
     assert not any(np.shares_memory(built[0][name].to_numpy(), given[name]) for name in names)
+
+
+def test_a_frame_is_completed_in_little_more_memory_than_it_takes():
+    """No array is held twice while it is put in order: `complete_particles` takes them out of the frame."""
+    rng = np.random.default_rng(0)
+    count = 40_000
+    frames = []
+
+    def work():
+        frame = {
+            "particle_id": rng.permutation(count).astype(float),
+            "position": rng.random((count, 3)),
+            "velocity": rng.random((count, 3)),
+            "diameter": rng.uniform(0.9, 1.1, count),
+            "mass": rng.uniform(0.9, 1.1, count),
+        }
+        frames.append(complete_particles(frame, Setup.make(), "scene"))
+        assert frame == {}
+
+    most = peak(work)
+    assert most < 1.45 * sum(array.nbytes for array in frames[0].values())
 
 
 def test_passes_of_a_step_take_little_beside_their_records(packing):

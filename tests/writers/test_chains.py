@@ -22,7 +22,7 @@ def sheared():
     scene = xcg.open_scene(
         BIAXIAL / "particles.*.gz", contacts=BIAXIAL / "contacts.*.gz", periodic="x", frozen=2
     )
-    return scene.cg.force_chains(threshold="mean").compute()
+    return scene.cg.force_chains(min_stress="mean").compute()
 
 
 def read_vtp(path):
@@ -177,7 +177,7 @@ def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_sec
 
 
 def test_files_without_chains_are_valid(tmp_path):
-    fc = nine_particles().cg.force_chains(threshold=1e9)
+    fc = nine_particles().cg.force_chains(min_stress=1e9)
     assert len(fc.cg.to_csv(tmp_path / "f.csv")[0].read_text().splitlines()) == 1
     assert read_vtp(fc.cg.to_vtp(tmp_path / "f.vtp")[0]).GetNumberOfPoints() == 0
     fc.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
@@ -232,7 +232,7 @@ def test_the_command_writes_chains(tmp_path, sheared):
         "--netcdf": "f.nc",
     }
     outputs = [word for option, name in names.items() for word in (option, tmp_path / name)]
-    done = run(*files, "--threshold", "mean", *outputs)
+    done = run(*files, "--min-stress", "mean", *outputs)
     assert done.exit_code == 0, done.output
     rows = [line.split() for line in done.output.splitlines()[1:]]
     assert [int(r[2]) for r in rows] == sheared.chain_count.values.tolist()
@@ -266,4 +266,4 @@ def test_no_chain_is_written_where_a_name_is_taken(tmp_path, sheared):
 def test_the_command_reports_errors():
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
     assert "expected an angle in degrees" in run(*files, "--alpha", 100).output
-    assert "neither 'mean' nor a stress" in run(*files, "--threshold", "median").output
+    assert "neither 'mean' nor a stress" in run(*files, "--min-stress", "median").output

@@ -53,7 +53,7 @@ def test_an_image_has_each_number_at_its_node(fields):
 
 
 def test_meshes_hold_units_and_time(fields):
-    noted = fields.cg.to_pyvista(time=0).user_dict
+    noted = fields.cg.to_pyvista(index=0).user_dict
     assert noted["units"]["stress"] == "Pa"
     assert noted["units"]["velocity"] == "m s^-1"
     assert noted["time"] == 0.0
@@ -64,7 +64,7 @@ def test_meshes_of_steps_phases_and_planes():
     f = ds.chunk(time=1).cg.coarse_grain(
         ["density"], by="species", groups=[1, 2], axes="xz", at={"y": 1.5}, width=0.8, spacing=1.0
     )
-    image = f.cg.to_pyvista(time=1)
+    image = f.cg.to_pyvista(index=1)
     nx, nz = f.sizes["x"], f.sizes["z"]
     assert image.dimensions == (nx, 1, nz)
     assert image.origin[1] == 1.5
@@ -73,7 +73,7 @@ def test_meshes_of_steps_phases_and_planes():
         np.testing.assert_array_equal(image[name], expected)
         assert image.user_dict["units"][name] == "kg m^-3"
     one = f.isel(time=2).cg.to_pyvista()
-    np.testing.assert_array_equal(one["density"], f.cg.to_pyvista(time=-1)["density"])
+    np.testing.assert_array_equal(one["density"], f.cg.to_pyvista(index=-1)["density"])
 
 
 def test_nan_is_not_drawn(plotter):
@@ -109,7 +109,7 @@ def test_rings_uneven_axes_and_points_raise(scene):
         scene.cg.coarse_grain(
             "density", at={"x": along, "y": along, "z": along}, width=0.8
         ).cg.to_pyvista()
-    with pytest.raises(ValueError, match="time=4: expected the position of a step"):
+    with pytest.raises(ValueError, match="index=4: expected the position of a step"):
         f.cg.to_pyvista(4)
 
 
@@ -212,7 +212,7 @@ def colours(plotter):
         lambda ds, f, p: f.cg.view(plotter=p),
         lambda ds, f, p: f.cg.view("stress", component="x", direction="z", plotter=p),
         lambda ds, f, p: f.isel(y=3).cg.view(
-            "velocity", component="z", clim=(0, 1), cmap="magma", plotter=p
+            "velocity", component="z", vmin=0, vmax=1, cmap="magma", plotter=p
         ),
         lambda ds, f, p: ds.cg.view(plotter=p),
         lambda ds, f, p: ds.cg.view("diameter", contacts=True, plotter=p),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -13,18 +12,17 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
-from xcg.compiled._jit import THREADS, for_parts, threads_for
+from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.matrices import principal, principal_of_any
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import describe
-from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.description import Description, describe
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, VARIABLES, Frame, Variable
+from xcg.scene.schema import VARIABLES, Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import empty_results, label, results_of
-from xcg.steps.mapping import map_over_time, threads_a_chunk
+from xcg.steps.labels import format_call
 
 Volumes: TypeAlias = Literal["particle", "disc"]
 _CONTACTS = ("position", "contact_i", "contact_j", "contact_point", "contact_force")
@@ -208,25 +206,28 @@ def particle_stress(
     1.91
     """
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
-    names = [*rule.variables, *(name for name in OF_STEP if name in ds)]
-    threads = threads_a_chunk(ds, names, THREADS)
-    arrays = map_over_time(
-        ds,
-        names,
-        partial(_compute, rule, threads),
-        results_of(RESULTS, ds.sizes),
-        "particle-stress",
-        on_error,
-    )
-    return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
+    call = format_call("particle_stress", {"symmetric": symmetric, "volume": volume})
+    return run(ds, _ParticleStress(rule), call=call, on_error=on_error)
 
 
-def _compute(rule: StressRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Stress of the particles of one chunk of time, from padded arrays."""
-    ids = arrays["particle_id"]
-    out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
-    for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.periodic)):
-        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, lattice, source, threads)
-        for name, values in rule.evaluate(frame, contacts, lattice, source).items():
-            out[name][t][rows] = values
-    return out
+@dataclass(frozen=True)
+class _ParticleStress(FrameAnalysis):
+    """Stress of each particle of a step."""
+
+    name = "particle_stress"
+
+    rule: StressRule
+
+    def reads(self, scene: Description) -> tuple[str, ...]:
+        """Return the variables of the rule."""
+        return self.rule.variables
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the stress and its principal values."""
+        return RESULTS
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Compute the stress of the particles of a step."""
+        contacts = self.rule.contacts(frame, lattice, source, self.threads)
+        stress = self.rule.evaluate(frame, contacts, lattice, source)
+        return {"particle_id": frame["particle_id"], **stress}

@@ -20,14 +20,14 @@ from xcg.scene.description import Summary, rows_of_origin
 from xcg.scene.facts import require_facts
 from xcg.scene.frame import particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
 from xcg.steps.mapping import each_step
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Colour: TypeAlias = Literal["stress", "chain"]
+Color: TypeAlias = Literal["stress", "chain"]
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
@@ -285,8 +285,8 @@ def _table(
 def plot_chains(
     fc: xr.Dataset,
     *,
-    time: int = -1,
-    colour: Colour = "stress",
+    index: int = -1,
+    color: Color = "stress",
     grains: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
@@ -296,9 +296,9 @@ def plot_chains(
     ----------
     fc : xarray.Dataset
         A result of `force_chains`; its scene has ``dimension=2``.
-    time : int
-        Which step, by position; the last one by default.
-    colour : {"stress", "chain"}
+    index : int
+        Position of the step in time; the last one by default.
+    color : {"stress", "chain"}
         Of the links: the mean major stress of the two particles of a link, or one colour a chain.
     grains : bool
         Draw the particles; particles of chains are darker.
@@ -321,7 +321,7 @@ def plot_chains(
         raise ValueError(
             "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
         )
-    check_choice("colour", colour, Colour)
+    check_choice("color", color, Color)
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
     names = [
@@ -333,7 +333,7 @@ def plot_chains(
         "contact_force",
         "major_stress",
     ]
-    (step,) = steps_of(step_at(fc, time, "time"), names)
+    (step,) = steps_of(step_at(fc, index), names)
     arrays = step.arrays
     ax = new_axes() if ax is None else ax
     position, diameter = arrays["position"][:, plane], arrays["diameter"]
@@ -359,9 +359,9 @@ def plot_chains(
         list(ends),
         linewidths=width,
         capstyle="round",
-        cmap="tab20" if colour == "chain" else "inferno_r",
+        cmap="tab20" if color == "chain" else "inferno_r",
     )
-    if colour == "chain":
+    if color == "chain":
         lines.set_array(arrays["link_chain"][contact] % 20)
     else:
         lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
@@ -415,7 +415,7 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 def plot_rose(
     fc: xr.Dataset,
     *,
-    time: int = -1,
+    index: int = -1,
     bins: int = 36,
     plane: str | None = None,
     ax: Axes | None = None,
@@ -426,8 +426,8 @@ def plot_rose(
     ----------
     fc : xarray.Dataset
         A result of `force_chains`.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     bins : int
         Petals, an even number.
     plane : str, optional
@@ -456,9 +456,7 @@ def plot_rose(
     plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    (step,) = steps_of(
-        step_at(fc, time, "time"), ["position", "link_chain", "contact_j", "contact_force"]
-    )
+    (step,) = steps_of(step_at(fc, index), ["position", "link_chain", "contact_j", "contact_force"])
     ax = new_axes("polar") if ax is None else ax
     contact, _, _, branch = _links(step)
     along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)

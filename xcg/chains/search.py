@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -25,18 +24,19 @@ from xcg.chains.selection import Region, check_region
 from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
-from xcg.compiled._jit import THREADS, for_parts
+from xcg.compiled._jit import for_parts
 from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.frame import particle_rows, require_rising_times, steps_in, unit_of_times, with_time
+from xcg.scene.description import Description
+from xcg.scene.frame import require_rising_times, unit_of_times, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
+from xcg.scene.schema import BOX, Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import empty_results, format_call, label, provenance, results_of
-from xcg.steps.mapping import map_over_time, threads_a_chunk
+from xcg.steps.labels import format_call, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
-# threshold by less than this share of it likewise: both are known to rounding only.
+# `min_stress` by less than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
 # what a loop finds of each chain, in the order of its arguments
@@ -53,7 +53,7 @@ class SearchRule:
         How the stress of a particle is made.
     cosine : float
         Of the largest angle between the major stress and the branch.
-    threshold : float or "mean" or None
+    min_stress : float or "mean" or None
         Least major stress (Pa).
     min_length : int
         Least number of particles.
@@ -67,22 +67,23 @@ class SearchRule:
 
     stress: StressRule
     cosine: float
-    threshold: float | Literal["mean"] | None
+    min_stress: float | Literal["mean"] | None
     min_length: int
     linear: bool
     one_sided: bool
     region: Region | None
 
-    def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
+    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
         """Return a mask of the particles that may be part of a chain."""
         chosen = carries(stress)
         if "frozen" in frame:
             chosen &= frame["frozen"] != 1
-        if self.threshold is not None and len(chosen):
+        if self.min_stress is not None and len(chosen):
             major = stress["major_stress"]
-            least = major.mean() if isinstance(self.threshold, str) else self.threshold
+            least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
             chosen &= major >= least - _SHARE * abs(least)
         if self.region is not None:
+            time = float(frame.get("time", 0.0))
             chosen &= self.region.contains(frame, time, lattice)
         return chosen
 
@@ -91,7 +92,7 @@ class SearchRule:
 def force_chains(
     ds: xr.Dataset,
     alpha: float = 45.0,
-    threshold: float | Literal["mean"] | None = None,
+    min_stress: float | Literal["mean"] | None = None,
     min_length: int = 3,
     *,
     algorithm: Algorithm = "branching",
@@ -103,7 +104,7 @@ def force_chains(
 ) -> xr.Dataset:
     """Find the force chains of each step of a scene.
 
-    A contact is a link where both of its particles are compressed (and reach the threshold), and
+    A contact is a link where both of its particles are compressed (and reach `min_stress`), and
     the branch between their centres is within `alpha` of the direction of the most compressive
     stress of both. A chain is what a depth-first search reaches through links, with all branches
     and loops. Lazy where the scene is, one task for each chunk of time.
@@ -115,7 +116,7 @@ def force_chains(
     alpha : float
         Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where
         every contact of two compressed particles is a link.
-    threshold : float or "mean", optional
+    min_stress : float or "mean", optional
         Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step.
         By default any compressed particle may be part of a chain.
     min_length : int
@@ -171,7 +172,7 @@ def force_chains(
     --------
     >>> import xcg
     >>> ds = xcg.datasets.random_scene(200, seed=1)
-    >>> fc = force_chains(ds, alpha=45, threshold="mean")
+    >>> fc = force_chains(ds, alpha=45, min_stress="mean")
     >>> fc.chain_id.dims
     ('time', 'particle')
     """
@@ -185,12 +186,12 @@ def force_chains(
             f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
         )
     if not (
-        threshold is None
-        or is_finite(threshold)
-        or (isinstance(threshold, str) and threshold == "mean")
+        min_stress is None
+        or is_finite(min_stress)
+        or (isinstance(min_stress, str) and min_stress == "mean")
     ):
         raise ValueError(
-            f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
+            f"min_stress={min_stress!r}: expected a finite stress (Pa), 'mean', or None for no limit"
         )
     if not is_whole(min_length, 2):
         raise ValueError(
@@ -204,60 +205,67 @@ def force_chains(
     rule = SearchRule(
         stress,
         cosine,
-        threshold,
+        min_stress,
         int(min_length),
         algorithm == "peters2005",
         bool(one_sided),
         region,
     )
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    further = ("frozen", "time", *OF_STEP)
-    names = list(
-        dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)])
-    )
-    threads = threads_a_chunk(ds, names, THREADS)
-    arrays = map_over_time(
-        ds,
-        names,
-        partial(_compute, rule, threads),
-        results_of(RESULTS, sizes),
-        "force-chains",
-        on_error,
-    )
-    lengths = rule.min_length + np.arange(sizes["length"])
-    beside = {name: ds.variables[name] for name in BOX if name in ds}
-    beside["length"] = xr.Variable(
-        "length", lengths, {"units": "1", "long_name": "particles of a chain"}
-    )
-    about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
+    analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
+    return run(ds, analysis, call=format_call("force_chains", given), on_error=on_error)
 
 
-def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Chains of one chunk of time, from padded arrays."""
-    ids, keys = arrays["particle_id"], arrays["contact_i"]
-    sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
-    out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
-    for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.stress.periodic)):
-        time = float(arrays["time"][t]) if "time" in arrays else 0.0
-        found = find_chains(rule, frame, lattice, time, source, threads)
-        count = len(found["chain_particles"])
-        rows = {
-            "particle": particle_rows(ids[t]),
-            "contact": keys[t] != PADDING,
-            "chain": slice(count),
-        }
-        for name, values in found.items():
-            out[name][t][rows[RESULTS[name].dims[0]]] = values
-        for name, value in statistics_of(
-            found["chain_particles"], rule.min_length, sizes["length"]
-        ).items():
-            out[name][t] = value
-    return out | {name: arrays[name] for name in COPIED}
+@dataclass(frozen=True, eq=False)
+class _ForceChains(FrameAnalysis):
+    """Force chains of each step, with what is copied from the scene."""
+
+    name = "force_chains"
+
+    rule: SearchRule
+    lengths: Mapping[str, int]
+    alpha: float
+    algorithm: Algorithm
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return what stress follows from, what is copied, and what regions take."""
+        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
+        return [*self.rule.stress.variables, *COPIED, *optional]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the rows of particles, contacts, chains, and statistics."""
+        return RESULTS
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the lengths that chains can have."""
+        lengths = self.rule.min_length + np.arange(self.lengths["length"])
+        about = {"units": "1", "long_name": "particles of a chain"}
+        return {"length": xr.Variable("length", lengths, about)}
+
+    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
+        """Return upper bounds of the numbers of chains."""
+        return self.lengths
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return the criteria."""
+        rule = self.rule
+        return {"alpha": self.alpha, "min_length": rule.min_length, "algorithm": self.algorithm}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Find the chains of one step."""
+        rule = self.rule
+        found = find_chains(rule, frame, lattice, source, self.threads)
+        lengths = found["chain_particles"]
+        statistics = statistics_of(lengths, rule.min_length, self.lengths["length"])
+        return found | statistics | {name: frame[name] for name in COPIED}
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Add the box of the scene."""
+        return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
 
 def find_chains(
-    rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str, threads: int = 1
+    rule: SearchRule, frame: Frame, lattice: Lattice, source: str, threads: int = 1
 ) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
@@ -267,7 +275,7 @@ def find_chains(
     contacts = rule.stress.contacts(frame, lattice, source, threads)
     stress = rule.stress.evaluate(frame, contacts, lattice, source)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
-    qualifies = rule.qualifies(frame, stress, time, lattice)
+    qualifies = rule.qualifies(frame, stress, lattice)
     i, j, particles = contacts.i, contacts.j, len(major)
     branch = contacts.between
 
@@ -297,7 +305,8 @@ def find_chains(
     loops.count_links(i, j, start, contact, link, links)
 
     by_chain = {
-        name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()
+        name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+        for name, row in CHAINS.items()
     }
     loops.describe_chains(
         members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,11 +20,12 @@ from xcg.chains.results import (
 )
 from xcg.common.checks import is_finite, is_positive, is_whole, vector
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import particle_rows, require_known_times, steps_in
+from xcg.scene.description import Description
+from xcg.scene.frame import require_known_times
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, Frame
-from xcg.steps.labels import format_call, label, results_of
-from xcg.steps.mapping import map_over_time
+from xcg.scene.schema import Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.labels import format_call
 
 
 class Region:
@@ -179,9 +180,6 @@ class BoxRegion(_Moving):
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
 
 
-Box = BoxRegion  # its former name, kept for a release
-
-
 @dataclass(frozen=True)
 class Sphere(_Moving):
     """A ball; its surface belongs to it.
@@ -219,8 +217,8 @@ class Sphere(_Moving):
         return np.asarray((away**2).sum(axis=1) <= self.radius**2)
 
 
-_GRAINS = ("particle_id", "position", "major_stress", *OF_STEP)
-OF = {"any": np.logical_or, "all": np.logical_and}
+_GRAINS = ("position", "major_stress")
+HOW = {"any": np.logical_or, "all": np.logical_and}
 
 
 @takes_scene
@@ -229,7 +227,7 @@ def select_chains(
     region: Region | None = None,
     *,
     min_stress: float | None = None,
-    of: str = "any",
+    how: str = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -244,7 +242,7 @@ def select_chains(
         Where particles must be: `xcg.BoxRegion`, `xcg.Sphere`, or a combination.
     min_stress : float, optional
         Least major stress (Pa).
-    of : str
+    how : str
         "any" (default) keeps a chain if one of its particles fulfils the condition, "all" if all of
         them do.
 
@@ -263,8 +261,8 @@ def select_chains(
     """
     given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
     require_chains(fc, "select_chains", whole=("chain", "length"))
-    if of not in OF:
-        raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
+    if how not in HOW:
+        raise ValueError(f"how={how!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
@@ -272,65 +270,58 @@ def select_chains(
     check_region(region, fc)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
-    compute = partial(
-        _compute,
-        region=region,
-        min_stress=min_stress,
-        of=of,
-        periodic=fc.attrs.get("periodic", ""),
-        min_length=int(fc.attrs.get("min_length", 3)),
-    )
-    changed = MEMBERS | CHAINS | STATISTICS
-    names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]
-    arrays = map_over_time(fc, names, compute, results_of(changed, fc.sizes), "select-chains")
-    selected = label(fc, changed, arrays, format_call("select_chains", given))
-    return fc.assign(selected.data_vars).assign_attrs(history=selected.attrs["history"])
+    analysis = _Selection(region, min_stress, how, int(fc.attrs.get("min_length", 3)))
+    return run(fc, analysis, call=format_call("select_chains", given))
 
 
-def _compute(
-    arrays: Mapping[str, NDArray],
-    *,
-    region: Region | None,
-    min_stress: float | None,
-    of: str,
-    periodic: str,
-    min_length: int,
-) -> dict[str, NDArray]:
-    """Chains of one chunk of time that fulfil a condition, from padded arrays."""
-    out = {name: arrays[name].copy() for name in (*MEMBERS, *CHAINS)}
-    steps, particles = arrays["particle_id"].shape
-    lengths = result_sizes(particles, 0, min_length)["length"]
-    for name, row in STATISTICS.items():
-        out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
-    grains = {name: arrays[name] for name in _GRAINS if name in arrays}
-    for t, (frame, lattice, _) in enumerate(steps_in(grains, periodic)):
+@dataclass(frozen=True)
+class _Selection(FrameAnalysis):
+    """Chains whose particles fulfil a condition."""
+
+    name = "select_chains"
+
+    region: Region | None
+    min_stress: float | None
+    how: str
+    min_length: int
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return the chains, and what the condition is about."""
+        of_grains = [n for n in (*_GRAINS, "time") if n in scene.columns or n in scene.times]
+        return [*of_grains, *MEMBERS, *CHAINS]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return chains, their members, and the statistics of their lengths."""
+        return MEMBERS | CHAINS | STATISTICS
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Replace the other chains of a step by padding."""
         fulfilled = np.ones(len(frame["particle_id"]), bool)
-        if region is not None:
-            fulfilled &= region.contains(
-                frame, float(arrays["time"][t]) if "time" in arrays else 0.0, lattice
-            )
-        if min_stress is not None:
-            fulfilled &= frame["major_stress"] >= min_stress
-        inside = np.zeros(particles, bool)
-        inside[particle_rows(arrays["particle_id"][t])] = fulfilled
-        chain, exists = arrays["chain_id"][t], arrays["chain_particles"][t] > 0
-        kept = np.full(len(exists), of == "all")
-        OF[of].at(kept, chain[chain >= 0], inside[chain >= 0])
+        if self.region is not None:
+            fulfilled &= self.region.contains(frame, float(frame.get("time", 0.0)), lattice)
+        if self.min_stress is not None:
+            fulfilled &= frame["major_stress"] >= self.min_stress
+        chain = frame["chain_id"]
+        exists = frame["chain_particles"] > 0
+        kept = np.full(len(exists), self.how == "all")
+        HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
         kept &= exists
-        _drop(out, t, kept)
-        for name, value in statistics_of(
-            out["chain_particles"][t][kept], min_length, lengths
-        ).items():
-            out[name][t] = value
-    return out
+        out: dict[str, Any] = {name: frame[name].copy() for name in (*MEMBERS, *CHAINS)}
+        _drop(out, kept)
+        bins = result_sizes(len(chain), 0, self.min_length)["length"]
+        return out | statistics_of(out["chain_particles"][kept], self.min_length, bins)
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Return all variables of the chains."""
+        return ds.assign(result.data_vars).assign_attrs(history=result.attrs["history"])
 
 
-def _drop(out: Mapping[str, NDArray], t: int, kept: NDArray) -> None:
+def _drop(out: Mapping[str, NDArray], kept: NDArray) -> None:
     """Replace everything of the other chains by padding, or by no chain."""
-    lost = (out["chain_id"][t] >= 0) & ~kept[out["chain_id"][t]]
+    lost = (out["chain_id"] >= 0) & ~kept[out["chain_id"]]
     for name, none in (("chain_id", -1), ("parent_id", -1), ("links", 0), ("branching", 0)):
-        out[name][t][lost] = none
-    link = out["link_chain"][t]
+        out[name][lost] = none
+    link = out["link_chain"]
     link[(link >= 0) & ~kept[link]] = -1
     for name, row in CHAINS.items():
-        out[name][t][~kept] = row.fill
+        out[name][~kept] = row.fill

@@ -74,8 +74,9 @@ def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
     """Add a labelled colour bar beside axes; `options` go to matplotlib."""
     bar = ax.figure.colorbar(drawn, ax=ax, **options)
     powers: Any = bar.formatter
-    powers.set_powerlimits((-3, 4))
-    powers.set_useMathText(True)
+    if hasattr(powers, "set_powerlimits"):  # those of logarithmic scales have none
+        powers.set_powerlimits((-3, 4))
+        powers.set_useMathText(True)
     set_label(bar.ax.yaxis, text)
 
 

@@ -7,10 +7,10 @@ import re
 import sys
 import threading
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any, ClassVar
 from uuid import uuid4
 
@@ -49,13 +49,44 @@ class SceneWarning(_Printable, UserWarning):
     """Something in the data or the request is probably a mistake."""
 
 
-def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
-    """Suggest the most similar of some words, as the end of a message; nothing where none is similar."""
-    close = difflib.get_close_matches(word, list(words), 1, cutoff)
-    return f"; did you mean {close[0]!r}?" if close else ""
+def did_you_mean(
+    word: str,
+    words: Iterable[str],
+    cutoff: float = 0.6,
+    synonyms: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Suggest the most similar of some words, as the end of a message; "" if none is similar.
+
+    Parameters
+    ----------
+    word : str
+        The unknown word. Capitals, blanks and hyphens make no difference.
+    words : iterable of str
+        Known words.
+    cutoff : float
+        Least similarity, from 0 to 1.
+    synonyms : mapping
+        Known words by other names for them.
+    """
+    plainly = {_plainly(known): known for known in words}
+    wanted = _plainly(word)
+    if synonyms.get(wanted) in plainly.values():
+        return f"; did you mean {synonyms[wanted]!r}?"
+    close = difflib.get_close_matches(wanted, list(plainly), 1, cutoff)
+    return f"; did you mean {plainly[close[0]]!r}?" if close else ""
 
 
-def unknown(what: str, word: object, known: Iterable[object], listed: str = "") -> str:
+def _plainly(word: str) -> str:
+    return word.strip().lower().replace(" ", "_").replace("-", "_")
+
+
+def unknown(
+    what: str,
+    word: object,
+    known: Iterable[object],
+    listed: str = "",
+    synonyms: Mapping[str, str] = MappingProxyType({}),
+) -> str:
     """Return a message about a name that does not exist: the most similar or one that contains it first, then all.
 
     Parameters
@@ -64,14 +95,18 @@ def unknown(what: str, word: object, known: Iterable[object], listed: str = "") 
         What it was to be, such as "field".
     listed : str
         Where long lists are found, in place of all names.
+    synonyms : mapping
+        Known names by other names for them.
     """
     names = [str(name) for name in known]
     rest = listed or f"expected one of {', '.join(names)}"
-    longer = sorted((name for name in names if len(str(word)) > 2 and str(word) in name), key=len)
-    hint = did_you_mean(str(word), names) or (f"; did you mean {longer[0]!r}?" if longer else "")
-    return f"unknown {what} {word!r}" + (
-        f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}"
-    )
+    hint = did_you_mean(str(word), names, synonyms=synonyms)
+    if not hint and len(str(word)) > 3:
+        longer = sorted((name for name in names if _plainly(str(word)) in name), key=len)
+        hint = f"; did you mean {longer[0]!r}?" if longer else ""
+    if not hint:
+        return f"unknown {what} {word!r}; {rest}"
+    return f"unknown {what} {word!r}{hint} {rest[0].upper()}{rest[1:]}"
 
 
 # Packages whose lines stand between a line of the user's program and the one that warns.
@@ -135,10 +170,12 @@ def current_worker() -> Any:
 class Once:
     """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    The key is no part of what dask names tasks by, so that equal calls still have equal names.
+    The key is no part of what dask names tasks by, so that equal calls still have equal names. The
+    latest `REMEMBERED` warnings of the process are remembered.
     """
 
-    _said: ClassVar[set[tuple[str, str]]] = set()
+    REMEMBERED: ClassVar[int] = 10_000
+    _said: ClassVar[dict[tuple[str, str], None]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     key: str = field(default_factory=lambda: uuid4().hex)
@@ -162,7 +199,9 @@ class Once:
         with self._lock:
             if (self.key, about) in self._said:
                 return
-            self._said.add((self.key, about))
+            self._said[self.key, about] = None
+            if len(self._said) > self.REMEMBERED:
+                del self._said[next(iter(self._said))]
         warn_user(message)
 
     @contextmanager

@@ -1,7 +1,7 @@
 """Sums over points: every grain adds its columns, smeared by the kernel, to the nodes that it reaches.
 
 Lengths are in units of the cutoff and relative to the first node. A node's record holds the *flow*
-columns first, then columns of constants. Flow columns are relative to the node: offsets x = r_i -
+columns first, then columns of constants. Kinematic columns are relative to the node: offsets x = r_i -
 r, and velocities u = v_i - U with U the velocity of the first grain that reached the node. Nothing
 large is ever subtracted from something equally large, however fast the frame or far the origin.
 
@@ -37,7 +37,7 @@ from xcg.compiled.smoothing import fill_values
 
 
 def reference_deposit(place, velocity, mass, constants, node, value):
-    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: flow columns up to SQUARED, and constants.
+    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: kinematic columns up to SQUARED, and constants.
 
     Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,)
     below 1.
@@ -80,7 +80,7 @@ SQUARES = (SQUARE, *range(SQUARE_OFFSET, SQUARE_SPREAD + 6))
 # what a grain's record holds
 PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
 
-# how many flow columns each level of detail takes; some are spare, so that all start at a multiple
+# how many kinematic columns each level of detail takes; some are spare, so that all start at a multiple
 # of four
 NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR, SQUARED = 0, 8, 12, 16, 32, 40
 _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
@@ -144,7 +144,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     level : int
-        NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
+        NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many kinematic columns are wanted.
     meet : (m, 3) or None
         Translations (cutoffs) from an image of a grain to all others that may reach the same node.
         They share what their velocities are beyond that of the flow: in the squares of weights they
@@ -240,7 +240,7 @@ def _list_grains(rows, grains, records):
 
 @inner
 def _add_flow(p, records, i, lists, hits, level, moments, reference):
-    """Add one grain to the flow columns of the nodes that it reaches."""
+    """Add one grain to the kinematic columns of the nodes that it reaches."""
     mass, vx, vy, vz = (
         records[i, WEIGHED],
         records[i, SPEED],

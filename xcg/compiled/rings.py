@@ -147,7 +147,7 @@ def ring_means(sums, rings, difference, tensors, level, flow, record, tensor, ou
     tensors : tuple of arrays (t,), (t, 27)
         Rank of each tensor, and its columns.
     level : int
-        How many columns are flow columns.
+        How many columns are kinematic columns.
     flow : Flow
     record, tensor : array (columns,), (27,)
         Memory.

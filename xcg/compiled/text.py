@@ -19,7 +19,7 @@ from llvmlite import ir
 from numba import types
 
 from xcg.compiled._jit import cgutils, inlined, inner, leaf
-from xcg.compiled.simd import compiled_as, pointer_to, typed
+from xcg.compiled.simd import compiled_as, pointer_to, typed, vector_of
 
 # --- bytes and bits, written out for LLVM as in `xcg.compiled.simd` ------------------------------------------
 
@@ -64,6 +64,23 @@ white = _bytes_where(
 newlines = _bytes_where(
     lambda builder, data: builder.icmp_unsigned("==", data, _all(10)), lambda byte: byte == 10
 )
+
+
+def _equal(typingctx, data, at, byte):
+    def generate(context, builder, signature, args):
+        place, value = typed(context, builder, signature, args)
+        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1)], BLOCK)
+        sought = vector_of(builder, [value(2)] * BLOCK)
+        found = builder.icmp_unsigned("==", builder.load(pointer, align=align), sought)
+        return builder.bitcast(found, ir.IntType(BLOCK))
+
+    return types.uint64(data, at, byte), generate
+
+
+@compiled_as(_equal)
+def equal(data, at, byte):
+    """Return a mask of 64 bits that marks the bytes of one value."""
+    return np.uint64(sum(1 << k for k, one in enumerate(data[at : at + BLOCK]) if one == byte))
 
 
 def _load8(typingctx, data, at):
@@ -364,8 +381,10 @@ _LAST = _U(BLOCK - 1)
 
 
 @inner
-def find_words(text, size, edges, lines):
+def find_words(text, size, separator, edges, lines):
     """Find the words and lines of a text that ends with white space: where words begin and end, in turn, and lines end.
+
+    Words end at white space and at the `separator`, a byte.
 
     Returns
     -------
@@ -375,7 +394,7 @@ def find_words(text, size, edges, lines):
     edge, line = 0, 0
     before = _ONE  # whether the byte before is white space
     for first in range(0, size, BLOCK):
-        blank = white(text, first)
+        blank = white(text, first) | equal(text, first, separator)
         changes = blank ^ ((blank << _ONE) | before)
         before = blank >> _LAST
         while changes:
@@ -391,7 +410,7 @@ def find_words(text, size, edges, lines):
 
 
 @leaf
-def read_rows(text, size, columns, wanted, out, row, edges, lines, rest):
+def read_rows(text, size, separator, columns, wanted, out, row, edges, lines, rest):
     """Read rows of numbers until one is not as it should be.
 
     Parameters
@@ -400,6 +419,8 @@ def read_rows(text, size, columns, wanted, out, row, edges, lines, rest):
         Lines, the last with its end, and `BEYOND` more bytes of white space.
     size : int
         Bytes of the lines.
+    separator : int
+        A byte that stands between words as white space does.
     columns : int
         Words that each line has, unless it is blank.
     wanted : array of int64, (w,)
@@ -418,7 +439,7 @@ def read_rows(text, size, columns, wanted, out, row, edges, lines, rest):
         line with more or fewer words, one beyond the rows of `out`, and one for which `rest` may
         have no room.
     """
-    words, count = find_words(text, size, edges, lines)
+    words, count = find_words(text, size, separator, edges, lines)
     for edge in range(2 * words, 2 * (words + columns) + 1):
         edges[edge] = text.size
     first, word, done, left = row, 0, 0, 0

@@ -56,34 +56,34 @@ def check_walls(request: Request) -> None:
         raise ValueError(
             f"per={request.per!r}: expected 'accessible', or None for fields per volume"
         )
-    if request.walls is None:
+    if request.surfaces is None:
         if request.per is not None:
             raise ValueError(
-                "per='accessible' needs walls=, for example walls=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
+                "per='accessible' needs surfaces=, for example surfaces=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
             )
         return
     walls = (
-        request.walls
-        if isinstance(request.walls, Sequence) and not isinstance(request.walls, str)
+        request.surfaces
+        if isinstance(request.surfaces, Sequence) and not isinstance(request.surfaces, str)
         else [None]
     )
     if not walls or not all(isinstance(wall, Wall) for wall in walls):
         raise ValueError(
-            f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
+            f"surfaces={request.surfaces!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
         )
     if request.sampling == "cell":
         raise ValueError(
-            "walls= with sampling='cell': the accessible fraction is that at a node; leave one out"
+            "surfaces= with sampling='cell': the accessible fraction is that at a node; leave one out"
         )
     if request.preset is not None:
         raise ValueError(
-            f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one out"
+            f"surfaces= with preset={request.preset!r}: presets know no accessible volume; leave one out"
         )
 
 
 def walls_of(request: Request) -> list[Wall]:
     """Return the walls of a request, in the axes of its frame."""
-    walls = list(request.walls or ())
+    walls = list(request.surfaces or ())
     if request.frame is None:
         return walls
     frame = request.frame if isinstance(request.frame, Rotated) else request.frame.rotated
@@ -107,6 +107,8 @@ def with_accessible(
     ValueError
         As `accessible_of`.
     """
+    beside = [name for name in plan.fields if name not in plan.asked]
+    f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
     seconds = accessible.seconds()
     if seconds > _LONG:
@@ -135,11 +137,9 @@ def with_accessible(
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = with_setup(per.assign_attrs(per="accessible", per_note=note))
-    wanted = plan.fields if request.for_averages else plan.asked
-    return (
-        f[list(wanted)]
-        .assign(accessible_fraction=field)
-        .assign_attrs(walls="\n".join(map(repr, request.walls or ())))
+    f = f.drop_vars(beside) if request.for_averages is False else f.set_coords(beside)
+    return f.assign(accessible_fraction=field).assign_attrs(
+        surfaces="\n".join(map(repr, request.surfaces or ()))
     )
 
 
@@ -155,11 +155,11 @@ def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Acce
     kernel, plane = plan.kernel, plan.setup.plane
     if len(plan.widths) > 1:
         raise ValueError(
-            "walls= take one width for all groups, as the accessible fraction is that of one kernel"
+            "surfaces= take one width for all groups, as the accessible fraction is that of one kernel"
         )
     if kernel.dimension != plan.setup.dimension:
         raise ValueError(
-            f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
+            f"surfaces= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
         )
     layer = [a for a in COMPONENTS if a not in plane]
     if any(wall.varies(COMPONENTS.index(a)) for wall in walls for a in layer):

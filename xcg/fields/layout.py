@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.grid import make_grid, make_points
 from xcg.fields.grids.rings import make_rings
 from xcg.fields.request import Request
-from xcg.fields.sums.kernels import Kernel, kernel_of
+from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
@@ -38,7 +38,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=plane, cutoff=smallest.cutoff)
-    spacing = min(k.width for k in kernels) if request.spacing is None else request.spacing
+    spacing = _spacing_of(scene, request, kernels)
     places = at, request.bounds or {}, spacing
     automatic = automatic_bounds(scene, widest.cutoff)
     if not scene.cylindrical:
@@ -69,6 +69,26 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
         automatic=automatic,
         period=scene.periods,
     )
+
+
+def _spacing_of(
+    scene: Description, request: Request, kernels: Sequence[Kernel]
+) -> float | dict[str, float]:
+    """Return the distance of nodes (m), for all axes or by axis: as asked for, or the smallest width."""
+    given: Any = request.spacing
+    if given is None:
+        return min(k.width for k in kernels)
+    advice = "by default it is the width"
+    if isinstance(given, str):
+        return resolve_length("spacing", given, scene.sizes, advice)
+    if not isinstance(given, Mapping):
+        return cast(float, given)
+    return {
+        axis: resolve_length(f"spacing[{axis!r}]", step, scene.sizes, advice)
+        if isinstance(step, str)
+        else step
+        for axis, step in given.items()
+    }
 
 
 def _check_pointwise(request: Request) -> None:
@@ -156,11 +176,18 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     return [kernel_of(kernel, own[str(g)], scene.sizes, dimension) for g in known]
 
 
-def warn_of_width(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> None:
-    """Warn of a kernel that sees single grains, or of another unit than the grains."""
+def warn_of_width(
+    width: float, sizes: Mapping[str, float], extent: float, *, of_groups: bool
+) -> None:
+    """Warn of a kernel that sees single grains or is larger than the `extent` of all (m), or of another unit."""
     if width > _WIDE * sizes.get("dmax", np.inf):
         warn_user(
             f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths"
+        )
+    elif width > extent > 0 and extent > 2 * sizes.get("dmax", np.inf):
+        warn_user(
+            f"width={width:.4g} is larger than the scene, whose grains extend over {extent:.4g}: fields hardly vary, "
+            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)"
         )
     usual = {"d43": "the grains", "dmax": "the largest grains"}
     for size, whose in ({"dmin": "the smallest grains"} if of_groups else usual).items():
@@ -208,18 +235,32 @@ def check_differentiable(kernel: Kernel, seen: int) -> None:
 
 _MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
 _LARGE = 1_000_000  # nodes, of such a mesh, below which nothing is said
+_LARGEST = 100_000_000  # nodes, of such a mesh, whose width and spacing follow from sizes
 _MIDDLE = 0.98  # share of the particles that the others are compared with
 
 
-def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> None:
+def check_size(
+    ds: xr.Dataset, scene: Description, grid: Grid, numbers: int, *, by_sizes: bool = False
+) -> None:
     """Compare an automatic mesh, with so many numbers of fields a step, with the memory at hand and the particles.
+
+    Parameters
+    ----------
+    by_sizes : bool
+        Whether neither a width nor a spacing was given, so that both follow from the grains' sizes.
 
     Raises
     ------
     ValueError
-        If the fields of one chunk do not fit into memory; particles that are far from the others
-        are named.
+        If the fields of one chunk do not fit into memory, or a mesh that follows from sizes alone
+        has more than 1e8 nodes; particles that are far from the others are named.
     """
+    if by_sizes and grid.count > _LARGEST:
+        raise ValueError(
+            f"the automatic mesh would have {' x '.join(map(str, grid.sizes))} nodes, more than {_LARGEST:g}, as its "
+            f"spacing is 0.75 mean diameters (d43 = {scene.sizes.get('d43', np.nan):.4g}): check that sizes and "
+            f"positions have one unit, or give width= or spacing=; {about_strays(ds, scene)}"
+        )
     if not grid.fitted or grid.count < _LARGE:
         return
     # all steps, or those of the longest chunk of a lazy scene
@@ -255,7 +296,7 @@ def memory_at_hand() -> int | None:
 
 def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -> str:
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
-    way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.where"
+    way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.cg.select"
     position = ds["position"].transpose("time", "particle", "component").variable
     if not is_in_memory(position):
         if scene.corners is None:

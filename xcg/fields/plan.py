@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xcg.common.checks import check_choice, is_finite, is_positive
-from xcg.common.messages import SceneError, unknown, warn_user
+from xcg.common.messages import unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
@@ -41,7 +41,6 @@ from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
 from xcg.scene.conform import require_scene
 from xcg.scene.description import Description
-from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
@@ -54,10 +53,9 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
-        What is computed: what was asked for, and what averages of it need where they are to be
-        taken.
+        What is computed: what was asked for, and the sums that averages of it need.
     asked : tuple of str
-        What was asked for.
+        The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
     deposit : DepositSpec
@@ -129,7 +127,7 @@ class Plan:
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        passes = {over: len(columns) for over, columns in self._columns.items()}
+        loops = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
         own = (
@@ -145,26 +143,29 @@ class Plan:
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
-            "fields": ", ".join(self.fields),
+            "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
             **grid.text,
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
             or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
-            f"{passes['contacts']} over contacts"
+            "loops": f"{loops['particles']} over particles, {loops['slopes']} with grad Psi, "
+            f"{loops['contacts']} over contacts"
             + (
-                f", {passes['contact points']} over contact points"
-                if passes["contact points"]
+                f", {loops['contact points']} over contact points"
+                if loops["contact points"]
                 else ""
             )
-            + (f", {passes['means']} relative to means" if passes["means"] else ""),
+            + (f", {loops['means']} relative to means" if loops["means"] else ""),
             "contacts": f"{rules} (rtol = {self.rtol:g})"
-            if passes["contacts"]
+            if loops["contacts"]
             else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
+        beside = [name for name in self.fields if name not in self.asked]
+        if beside:
+            lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
         if (seen := self.effective_count) is not None:
             velocity, temperature = (
                 min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
@@ -195,27 +196,6 @@ def effective_count(scene: Description, plan: Plan) -> float | None:
     space = scene.setup.dimension
     number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
     return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.grid.seen))
-
-
-def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
-    """1 / (extents of the averaged axes x thickness of the layer) for one step."""
-    given = {**plan.extent, **({plan.depth: None} if isinstance(plan.depth, str) else {})}
-    lengths = [length for length in given.values() if length is not None]
-    of_box = [a in given and given[a] is None for a in COMPONENTS]
-    if any(of_box):
-        lengths.append(lattice.extent(np.array(of_box)))
-        if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
-            lattice.seen(plan.deposit.grid.active, source)  # which may say more
-            axes = " and ".join(
-                repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
-            )
-            raise SceneError(
-                f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
-                "length that the integral is divided by (extent=)"
-            )
-    if isinstance(plan.depth, float):
-        lengths.append(plan.depth)
-    return 1.0 / math.prod(lengths)
 
 
 def make_plan(scene: Description, request: Request) -> Plan:
@@ -249,7 +229,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(
-        min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping)
+        min(k.width for k in kernels),
+        scene.sizes,
+        _extent_of(scene),
+        of_groups=isinstance(request.width, Mapping),
     )
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
@@ -293,6 +276,14 @@ def make_plan(scene: Description, request: Request) -> Plan:
     )
 
 
+def _extent_of(scene: Description) -> float:
+    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
+    if scene.corners is None:
+        return math.inf
+    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+    return max(*lengths, *scene.periods.values())
+
+
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
 
 
@@ -330,8 +321,10 @@ def _fields_and_options(
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names
-    if request.for_averages or request.per is not None:
+    if request.for_averages is not False or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
+    if request.for_averages:
+        asked = names
     if options.averaged_gradient == "unknown" and (
         lost := [name for name in asked if takes_gradient(name, options)]
     ):
@@ -383,7 +376,13 @@ def _choose_fields(
         if name not in listed and name not in ours:
             known = [*listed, *scene.rows]
             raise ValueError(
-                unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars")
+                unknown(
+                    "field",
+                    name,
+                    known,
+                    "others are listed by xcg.FIELDS and by ds.data_vars",
+                    registry.OTHER_NAMES,
+                )
             )
     for name in names:
         if name in lacking and rows[name].option == "lag":

@@ -38,10 +38,8 @@ from xcg.steps.labels import format_call
 # arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
-        lambda value: (
-            isinstance(value, Mapping) or (np.ndim(value) == 0 and not isinstance(value, str))
-        ),
-        "a distance (m), or one by axis such as {'x': 0.01, 'z': 0.005}",
+        lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
+        "a distance (m), a multiple of a size such as '0.5 d43', or one by axis such as {'x': 0.01, 'z': 0.005}",
     ),
     "width": (
         lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
@@ -57,7 +55,7 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     ),
     "at": (
         lambda value: isinstance(value, Mapping),
-        "a coordinate (m) by axis, such as {'y': 0.0}",
+        "a coordinate (m) by axis, such as {'y': 0.0}; axes='z' resolves an axis",
     ),
     "by": (
         lambda value: isinstance(value, str),
@@ -96,8 +94,9 @@ class SharedOptions:
         "lucy" (default), "gaussian", "shifted gaussian", "heaviside", a registered name, or an
         object such as ``xcg.Lucy(cutoff=0.01)``. Only kernels as smooth as Lucy give fields that
         satisfy the differential balance laws.
-    spacing : float or mapping, optional
-        Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without
+    spacing : float, str or mapping, optional
+        Distance of nodes (m), or a multiple of a size such as "0.5 d43", for all axes or by axis;
+        the width by default. Periodic axes without
         bounds take the nearest spacing that divides the period.
     axes : str, optional
         Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are
@@ -175,7 +174,7 @@ class SharedOptions:
     """
 
     kernel: KernelName | str | Kernel = "lucy"
-    spacing: float | Mapping[str, float] | None = None
+    spacing: float | str | Mapping[str, float | str] | None = None
     axes: str | None = None
     bounds: Mapping[str, Sequence[float]] | None = None
     sampling: Sampling = "node"
@@ -234,6 +233,9 @@ class Request(SharedOptions):
         default all that the scene's variables allow; names of other variables of the scene, for
         their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of
         any variable. Only what these need is read and summed.
+    like : xarray.Dataset, optional
+        A result of `coarse_grain`, of another scene perhaps: takes its nodes, width, kernel and
+        options, so that the two results can be subtracted.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
         With `by`, a mapping gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2:
@@ -244,7 +246,7 @@ class Request(SharedOptions):
         xarray's pointwise indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share
         dimensions, or broadcast against each other; results have these dimensions and coordinates,
         and axes without an array are averaged.
-    walls : list of Plane, Cylinder and Surface, optional
+    surfaces : list of Plane, Cylinder and Surface, optional
         Walls as geometry, in the axes of the scene: adds the field ``accessible_fraction``, the
         share of the kernel that lies on their accessible side, averaged axes included. A `frame`
         turns them with the scene.
@@ -258,19 +260,21 @@ class Request(SharedOptions):
         as of independent fluctuations of the grains, see `xcg.fields.formulas.rows.errors`.
         Densities and contact stress have none, as neighbours are not independent: their errors come
         from several steps (`time_average`).
-    for_averages : bool
-        Also compute the sums that `time_average` and `profile` of the fields need beside them, such
-        as the density beside a velocity.
+    for_averages : bool, optional
+        What becomes of the sums that `time_average` and `profile` of the fields need beside them,
+        such as the density beside a velocity. By default they are coordinates of the result; True
+        makes them variables, and False leaves them out, so that averages of ratios raise an error.
     """
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
+    like: xr.Dataset | None = None
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
-    walls: Sequence[Wall] | None = None
+    surfaces: Sequence[Wall] | None = None
     per: Per | None = None
     errors: bool = False
-    for_averages: bool = False
+    for_averages: bool | None = None
 
     def changed(self, names: Sequence[str]) -> list[str]:
         """Names of arguments that differ from their defaults."""

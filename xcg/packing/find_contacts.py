@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +10,19 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
+from xcg.compiled._jit import threads_for
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
-from xcg.scene.complete import REPEAT, contact_points, unit_vectors
+from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import describe
-from xcg.scene.frame import require_steps, stack, steps_in
+from xcg.scene.description import Description, describe
+from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, Frame, Setup, variable
+from xcg.scene.rows import unit_vectors
+from xcg.scene.schema import Frame, Setup, Variable, variable
 from xcg.scene.spheres import warn_of_coincident
-from xcg.steps.labels import format_call, label
-from xcg.steps.mapping import is_lazy, map_over_time
+from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.labels import format_call
+from xcg.steps.mapping import is_lazy
 
 READ = ("particle_id", "position", "diameter")
 # Pairs of these are left out: two frozen grains are one wall, and grains of one body are glued.
@@ -88,30 +90,33 @@ class Stiffness:
 
 
 @dataclass(frozen=True)
-class Search:
-    """Options of the contact search of a frame."""
+class _Search(FrameAnalysis):
+    """Contacts of each step; `max_contacts` is the number of rows set aside, None for as many as needed."""
+
+    name = "find_contacts"
 
     setup: Setup
     stiffness: Stiffness
     skin: float
     method: PairMethod
     levels: int | None
-    most: int | None
-    threads: int | None
+    max_contacts: int | None
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Variables that are added."""
-        return (*FOUND, "contact_force") if self.stiffness.given else FOUND
+    def reads(self, scene: Description) -> list[str]:
+        """Return places and sizes, and what tells which pairs are left out."""
+        return [*READ, *(name for name in OPTIONAL if name in scene.columns)]
 
-    def __call__(self, arrays: Mapping[str, NDArray]) -> Frame:
-        """Contacts of one chunk of time, padded to `most` rows, or as many as the largest step has."""
-        frames = [self.contacts(*step) for step in steps_in(arrays, self.setup.periodic)]
-        rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
-        return stack(frames, self.names, rows)
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the variables of contacts, forces where a stiffness is given."""
+        names = (*FOUND, "contact_force") if self.stiffness.given else FOUND
+        return {name: variable(name) for name in names}
 
-    def contacts(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
-        """Contacts of one frame."""
+    def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
+        """Return the number of rows of contacts."""
+        return {"contact": self.max_contacts}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Find the contacts of one step."""
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
         self._refuse_own_images(frame, lattice, source)
         i, j = pairs_of(
@@ -121,8 +126,8 @@ class Search:
             skin=self.skin,
             method=self.method,
             levels=self.levels,
-            threads=self.threads,
-            most=self.most,
+            threads=threads_for(len(position), self.threads),
+            max_pairs=self.max_contacts,
             source=source,
         ).T
         if "frozen" in frame:
@@ -135,9 +140,10 @@ class Search:
         reach = radius[i] + radius[j] + self.skin
         rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
         i, j = i[rows], j[rows]
-        if self.most is not None and len(i) > self.most:
+        if self.max_contacts is not None and len(i) > self.max_contacts:
             raise SceneError(
-                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
+                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.max_contacts} rows "
+                "set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
@@ -157,6 +163,17 @@ class Search:
                 self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
             )
         return found
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Return the scene with these contacts in place of former ones."""
+        scene = ds.drop_dims("contact", errors="ignore").assign(result.data_vars)
+        scene.attrs["history"] = result.attrs["history"]
+        scene.attrs.pop("sides", None)  # of the contacts that are replaced
+        if self.stiffness.given:
+            estimate = f"normal force from the overlap of spheres: {self.stiffness}"
+            scene.attrs["estimated_forces"] = estimate
+            scene["contact_force"].attrs["estimated"] = estimate
+        return scene
 
     def _refuse_own_images(self, frame: Frame, lattice: Lattice, source: str) -> None:
         """Raise SceneError for a period that a grain spans: it would touch itself."""
@@ -252,28 +269,8 @@ def find_contacts(
         isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0
     ):
         raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")
-    setup = describe(ds).setup
-    read = [name for name in (*READ, *OPTIONAL) if name in ds]
-    lazy = is_lazy(ds, read)
-    most = max_contacts
-    if lazy and most is None:
-        most = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
-    # under dask other steps keep the other cores busy
-    search = Search(
-        setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None
-    )
-    results = {
-        name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names
-    }
-    names = [*read, *(name for name in OF_STEP if name in ds)]
-    arrays = map_over_time(ds, names, search, results, "find-contacts")
-    found = label(
-        ds, {name: variable(name) for name in arrays}, arrays, format_call("find_contacts", given)
-    )
-    result = ds.drop_dims("contact", errors="ignore").assign(found.data_vars)
-    result.attrs["history"] = found.attrs["history"]
-    result.attrs.pop("sides", None)  # of the contacts that are replaced
-    if search.stiffness.given:
-        estimate = f"normal force from the overlap of spheres: {search.stiffness}"
-        result.attrs["estimated_forces"] = result["contact_force"].attrs["estimated"] = estimate
-    return result
+    scene = describe(ds)
+    if max_contacts is None and is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
+        max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
+    analysis = _Search(scene.setup, Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
+    return run(ds, analysis, call=format_call("find_contacts", given), scene=scene)

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import check_choice, floats, is_finite, is_positive
 from xcg.common.messages import plain, unknown
-from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
+from xcg.packing.quantities import QUANTITIES
 from xcg.packing.samples import Bounds, Measure
-from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import require_times, times_are_known
-from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
+from xcg.scene.schema import units_in
+from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
-from xcg.steps.mapping import map_over_time
+from xcg.steps.labels import format_call
 
 NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)
@@ -80,7 +80,7 @@ def microstructure(
         wider than it. Or such bounds by name, ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``,
         which adds the dimension ``region``.
     min_contacts : int
-        Partners from which a particle counts as bearing load, in Z_mech and d_bar.
+        Partners from which a particle counts as load-bearing, in Z_mech and d_bar.
     rattlers : str
         "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers.
         "iterative": they are taken out, with their contacts, until every particle left has that
@@ -100,8 +100,8 @@ def microstructure(
         Axis of the axial strain; by default the last of the scene.
     cell : float, optional
         Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
-        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains,
-        ``lacey_index`` is NaN, with a warning.
+        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains, or
+        all grains are of one phase, ``lacey_index`` is NaN, with a warning.
     mixing_weight : {"number", "volume"}
         What grains count by in concentrations, their variances and entropy.
     neighbours : int, optional
@@ -157,7 +157,7 @@ def microstructure(
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
     stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
     mean_stress                        :math:`p' = tr \sigma / D`
-    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev sym :math:`\sigma`; 2D:
                                        :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
                                        axisymmetric states
     stress_ratio                       :math:`\eta = q / p'`
@@ -234,12 +234,10 @@ def microstructure(
     if axis is not None and axis not in setup.plane:
         raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
     measured = _measured(names, rate)
-    needed = {variable for name in measured for variable in QUANTITIES[name].needs}
-    require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
         names=measured,
         setup=setup,
-        regions=tuple(regions.values()),
+        regions=regions,
         by=by,
         groups=scene.groups(by, groups),
         depth=scene.layer_depth,
@@ -251,17 +249,10 @@ def microstructure(
         by_volume=mixing_weight == "volume",
         neighbours=neighbours,
     )
-    extra = {"particle_id", "position", "frozen", *([by] if by else [])}
-    extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
-    read = [str(name) for name in ds.data_vars if name in needed | extra and name not in BOX]
-    read += [name for name in OF_STEP if name in ds]
-    results = {name: (measure.shape(name), "float64") for name in measured}
-    arrays = (
-        map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
-    )
-    result = _label(ds, arrays, measure, regions)
-    result = _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
-    return mark_skipped(result, arrays)
+    require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")
+    call = format_call("microstructure", given)
+    result = run(ds, measure, call=call, scene=scene, on_error=on_error)
+    return _with_series(ds, result, names, rate, strain, axis or setup.plane[-1])
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:
@@ -372,56 +363,6 @@ def _is(rate: str | xr.DataArray, source: str) -> bool:
     return isinstance(rate, str) and rate == source
 
 
-def _label(
-    ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions: Mapping[str, Bounds]
-) -> xr.Dataset:
-    """Name dimensions, except dimensions of one region or phase."""
-    system, bins = measure.setup.unit_system, measure.force_bins
-    coords: dict[str, Any] = {
-        name: ds[name].variable for name in ("time", "step") if name in ds.coords
-    }
-    coords |= {dim: (dim, list(COMPONENTS)) for dim in TENSOR}
-    counts = np.arange(measure.max_connectivity + 1)
-    coords["partners"] = (
-        "partners",
-        counts,
-        {"long_name": "number of contact partners", "units": "1"},
-    )
-    middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
-    coords["force_ratio"] = (
-        "force_ratio",
-        middle,
-        {"long_name": "force over its mean", "units": "1"},
-    )
-    coords["force_ratio_width"] = (
-        "force_ratio",
-        np.diff(bins),
-        {"long_name": "width of the bin", "units": "1"},
-    )
-    coords["region"] = ("region", list(regions))
-    coords["phase"] = (
-        "phase",
-        ["bulk", *map(str, measure.groups)],
-        {"long_name": f"phase by {measure.by}"},
-    )
-    data = {}
-    for name in measure.names if arrays else ():
-        row, values = QUANTITIES[name], arrays[name]
-        attrs = {
-            "units": units_in(row.units, system),
-            "long_name": row.long_name,
-            "formula": row.formula,
-        }
-        data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
-    used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
-    coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
-    result = with_phase_labels(storable(xr.Dataset(data, coords)))
-    for dim, single in (("region", "" in regions), ("phase", measure.by is None)):
-        if single and dim in result.dims:
-            result = result.isel({dim: 0}, drop=True)
-    return result
-
-
 def _with_series(
     ds: xr.Dataset,
     result: xr.Dataset,
@@ -429,7 +370,6 @@ def _with_series(
     rate: str | xr.DataArray,
     strain: str,
     axis: str,
-    given: Mapping[str, Any],
 ) -> xr.Dataset:
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
     setup = describe(ds).setup
@@ -469,7 +409,7 @@ def _with_series(
             "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
         }
         result[name] = number.transpose(*pressure.dims).drop_attrs(deep=False).assign_attrs(attrs)
-    return result[list(names)].assign_attrs(provenance(ds, format_call("microstructure", given)))
+    return result[list(names)]
 
 
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:

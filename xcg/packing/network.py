@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from xcg.common.checks import extra
 from xcg.compiled.contacts import join_clusters
 from xcg.packing.quantities import CONTACTS
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
+from xcg.scene.rows import unit_vectors
 from xcg.scene.schema import Frame
 
 if TYPE_CHECKING:
@@ -28,15 +28,15 @@ EdgeWeight: TypeAlias = Literal["contacts", "force", "overlap"]
 
 
 @takes_scene
-def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = None) -> csr_array:
+def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = None) -> csr_array:
     r"""Return the adjacency matrix of the contacts between the grains of one step.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene with contacts.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     weight : {"contacts", "force", "overlap"}, optional
         What entries are: 1 where grains touch (default), the number of their contacts, the
         magnitude of the sum of their contact forces (N), or the largest of their overlaps (m).
@@ -80,7 +80,7 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
         )
     needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
     require_scene(ds, [*CONTACTS, *needed], "adjacency")
-    frame, contacts = _step_at(ds, time, needed)
+    frame, contacts = _step_at(ds, index, needed)
     pairs, count = _edges(frame, contacts), len(frame["particle_id"])
     i, j = pairs["i"], pairs["j"]
     values = np.ones(len(i)) if weight is None else pairs[weight].astype(float)
@@ -90,7 +90,7 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
 
 
 @takes_scene
-def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.Graph:
+def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = False) -> nx.Graph:
     """Return the contact network of one step as a graph of networkx.
 
     Nodes are grains by ``particle_id``, frozen ones included, with the scene's variables of the
@@ -101,9 +101,9 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     ----------
     ds : xarray.Dataset
         A scene with contacts.
-    time : int
-        Which step, by position; the last one by default.
-    walls : bool
+    index : int
+        Position of the step in time; the last one by default.
+    include_walls : bool
         Add walls as nodes by their negative number. Nodes have the attribute ``wall``, True for
         these.
 
@@ -151,9 +151,9 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     nx = extra("networkx", "network", "contact_graph")
     require_scene(ds, CONTACTS, "contact_graph")
     of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
-    frame, contacts = _step_at(ds, time, [*of_grains, "contact_force", "overlap"])
-    pairs = _edges(frame, contacts, walls=walls)
-    coords = step_at(ds, time, "time").coords
+    frame, contacts = _step_at(ds, index, [*of_grains, "contact_force", "overlap"])
+    pairs = _edges(frame, contacts, walls=include_walls)
+    coords = step_at(ds, index).coords
     graph = nx.Graph(
         **{name: coords[name].values.item() for name in ("time", "step") if name in coords}
     )
@@ -182,10 +182,10 @@ def _entries(values: NDArray) -> Sequence[Any]:
     return values.tolist() if values.ndim == 1 else [row.copy() for row in values]
 
 
-def _step_at(ds: xr.Dataset, time: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
+def _step_at(ds: xr.Dataset, index: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
     """Read some variables of a step, and its contacts."""
     wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
-    frame, lattice, source = frame_at(ds, time, wanted)
+    frame, lattice, source = frame_at(ds, index, wanted)
     return frame, Contacts.of(frame, lattice, source)
 
 

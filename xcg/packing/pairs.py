@@ -192,8 +192,8 @@ class CellLists:
             slack,
         )
 
-    def find(self, first: int, last: int, most: int = 2**62) -> tuple[NDArray, NDArray, int]:
-        """Pairs of the records from `first` to `last`, of more than `most` only some, and the distances that took."""
+    def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
+        """Pairs of the records from `first` to `last` (of more than `max_pairs` some), and the distances taken."""
         capacity = 4 * (last - first) + 64
         left, right, found, tested = loops.find(
             first,
@@ -210,7 +210,7 @@ class CellLists:
             self.fold,
             self.skin,
             self.slack,
-            most,
+            max_pairs,
             np.empty(capacity, "int32"),
             np.empty(capacity, "int32"),
         )
@@ -260,7 +260,7 @@ def find_pairs(
     method: PairMethod = "hierarchical",
     levels: int | None = None,
     threads: int | None = None,
-    most: int | None = None,
+    max_pairs: int | None = None,
 ) -> NDArray:
     """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
 
@@ -296,7 +296,7 @@ def find_pairs(
     threads : int, optional
         Threads that search; by default all cores for many particles. The result does not depend on
         it.
-    most : int, optional
+    max_pairs : int, optional
         Limit on the number of pairs, where it is above a million and 200 a particle.
 
     Returns
@@ -308,7 +308,7 @@ def find_pairs(
     ------
     SceneError
         If arrays have the wrong shape or hold values that are not finite, a radius is negative, or
-        the box is unbounded along a periodic axis, or there are more than max(10^6, 200 n, `most`)
+        the box is unbounded along a periodic axis, or there are more than max(10^6, 200 n, `max_pairs`)
         pairs.
     ValueError
         If `method`, `skin`, `levels` or `threads` is not as expected.
@@ -327,7 +327,14 @@ def find_pairs(
         {name: values[0] for name, values in arrays.items()}, periodic, "find_pairs"
     )
     return pairs_of(
-        centres, radii, images, skin=skin, method=method, levels=levels, threads=threads, most=most
+        centres,
+        radii,
+        images,
+        skin=skin,
+        method=method,
+        levels=levels,
+        threads=threads,
+        max_pairs=max_pairs,
     )
 
 
@@ -340,7 +347,7 @@ def pairs_of(
     method: str,
     levels: int | None,
     threads: int | None,
-    most: int | None,
+    max_pairs: int | None,
     source: str = "find_pairs",
 ) -> NDArray:
     """Find pairs of spheres in any box, see `find_pairs`."""
@@ -364,21 +371,22 @@ def pairs_of(
     lists = CellLists.of(
         centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
     )
-    most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
+    max_pairs = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), max_pairs or 0)
     counts = [0]
 
     def find(first: int, last: int) -> tuple[NDArray, NDArray]:
-        left, right, _ = lists.find(first, last, most - sum(counts))
+        left, right, _ = lists.find(first, last, max_pairs - sum(counts))
         counts.append(len(left))
         rows_of_pairs(left, right, lists.row)
         return left, right
 
     # more parts than threads, as large particles take longer than small ones
     found = for_parts(len(centres), find, workers, each=8)
-    if sum(counts) > most:
+    if sum(counts) > max_pairs:
         raise SceneError(
-            f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
-            "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
+            f"more than {max_pairs} pairs of near particles among {len(centres)}: positions coincide, or "
+            "diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= "
+            "(max_contacts= of find_contacts)"
         )
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")

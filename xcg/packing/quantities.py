@@ -4,7 +4,7 @@ A row's function takes the sample ``s`` of one group of particles at one time:
 
 count, diameter, volume, mass, velocity, position : number and (n, ...)
     The particles of the group.
-partners, held : (n,)
+partners, backbone : (n,)
     Number of contact partners, and whether they hold the particle in place (it is not a rattler).
 weight, normal : (c, ...)
     The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a
@@ -73,8 +73,8 @@ def ratio(a: Any, b: float) -> Any:
 
 
 def _mechanical(s: Any) -> float:
-    bearing = s.partners[s.partners >= s.min_contacts]
-    return ratio(bearing.sum(), len(bearing))
+    load_bearing = s.partners[s.partners >= s.min_contacts]
+    return ratio(load_bearing.sum(), len(load_bearing))
 
 
 def _connectivity(s: Any) -> NDArray:
@@ -171,8 +171,8 @@ def _d50(s: Any) -> float:
 
 
 def _d_bar(s: Any) -> float:
-    bearing = s.partners >= s.min_contacts
-    return ratio((s.volume * s.diameter)[bearing].sum(), s.volume[bearing].sum())
+    load_bearing = s.partners >= s.min_contacts
+    return ratio((s.volume * s.diameter)[load_bearing].sum(), s.volume[load_bearing].sum())
 
 
 def _of_mixture(method: str, s: Any) -> float:
@@ -238,12 +238,15 @@ QUANTITIES: dict[str, PackingQuantity] = {
         needs=CONTACTS,
     ),
     "rattler_count": PackingQuantity(
-        "number of rattlers", "N of z_i < D + 1", lambda s: s.count - s.held.sum(), needs=CONTACTS
+        "number of rattlers",
+        "N of z_i < D + 1",
+        lambda s: s.count - s.backbone.sum(),
+        needs=CONTACTS,
     ),
     "non_rattler_fraction": PackingQuantity(
         "fraction of particles that are no rattlers",
         "f_NR = 1 - rattlers / N",
-        lambda s: ratio(s.held.sum(), s.count),
+        lambda s: ratio(s.backbone.sum(), s.count),
         needs=CONTACTS,
     ),
     "connectivity": PackingQuantity(
@@ -300,7 +303,7 @@ QUANTITIES: dict[str, PackingQuantity] = {
     ),
     "deviator_stress": PackingQuantity(
         "deviator stress",
-        "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))",
+        "q = sqrt(3/2 s:s), s = dev sym sigma (2D: sqrt(2 s:s))",
         _deviator_stress,
         units="Pa",
         needs=FORCES,

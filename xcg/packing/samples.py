@@ -28,15 +28,19 @@ from functools import cached_property
 from types import SimpleNamespace
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once
 from xcg.packing.network import Clusters
-from xcg.packing.quantities import QUANTITIES, ratio
+from xcg.packing.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
-from xcg.scene.frame import phase_of, steps_in, without_frozen
+from xcg.scene.description import Description
+from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame, Setup
+from xcg.scene.schema import COMPONENTS, Frame, Setup, Variable
+from xcg.steps.analysis import FrameAnalysis
+from xcg.steps.labels import phases_of
 
 Bounds = Mapping[str, Sequence[float]]
 
@@ -48,24 +52,27 @@ ENOUGH = 5  # grains in a cell, on average, that a warning recommends
 
 
 @dataclass(frozen=True, eq=False)
-class Measure:
-    """Options of the measurement of a frame.
+class Measure(FrameAnalysis):
+    """Quantities of each step, by region and phase.
 
     Attributes
     ----------
     names : tuple of str
         Names in `QUANTITIES`.
-    regions : tuple of mapping
-        Bounds of each region; one without bounds is the whole scene.
+    regions : mapping
+        Bounds by name of the region; the name is empty where there is one region only, and no
+        bounds are those of the scene.
     groups : tuple of int
         Values of `by`; empty without phases.
     depth : float or str or None
         Thickness of a one-layer scene (m), or the axis whose box extent it is.
     """
 
+    name = "microstructure"
+
     names: tuple[str, ...]
     setup: Setup
-    regions: tuple[Bounds, ...]
+    regions: Mapping[str, Bounds]
     by: str | None
     groups: tuple[int, ...]
     depth: float | str | None
@@ -78,33 +85,54 @@ class Measure:
     neighbours: int
 
     @property
-    def phases(self) -> int:
-        """Number of phases, the bulk included."""
-        return 1 + len(self.groups)
+    def needs(self) -> set[str]:
+        """Variables of the scene that the quantities need."""
+        return {variable for name in self.names for variable in QUANTITIES[name].needs}
 
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of one step of a quantity: region, phase, its own dimensions."""
-        lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
-        own_shape = (lengths.get(dim, 3) for dim in QUANTITIES[name].dims)
-        return (len(self.regions), self.phases, *own_shape)
+    def reads(self, scene: Description) -> list[str]:
+        """Return what the quantities need, what groups follow from, and normals if there are any."""
+        read = self.needs | {"position", "frozen", self.by}
+        if self.needs & set(CONTACTS):
+            read.add("contact_normal")
+        return [name for name in scene.columns if name in read]
 
-    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-        """Quantities of one chunk of time."""
-        steps = len(arrays["particle_id"])
-        out = {name: np.empty((steps, *self.shape(name))) for name in self.names}
-        for t, step in enumerate(steps_in(arrays, self.setup.periodic)):
-            self.measure(*step, {name: a[t] for name, a in out.items()})
-        return out
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the quantities by region and phase, as far as there are several."""
+        dims = ["region"] if "" not in self.regions else []
+        if self.by is not None:
+            dims.append("phase")
+        rows = {}
+        for name in self.names:
+            row = QUANTITIES[name]
+            rows[name] = Variable((*dims, *row.dims), row.units, row.long_name, formula=row.formula)
+        return rows
 
-    def measure(
-        self, frame: Frame, lattice: Lattice, source: str, out: Mapping[str, NDArray]
-    ) -> None:
-        """Write the quantities of one frame into arrays (region, phase, ...)."""
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return regions, phases, and the bins of distributions, those that are used."""
+        bins = self.force_bins
+        middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
+        counts = np.arange(self.max_connectivity + 1)
+        of_counts = {"long_name": "number of contact partners", "units": "1"}
+        of_bins = {"long_name": "force over its mean", "units": "1"}
+        of_widths = {"long_name": "width of the bin", "units": "1"}
+        coords = {
+            "partners": xr.Variable("partners", counts, of_counts),
+            "force_ratio": xr.Variable("force_ratio", middle, of_bins),
+            "force_ratio_width": xr.Variable("force_ratio", np.diff(bins), of_widths),
+            "region": xr.Variable("region", list(self.regions)),
+            "phase": phases_of(self.by, self.groups),
+        }
+        used = {dim for row in self.rows(scene).values() for dim in row.dims}
+        return {name: coord for name, coord in coords.items() if coord.dims[0] in used}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
+        """Compute the quantities of one step."""
         frame = without_frozen(frame)
         contacts = Contacts.of(frame, lattice, source) if "contact_i" in frame else None
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, source)
-        for r, bounds in enumerate(self.regions):
+        samples = []
+        for bounds in self.regions.values():
             position, inside = _images_in(bounds, frame["position"], lattice, source)
             volume = self._volume(bounds, lattice.edges)
             images = frame | {"position": position}
@@ -112,13 +140,20 @@ class Measure:
                 drift = lattice.drift(position - frame["position"])
                 images["velocity"] = frame["velocity"] + drift
             mixture = self._mixture(bounds, lattice, images, inside, phase, source)
-            for p in range(self.phases):
+            for p in range(1 + len(self.groups)):
                 member = inside if p == 0 else inside & (phase == p - 1)
                 sample = _sample(self, images, contacts, shared, member, volume)
                 sample.mixture = mixture
                 sample.which = p
-                for name in self.names:
-                    out[name][r, p] = QUANTITIES[name].compute(sample)
+                samples.append(sample)
+        lengths = [] if "" in self.regions else [len(self.regions)]
+        if self.by is not None:
+            lengths.append(1 + len(self.groups))
+        found = {}
+        for name in self.names:
+            values = np.array([QUANTITIES[name].compute(sample) for sample in samples], float)
+            found[name] = values.reshape((*lengths, *values.shape[1:]))
+        return found
 
     def _mixture(
         self,
@@ -223,7 +258,7 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
     return SimpleNamespace(
         partners=contacts.partners,
-        held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
+        backbone=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=contacts.normal_force,
         tangential_force=tangential,
         virial=contacts.sum_over_particles(virial_i, virial_j),
@@ -269,7 +304,7 @@ def _sample(
     sample.tangential_force = shared.tangential_force[pushing]
     sample.clusters = Clusters(contacts, member)
     sample.partners = shared.partners[member]
-    sample.held = shared.held[member]
+    sample.backbone = shared.backbone[member]
     sample.virial = shared.virial[member].sum(axis=0)
     return sample
 
@@ -359,9 +394,16 @@ class Mixture:
     def lacey(self, which: int) -> float:
         """Return Lacey's index.
 
-        NaN, with a warning, if no cell holds two grains, so that all arrangements are alike.
+        NaN, with a warning, if all grains are of one phase, or no cell holds two grains, so that all
+        arrangements are alike.
         """
         apart = self.segregated_variance(which)
+        if len(self.phase) > 1 and len(np.unique(self.phase)) == 1:
+            warn_once(
+                "one phase",
+                f"lacey_index is NaN: all {len(self.phase)} grains are of one phase; by= names the variable that "
+                "holds the phases, and ds.cg.assign_phases(edges=[...]) makes one from diameters",
+            )
         if apart > 0 and self.cells.max() + 1 == len(self.phase):
             warn_once("cells below a grain", self._too_small())
             return math.nan

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from numpy.typing import ArrayLike
 
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.readers.columns import read_names, split_names
+from xcg.readers.assigned import read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
 from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS
@@ -45,11 +45,13 @@ class Arguments:
     names: Mapping[str, Any] | Sequence[str | None] | str | None = None
     times: ArrayLike | None = None
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None
-    periodic: str | None = None
+    periodic: str | bool | Sequence[str] | Sequence[bool] | None = None
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None
     shear_rate: Mapping[str, ArrayLike] | None = None
     gravity: Sequence[float] | None = None
     density: float | None = None
+    diameter: float | None = None
+    mass: float | None = None
     frozen: int | Sequence[int] | None = None
     units: Mapping[str, float] | str | None = None
     dimension: int | None = None
@@ -73,6 +75,16 @@ class Arguments:
     def wall_columns(self) -> dict[str, str | Sequence[str]]:
         """Columns of the particles that hold contacts with walls, by the name of the wall."""
         return dict(self.walls) if isinstance(self.walls, Mapping) else {}
+
+    @property
+    def alike(self) -> dict[str, Any]:
+        """Numbers that hold for all particles where the files do not hold them, by their variable."""
+        return {"density": self.density, "diameter": self.diameter, "mass": self.mass}
+
+    @property
+    def sets_times(self) -> bool:
+        """Return whether times come from the caller, and not from the files."""
+        return self.times is not None or "timestep" in self.engine_options
 
     @property
     def paths(self) -> dict[str, Paths]:
@@ -170,6 +182,10 @@ def _likely(option: str, reader: Engine) -> str:
     """Return the argument that was meant, as the end of a message; "" if none is near."""
     if option.lower() in _OF_TIME:
         return f"; did you mean {'timestep' if 'timestep' in reader.OPTIONS else 'times'}=?"
+    if option.lower() in ("radius", "radii"):
+        return "; did you mean diameter=, twice the radius? A column is read by names={'its column': 'radius'}"
+    if option.lower() == "format":
+        return "; did you mean 'engine'?"
     if option in PARTICLE_SLOTS or option in CONTACT_SLOTS:
         return f"; it is read from a column, names={{'its column': {option!r}}}"
     known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]

@@ -132,6 +132,9 @@ class ReadOptions:
         Which of ``periodic``, ``lattice`` and ``shape`` of `xcg.open_scene` the caller gave.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
+    vectors : tuple of tuple of str
+        Columns of the file that become the components of vectors; an engine may return them as
+        views of one array (n, 3).
     columns : mapping
         Names of all columns of files without a line of names, by kind ("particles", "contacts");
         None skips a column.
@@ -146,6 +149,7 @@ class ReadOptions:
     words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     given: frozenset[str] = frozenset()
     unwanted: tuple[str, ...] = ()
+    vectors: tuple[tuple[str, ...], ...] = ()
     columns: Mapping[str, Sequence[str | None]] = field(default_factory=dict)
     alone: bool = False
 

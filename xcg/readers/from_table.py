@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -11,17 +12,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, printable, warn_user
-from xcg.readers import columns
+from xcg.readers import unread_columns
+from xcg.readers.assigned import assign
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of, warn_of_unread_clock
 from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of
-from xcg.scene.schema import Frame
+from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.schema import Frame, periodic_axes
 
 
 def scene_from_table(
@@ -75,6 +76,10 @@ def scene_from_table(
     >>> dict(ds.sizes)
     {'time': 2, 'particle': 2, 'component': 3}
     """
+    if isinstance(particles, (str, os.PathLike)):
+        raise TypeError(
+            f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
+        )
     said = ReadOptions(dict(names or {}))
     tables = {"particles": _table(particles)}
     grains = _frames(tables["particles"], "particles", said, contacts=False)
@@ -84,9 +89,10 @@ def scene_from_table(
     nameless = "particle_id" not in given and options.get("particle_id") is None
     if nameless:
         ref = StepRef("particles", 0, columns=tuple(tables["particles"].columns))
-        columns.report_missing_ids(ref, len(steps), contacts=contacts is not None)
+        unread_columns.report_missing_ids(ref, len(steps), contacts=contacts is not None)
     if contacts is not None:
-        periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
+        periodic = periodic_axes(options.get("periodic"), options.get("plane"))
+        lattices = [Lattice.of({}, "")] * len(steps)
         if periodic and options.get("box") is not None:
             boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
             lattices = [
@@ -153,7 +159,7 @@ def _with_vectors(
         columns={column: name for column, name in options.names.items() if name in magnitudes}
     )
     ref = StepRef("contacts", len(table), columns=tuple(table.columns))
-    ends = columns.assign(
+    ends = assign(
         ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options
     )
     if "normal_force" not in table or len(ends) < 2:
@@ -235,10 +241,10 @@ def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str,
     table = Table()
     read = (table.contact_columns if contacts else table.particle_columns)(ref, options)
     read = {name: "" for name, value in arguments.items() if value is not None} | read
-    columns.warn_of_unread(ref, read, options, contacts=contacts)
+    unread_columns.warn_of_unread(ref, read, options, contacts=contacts)
     warn_of_unread_clock(ref, options)
     if arguments.get("units") is None:
-        columns.warn_of_other_units(ref, options)
+        unread_columns.warn_of_other_units(ref, options)
 
 
 class _InMemory(Table):

@@ -35,7 +35,7 @@ from xcg.readers.files.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_ends, is_central
+from xcg.scene.sanity_contacts import check_ends, is_central
 from xcg.scene.schema import MOTION, ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
 from xcg.steps.mapping import picked
@@ -188,7 +188,9 @@ def _check_unchanged(ref: StepRef) -> None:
     raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
-_MOST_OPENED = 1 << 28  # bytes of steps that are kept from opening to their first use
+# bytes of a step that is kept from opening to its first use, alone or beside another
+_MOST_OPENED = 1 << 28
+_MOST_BESIDE = 1 << 25
 
 
 class Opened:
@@ -207,10 +209,10 @@ class Opened:
     def __dask_tokenize__(self) -> str:
         return type(self).__name__
 
-    def keep(self, ref: StepRef, frame: Frame) -> None:
-        """Keep the completed particles of a step, within a limit of memory."""
-        frames = [*self._frames.values(), frame]
-        if sum(array.nbytes for one in frames for array in one.values()) <= _MOST_OPENED:
+    def keep(self, ref: StepRef, frame: Frame, *, beside: bool) -> None:
+        """Keep the completed particles of a step, only of a small one `beside` another that follows."""
+        held = sum(array.nbytes for array in frame.values())
+        if held <= (_MOST_BESIDE if beside else _MOST_OPENED):
             self._frames[ref] = dict(frame)
 
     def take(self, ref: StepRef, names: Iterable[str]) -> Frame | None:
@@ -234,7 +236,7 @@ class Source:
     engine : Engine
         Reads one step.
     frozen : tuple of int or None
-        Species that are held in place; None where the caller said nothing.
+        Species that are fixed in place; None where the caller said nothing.
     once : Once
         Gives warnings of the scene's steps once.
     opened : Opened
@@ -254,13 +256,16 @@ class Source:
         return replace(self, options=replace(self.options, **options))
 
     def complete(self, frame: Frame, ref: StepRef, box: Frame) -> Frame:
-        """Check and complete the particles of one step, in the box of this step."""
+        """Check and complete the particles of one step, in the box of this step.
+
+        `frame` is empty afterwards, see `xcg.scene.complete.complete_particles`.
+        """
         if self.frozen is not None:
             if "species" not in frame:
                 raise SceneError(
                     f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
                 )
-            frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
+            frame["frozen"] = np.isin(frame["species"], self.frozen).astype("int64")
         lattice = None
         if "unwrapped_position" in frame:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))

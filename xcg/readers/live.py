@@ -15,12 +15,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import units_of_system
+from xcg.readers.wall_columns import WALL_CONTACTS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS
 
 _ATOM, _LOCAL = 1, 2  # styles, and
@@ -63,7 +63,7 @@ def scene_from_lammps(
     walls : str, list or mapping
         IDs of ``fix wall/gran ... contacts``, or a mapping from names of walls to these.
     frozen : int or sequence of int, optional
-        Types that are held in place and act as walls.
+        Types that are fixed in place and act as walls.
     gravity : three floats, optional
         Acceleration of gravity (m s-2, or reduced).
     units : mapping, "SI" or "reduced", optional

@@ -35,11 +35,13 @@ def open_scene(
     names: Mapping[str, Any] | Sequence[str | None] | str | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
-    periodic: str | None = None,
+    periodic: str | bool | Sequence[str] | Sequence[bool] | None = None,
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
     shear_rate: Mapping[str, ArrayLike] | None = None,
     gravity: Sequence[float] | None = None,
     density: float | None = None,
+    diameter: float | None = None,
+    mass: float | None = None,
     frozen: int | Sequence[int] | None = None,
     units: Mapping[str, float] | str | None = None,
     dimension: int | None = None,
@@ -106,8 +108,9 @@ def open_scene(
         these times, too.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain in the files' unit of length, in place of the headers'.
-    periodic : str, optional
-        Periodic axes, for example "xy", in place of the headers'; "" for none.
+    periodic : str or bool, optional
+        Periodic axes, for example "xy", in place of the headers'; "" or False for none, True for
+        all.
     lattice : array (3, 3), array (t, 3, 3) or mapping, optional
         Vectors a, b, c to the next periodic images of a tilted box, or its tilts by name, ``{"xy":
         0.01}``, in the files' unit of length, in place of the headers' (see
@@ -121,8 +124,10 @@ def open_scene(
         Acceleration of gravity (m s-2, or reduced).
     density : float, optional
         Density of the material (kg m-3, or reduced) for files that hold neither mass nor density.
+    diameter, mass : float, optional
+        Diameter (m) and mass (kg) of all particles, for files that hold neither sizes nor masses.
     frozen : int or sequence of int, optional
-        Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
+        Species that are fixed in place and act as walls: they get ``frozen = 1``, all others 0.
     units : mapping or str, optional
         Factors from the files' units to SI, for example ``{"length": 1e-3}``; "SI", "reduced", or a
         unit system of LAMMPS by name ("lj", "si", "cgs", "micro", "nano"). By default what the
@@ -252,6 +257,8 @@ def open_scene(
         shear_rate=shear_rate,
         gravity=gravity,
         density=density,
+        diameter=diameter,
+        mass=mass,
         frozen=frozen,
         units=units,
         dimension=dimension,

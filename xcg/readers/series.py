@@ -13,23 +13,24 @@ from numpy.typing import NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
-from xcg.readers.columns import report_missing_ids, warn_of_other_units
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
+from xcg.readers.unread_columns import report_missing_ids, warn_of_other_units
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
-from xcg.scene.frame import measure_frames
+from xcg.scene.frame import measure_frames, measured_variables
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_sizes
-from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape
+from xcg.scene.sanity import check_motion, check_scene
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, periodic_axes
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS
 
+_MOST_ROWS_OF_MOTION = 20_000  # particles of the second step, if it is read for a comparison alone
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 
 
@@ -172,8 +173,8 @@ def _read_end(
     ends[ref] = read_step(listing.reader, listing.options, ref)
     if arguments.on_error == "skip":
         shape, thickness = _shape_of(arguments, listing)
-        setup = Setup.make(shape=shape, thickness=thickness, density=arguments.density)
-        complete_particles(ends[ref], setup, source_of(ref))
+        setup = Setup.make(shape=shape, thickness=thickness, **arguments.alike)
+        complete_particles(dict(ends[ref]), setup, source_of(ref))
 
 
 def warn_of_missing_facts(
@@ -224,12 +225,15 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
         dimension = len(plane) if plane else of_files or len(flat or COMPONENTS)
     if dimension == 2:
         plane = plane or flat or "xy"
-    periodic = arguments.periodic
-    if periodic is None:
-        periodic = _within(plane, first.periodic or "")
-    elif arguments.box is None and first.box is None:
-        # no file tells the period across a layer, and nothing depends on it
-        periodic = _within(flat, periodic)
+    periodic = _within(plane, first.periodic or "")
+    if arguments.periodic is not None:
+        given = periodic_axes(arguments.periodic, plane)
+        if first.periodic is not None:
+            _check_periodic(_within(plane, given), periodic, source_of(first))
+        periodic = given
+        if arguments.box is None and first.box is None:
+            # no file tells the period across a layer, and nothing depends on it
+            periodic = _within(flat, periodic)
     shape, thickness = _shape_of(arguments, listing)
     setup = Setup.make(
         units=_units_of(arguments, listing),
@@ -238,14 +242,25 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
         plane=plane,
         thickness=thickness,
         shape=shape,
-        density=arguments.density,
         sides=arguments.sides,
         periodic=periodic,
+        **arguments.alike,
     )
     if arguments.gravity is None and first.gravity is not None:
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
         setup = replace(setup, gravity=(x, y, z))
     return setup
+
+
+def _check_periodic(given: str, named: str, source: str) -> None:
+    """Warn if axes are given as periodic that are not so in the header; others may be left out on purpose."""
+    added = "".join(axis for axis in given if axis not in named)
+    if added:
+        names = f"names {named!r}" if named else "names no periodic axis"
+        warn_user(
+            f"periodic={given!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
+            "neighbours; leave periodic= out, unless the header is wrong"
+        )
 
 
 def _units_of(arguments: Arguments, listing: Listing) -> Any:
@@ -283,24 +298,53 @@ def make_series(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
     rows = {step.particles: row for row, step in enumerate(steps)}
-    frames = []
+    types: dict[str, Any] = {}
+    first: Frame | None = None  # of a small series, whose motion is compared with its times
+    frames: list[Frame] = []
     for ref in list(ends):
         box = {name: values[rows[ref]] for name, values in boxes.items()}
-        frames.append(source.complete(ends.pop(ref), ref, box))
-        source.opened.keep(ref, frames[-1])
-    first = frames[0]
-    check_sizes(first, setup)
-    names = [name for name in dict.fromkeys([*VARIABLES, *first]) if name in first]
+        frame = source.complete(ends.pop(ref), ref, box)
+        if not frames:
+            images = Lattice.of(box, setup.periodic, source_of(ref))
+            check_scene(frame, setup, images, is_volume=True)
+            names = [name for name in dict.fromkeys([*VARIABLES, *frame]) if name in frame]
+            types = {name: frame[name].dtype for name in names}
+            if ref.rows <= _MOST_ROWS_OF_MOTION:
+                first = frame
+        # of two large steps the last: dask begins with it
+        source.opened.keep(ref, frame, beside=bool(ends))
+        frames.append(measured_variables(frame))
+        del frame
     with_contacts = next((step for step in steps if step.contacts), steps[0])
     series = Series(
         source,
         steps,
         boxes,
-        {name: first[name].dtype for name in names},
+        types,
         _contact_names(source, with_contacts),
         times,
     )
-    return series, measure_frames(frames)
+    measured = measure_frames(frames)
+    if first is not None and arguments.sets_times and arguments.on_error == "raise":
+        _check_times_of_motion(series, first, images)
+    return series, measured
+
+
+def _check_times_of_motion(series: Series, first: Frame, images: Lattice) -> None:
+    """Compare the motion in a short first step with times that the caller gave."""
+    if series.times is None or len(series.steps) < 2:
+        return
+    ref = series.steps[1].particles
+    if ref.rows > _MOST_ROWS_OF_MOTION:
+        return
+    source = series.source
+    try:
+        raw = read_step(source.engine, source.options, ref)
+        box = {name: values[1] for name, values in series.boxes.items()}
+        second = source.complete(raw, ref, box)
+    except FAULTS:
+        return  # appear when the step is computed
+    check_motion(first, second, float(series.times[1] - series.times[0]), images)
 
 
 def with_origin(
@@ -415,7 +459,7 @@ def _within(plane: str | None, periodic: str) -> str:
 
 
 def _frozen_species(frozen: int | Sequence[int], ends: Mapping[StepRef, Frame]) -> tuple[int, ...]:
-    """Return the species that are held in place; raise SceneError unless the ends hold them."""
+    """Return the species that are fixed in place; raise SceneError unless the ends hold them."""
     numbers = np.atleast_1d(floats(frozen)).tolist()
     if not all(number.is_integer() for number in numbers):
         raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")

@@ -14,7 +14,7 @@ from xcg.scene.description import describe
 from xcg.scene.facts import SETUP
 from xcg.scene.frame import measure, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import BOX, OF_STEP, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body

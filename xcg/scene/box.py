@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, warn_user
 from xcg.scene.lattice import Lattice, same_vectors
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame
 
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"

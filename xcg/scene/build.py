@@ -17,7 +17,7 @@ from xcg.scene.conform import storable
 from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_sizes
+from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -117,9 +117,11 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
         return [array]
     if array.ndim == dims + 1:
         return list(array)
+    shape = ["n", "3"][:dims]
+    equal = f"; where all are equal, give numpy.full(({', '.join(shape)}{',' * (dims == 1)}), {array.tolist()})"
     raise SceneError(
         f"'{name}' has shape {array.shape}: expected {dims} dimension{'s' * (dims > 1)} for one step, or {dims + 1} "
-        f"with time first{'' if array.ndim else f'; where all are equal, give numpy.full(n, {array})'}"
+        f"with time first{equal if array.size in (1, 3) and array.ndim < dims else ''}"
     )
 
 
@@ -155,7 +157,7 @@ def scene_from_arrays(
     time: ArrayLike | None = None,
     step: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
-    periodic: str = "",
+    periodic: str | bool | Sequence[str] | Sequence[bool] = "",
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
     shear_rate: Mapping[str, ArrayLike] | None = None,
     gravity: Sequence[float] | None = None,
@@ -187,8 +189,8 @@ def scene_from_arrays(
         refused.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain (m), needed along periodic axes.
-    periodic : str
-        Periodic axes, for example "xy".
+    periodic : str or bool
+        Periodic axes, for example "xy"; True for all of the scene.
     lattice : array (3, 3), array (t, 3, 3) or mapping, optional
         Vectors a, b, c to the next periodic images (m) where they are not along x, y and z, in
         rows; `box` then holds the edges of the box without its tilt, whose lengths are the vectors'
@@ -214,7 +216,7 @@ def scene_from_arrays(
         Density of the material (kg m-3): one number, or one a particle.
     units : mapping or str, optional
         Factors to SI of arrays, time, box and lattice, for example ``{"length": 1e-3}``; gravity,
-        thickness, shear_rate and a single density are in SI. "reduced" for scaled data, or a unit
+        thickness, shear_rate and a single density, diameter or mass are in SI. "reduced" for scaled data, or a unit
         system of LAMMPS by name, such as "cgs".
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
@@ -225,7 +227,8 @@ def scene_from_arrays(
         whose forces and points agree to 1e-4 are always one; rows (i, j) in one order at different
         points always count each.
     **variables
-        Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``,
+        Other variables by their scene name: ``velocity``, ``diameter`` and ``mass`` (an array, or
+        one number for all particles), ``volume``,
         ``particle_id``, ``species``, ``contact_i``, ``contact_j``, ``contact_force``,
         ``contact_point``, ... In a periodic box of less than two diameters ``contact_branch`` (from
         j to i) gives the side on which grains touch, where no point does. Any other name is a
@@ -251,7 +254,9 @@ def scene_from_arrays(
     {'time': 1, 'particle': 2, 'component': 3}
     """
     _refuse_misspelt(variables)
-    one_density = density if density is not None and _is_one_number(density) else None
+    sizes: dict[str, Any] = {"density": density}
+    sizes |= {name: variables.get(name) for name in ("diameter", "mass")}
+    alike = {name: value for name, value in sizes.items() if _is_number(value)}
     setup = Setup.make(
         units=units,
         gravity=gravity,
@@ -260,13 +265,13 @@ def scene_from_arrays(
         periodic=periodic,
         thickness=thickness,
         shape=shape,
-        density=one_density,
         sides=sides,
+        **alike,
     )
-    given = {"position": position, **variables}
-    if density is not None and one_density is None:
-        given["density"] = density
-    given = {name: values for name, values in given.items() if values is not None}
+    given = {"position": position, **variables, "density": density}
+    given = {
+        name: values for name, values in given.items() if values is not None and name not in alike
+    }
     for name, values in (*given.items(), ("time", time)):
         for part in values if isinstance(values, (list, tuple)) else [values]:
             refuse_mask(name, part)
@@ -310,7 +315,10 @@ def scene_from_arrays(
                     )
                 )
     if particles:
-        check_sizes(particles[0], setup)
+        first = Lattice.of({name: values[0] for name, values in domain.items()}, setup.periodic)
+        check_scene(particles[0], setup, first)
+        if times is not None and total > 1:
+            check_motion(particles[0], particles[1], float(times[1] - times[0]), first)
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)
@@ -348,17 +356,37 @@ def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
         steps[name] = steps[name] * total
 
 
+def _is_number(value: Any) -> bool:
+    """Return whether this is one number for all particles."""
+    return value is not None and _is_one_number(value) and not isinstance(value, str)
+
+
 def _is_one_number(values: Any) -> bool:
     """Return whether this is neither an array nor a list of steps, which may differ in length."""
     return not isinstance(values, (list, tuple)) and np.ndim(values) == 0
 
 
-# What others have in place of a variable of scenes, and how that follows.
+# Names that others use, with what to give in place of them.
 _OTHER_NAMES = {
     "radius": "diameter = 2 radius",
     "radii": "diameter = 2 radii",
+    "r": "diameter = 2 r",
+    "d": "diameter=",
+    "rho": "density=",
+    "m": "mass=",
+    "v": "velocity=",
+    "vel": "velocity=",
+    "omega": "angular_velocity=",
+    "id": "particle_id=",
+    "ids": "particle_id=",
+    "type": "species=",
+    "force": "contact_force=, with contact_i= and contact_j=",
+    "dt": "time=, an array with the time of each step",
     "timestep": "time=, an array with the time of each step",
+    "times": "time=",
+    "t": "time=",
     "contacts": "contact_i=, contact_j=, contact_force= and contact_point=, an array for each",
+    "g": "gravity=",
 }
 
 
@@ -366,20 +394,30 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
     """Raise SceneError for names of variables close to a known one; ``diameter_2`` is a name of its own."""
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
-        own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
-        # which all variables of contacts share
-        prefix = "contact_" if name.startswith("contact_") else ""
-        alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
-        likely = "" if own else did_you_mean(name.removeprefix(prefix), alike, 0.77)
-        if likely:
-            likely = likely.replace("'", f"'{prefix}", 1)
+        suggestion = ""
         if name in _OTHER_NAMES:
-            likely = f"; did you mean {_OTHER_NAMES[name]}?"
-        if likely:
+            suggestion = f"; did you mean {_OTHER_NAMES[name]}?"
+        elif not _extends_a_name(name, known):
+            suggestion = _likely_name(name, known)
+        if suggestion:
             raise SceneError(
-                f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
-                "your own need names that are less alike"
+                f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{suggestion} Variables "
+                "of your own need names that are less alike"
             )
+
+
+def _extends_a_name(name: str, known: Sequence[str]) -> bool:
+    """Return whether a name is a known one with an ending, such as diameter_2."""
+    return any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
+
+
+def _likely_name(name: str, known: Sequence[str]) -> str:
+    """Return the known name that was probably meant, as the end of a message; "" without one."""
+    # all variables of contacts share this prefix, which would make them alike
+    prefix = "contact_" if name.startswith("contact_") else ""
+    alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
+    likely = did_you_mean(name.removeprefix(prefix), alike, 0.77)
+    return likely.replace("'", f"'{prefix}", 1) if likely else ""
 
 
 def _prefix(

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common import memory
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of, unit_vectors, without_repeats
+from xcg.scene.repeats import without_repeats
+from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variable
 from xcg.scene.spheres import (
     SAME_BRANCH,
@@ -33,12 +35,20 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
     """Raise SceneError for arrays of the wrong shape or with values that are not finite; name every bad variable."""
     first = next(name for name in frame if variable(name).dims[0] == dim)
     rows = len(frame[first])
+    if rows == 3 and frame[first].shape != (3, 3) and frame[first].ndim == 2:
+        raise SceneError(
+            f"{source}: '{first}' has shape {frame[first].shape}, expected (n, 3), a row for each {dim}: give its "
+            f"transpose, {first}.T"
+        )
     problems = []
     for name, values in frame.items():
         expected = variable(name, values.dtype, values.ndim).shape(rows)
         if values.shape != expected:
-            flat = values.shape == (rows, 2) and expected == (rows, 3)
-            hint = " (of a layer, add a column of zeros for z and give dimension=2)" if flat else ""
+            hint = ""
+            if values.shape == (rows, 2) and expected == (rows, 3):
+                hint = " (of a layer, add a column of zeros for z and give dimension=2)"
+            if values.shape == expected[::-1]:
+                hint = f"; give its transpose, {name}.T"
             problems.append(f"'{name}' has shape {values.shape}, expected {expected}{hint}")
         elif values.dtype.kind == "f" and not _all_finite(values):
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
@@ -68,13 +78,14 @@ def refuse_mask(name: str, values: Any, where: str = "") -> None:
         )
 
 
-def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Convert arrays to their types and the scene's units.
+def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
+    """Convert arrays to their types and the scene's units, and take them out of the frame.
 
     Views are copied, so that the table of a reader, of which they are columns, can go.
     """
     typed: Frame = {}
-    for name, values in frame.items():
+    for name in list(frame):
+        values = frame.pop(name)
         refuse_mask(name, values, f"{source}: ")
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
@@ -92,7 +103,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
-            typed[name] = array.astype(row.dtype, order="C", copy=array.base is not None)
+            typed[name] = array.astype(row.dtype, order="C", copy=not memory.owns_memory(array))
         except (TypeError, ValueError, OverflowError):  # the last of whole numbers beyond 64 bits
             raise SceneError(
                 f"{source}: '{name}' holds {array.dtype}, expected real numbers of 64 bits; give each text a number of "
@@ -105,7 +116,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
 
 
 def complete_particles(
-    frame: Mapping[str, ArrayLike], setup: Setup, source: str, lattice: Lattice | None = None
+    frame: dict[str, Any], setup: Setup, source: str, lattice: Lattice | None = None
 ) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
@@ -118,8 +129,9 @@ def complete_particles(
 
     Parameters
     ----------
-    frame : mapping
-        Arrays by scene name, at least ``position`` (n, 3).
+    frame : dict
+        Arrays by scene name, at least ``position`` (n, 3). It is empty afterwards, so that no
+        array is in memory twice while others are completed.
     setup : Setup
         What the data do not say.
     source : str
@@ -146,7 +158,8 @@ def complete_particles(
         order = _order_of(ids, source)
         if order is not None:
             for name in given:  # one after the other, as each is there twice for a while
-                given[name] = np.take(given[name], order, axis=0)
+                target = memory.empty(given[name].shape, given[name].dtype)
+                given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
             ids = given["particle_id"]
         if ids[0] < 0:
             row = 0 if order is None else order[0]
@@ -154,6 +167,7 @@ def complete_particles(
                 f"{source}: particle id {ids[0]} in row {row} is negative; negative ids are kept for "
                 "walls and padding"
             )
+        del order
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
         if (
@@ -194,9 +208,12 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
         return None
     lowest, highest = int(ids.min()), int(ids.max())
     if highest - lowest + 1 == len(ids):  # without gaps, each id has its place: nothing to sort
-        order = np.full(len(ids), -1)
-        order[ids - lowest] = np.arange(len(ids))
-        if order.min() >= 0:
+        places = ids - lowest
+        taken = np.zeros(len(ids), bool)
+        taken[places] = True
+        if taken.all():
+            order = np.empty(len(ids), np.intp)
+            order[places] = np.arange(len(ids))
             return order
     order = np.argsort(ids)
     in_order = ids[order]
@@ -269,6 +286,10 @@ def _images(
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     count = len(frame["position"])
     disc = np.pi / 4 * (setup.thickness or 0.0)
+    if setup.diameter is not None and not {"diameter", "volume"} & set(frame):
+        frame["diameter"] = np.full(count, float(setup.diameter))
+    if setup.mass is not None and "mass" not in frame:
+        frame["mass"] = np.full(count, float(setup.mass))
     if "volume" not in frame:
         if "diameter" in frame:
             d = frame["diameter"]
@@ -307,7 +328,7 @@ def complete_contacts(
     with ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch
     that the data hold, or else the shortest one.
 
-    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`. Between
+    Contacts that are listed again are taken once, see `xcg.scene.repeats.without_repeats`. Between
     spheres, pairs without a force and with a gap are dropped, overlaps that are another quantity
     are replaced, and contact points midway between the centres are moved, each with a warning, see
     `xcg.scene.spheres`.

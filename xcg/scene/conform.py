@@ -81,13 +81,53 @@ def conformed(
     for word in options:
         if word not in known and not open_ended:
             raise TypeError(
-                f"{name}() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}"
+                f"{name}() got an unexpected keyword argument {word!r}{_likely_argument(word, known)}"
             )
     try:
         signature.bind(ds, *args, **options)
     except TypeError as error:
         raise TypeError(f"{name}(): {error}") from None
     return conform(ds)
+
+
+# Arguments by the words that others use for them.
+_OTHER_ARGUMENTS = {
+    "w": "width",
+    "h": "width",
+    "bandwidth": "width",
+    "smoothing_length": "width",
+    "kernel_width": "width",
+    "resolution": "spacing",
+    "dx": "spacing",
+    "cell_size": "spacing",
+    "grid": "spacing",
+    "bins": "spacing",
+    "variables": "fields",
+    "quantities": "fields",
+    "names": "fields",
+    "dims": "axes",
+    "phase": "by",
+    "phases": "by",
+    "species": "by",
+    "groupby": "by",
+    "limits": "bounds",
+    "region": "bounds",
+    "slice": "at",
+    "points": "at",
+    "point": "at",
+    "stiffness": "k_n",
+    "kn": "k_n",
+    "colour": "cmap",
+}
+
+
+def _likely_argument(word: str, known: Mapping[str, object]) -> str:
+    """Return the argument, or the other way, that was probably meant, as the end of a message."""
+    if word in ("time", "step"):
+        if "index" in known:
+            return "; did you mean 'index', the position of a step?"
+        return "; select steps before the call, ds.isel(time=-1)"
+    return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
 
 
 def require_scene(

@@ -18,14 +18,16 @@ from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of, unit_vectors
+from xcg.scene.repeats import repeated_pairs
+from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.sanity_contacts import check_contacts
 from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the
 # radius.
 SPHERES = 1e-2
 # Partners from which a grain may bear load, with friction (Thornton 2000).
-BEARING = 2
+LOAD_BEARING = 2
 Walls: TypeAlias = str | int | Sequence[str | int]
 FIRST_WALL = PADDING - 1  # walls that have names are -2, -3, ... in their order
 
@@ -224,15 +226,15 @@ class Contacts:
         return self.sum_over_particles(first, first)
 
     @cached_property
-    def bearing(self) -> NDArray:
+    def load_bearing(self) -> NDArray:
         """Return whether each particle has two contact partners or more, so that it may bear load; (particles,)."""
-        return self.partners >= BEARING
+        return self.partners >= LOAD_BEARING
 
     @property
-    def between_bearing(self) -> NDArray:
+    def between_load_bearing(self) -> NDArray:
         """Return whether all particles of each contact that are there may bear load; (n,)."""
-        bearing = np.append(self.bearing, True)  # row -1 is that of a wall
-        return bearing[self.i] & bearing[self.j] & (self.first_row >= 0)
+        load_bearing = np.append(self.load_bearing, True)  # row -1 is that of a wall
+        return load_bearing[self.i] & load_bearing[self.j] & (self.first_row >= 0)
 
     def k_core(self, least: int) -> NDArray:
         """Return whether each particle keeps `least` partners when all that have fewer are taken out, again and again.

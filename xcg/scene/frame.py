@@ -121,8 +121,8 @@ def require_steps(ds: xr.Dataset, purpose: str) -> None:
         raise SceneError(f"{purpose}: there is no step; select one at least")
 
 
-def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
-    """Select a step by its position; `name` is the argument in messages. Data without steps stay as they are.
+def step_at(ds: xr.Dataset, index: int) -> xr.Dataset:
+    """Select a step by its position; data without a dimension of time are one step.
 
     Raises
     ------
@@ -130,21 +130,19 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
         If the step does not exist, or none.
     """
     ds = with_time(ds)
-    require_steps(ds, f"{name}={plain(position)}")
-    if "time" not in ds.sizes:
-        return ds
-    count = ds.sizes["time"]
-    if not (isinstance(position, int | np.integer) and is_whole(position, -count, count - 1)):
+    require_steps(ds, f"index={plain(index)}")
+    count = ds.sizes.get("time", 1)
+    if not (isinstance(index, int | np.integer) and is_whole(index, -count, count - 1)):
         raise ValueError(
-            f"{name}={plain(position)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
+            f"index={plain(index)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
             "select a time by .sel(time=...)"
         )
-    return ds.isel(time=int(position))
+    return ds.isel(time=int(index)) if "time" in ds.sizes else ds
 
 
-def frame_at(ds: xr.Dataset, position: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
+def frame_at(ds: xr.Dataset, index: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
     """Compute some variables of the step at a position: its frame, periodic images and name; errors as `step_at`."""
-    step, wanted = step_at(ds, position, "time"), {*names, *OF_STEP}
+    step, wanted = step_at(ds, index), {*names, *OF_STEP}
     step = step[[name for name in step.variables if name in wanted]].compute()
     arrays = {
         str(name): values.to_numpy()[None]
@@ -193,8 +191,16 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     return rows
 
 
-def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Frame:
+def frame_of(
+    arrays: Mapping[str, NDArray],
+    t: int,
+    source: str = "scene",
+    dims: Mapping[str, str] | None = None,
+) -> Frame:
     """Return a frame of padded arrays: the rows of step `t` without padding, particles by id.
+
+    `dims` holds the dimension of the rows of each variable, by default that of its name; arrays
+    along other dimensions than particles and contacts are whole.
 
     Raises
     ------
@@ -211,9 +217,12 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
     found: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
+        dim = row.dims[0] if dims is None else dims[name]
         # as loops are compiled for: files may hold bytes or axes the other way round
-        if row.dims[0] in rows:
-            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, order="C", copy=False)
+        if dim in rows:
+            found[name] = values[t][rows[dim]].astype(row.dtype, order="C", copy=False)
+        elif dims is not None:
+            found[name] = values[t]
     for name in found:
         if name in VARIABLES:
             check_finite(name, found, source)
@@ -262,13 +271,15 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
-def steps_in(arrays: Mapping[str, NDArray], periodic: str) -> Iterator[tuple[Frame, Lattice, str]]:
-    """Frame, periodic images and name of each step of padded arrays."""
+def steps_in(
+    arrays: Mapping[str, NDArray], periodic: str, dims: Mapping[str, str] | None = None
+) -> Iterator[tuple[Frame, Lattice, str]]:
+    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`."""
     rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, "time")}
     for t in range(len(next(iter(rows.values())))):
         source = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
-        yield frame_of(rows, t, source), Lattice.of(box, periodic, source), source
+        yield frame_of(rows, t, source, dims), Lattice.of(box, periodic, source), source
 
 
 # --- sizes and extent: of a set of particles, of a scene, of each step -----------------------------------
@@ -293,22 +304,55 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     """
     if not len(diameter):
         return dict.fromkeys(SIZES, float("nan"))
-    order = np.argsort(diameter)
-    d = diameter[order]
-    share = d**3 if mass is None else mass[order]
-    del order
-    np.cumsum(share, out=share)
-    sums = [(d**k).sum() for k in range(5)]
+    d = np.sort(diameter)
+    squares, cubes, fourths = [(d**k).sum() for k in (2, 3, 4)]
     # powers of zero: NaN, which no width may be
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
+        d32, d43 = float(cubes / squares), float(fourths / cubes)
+    smallest, largest = float(d[0]), float(d[-1])
+    del d
     return {
-        "d43": ratios[1],
-        "d32": ratios[0],
-        "d50": float(d[np.searchsorted(share, 0.5 * share[-1])]),
-        "drms": float(np.sqrt(sums[2] / sums[0])),
-        "dmin": float(d[0]),
-        "dmax": float(d[-1]),
+        "d43": d43,
+        "d32": d32,
+        "d50": _median_by(diameter, diameter**3 if mass is None else mass),
+        "drms": float(np.sqrt(squares / len(diameter))),
+        "dmin": smallest,
+        "dmax": largest,
+    }
+
+
+_BINS = 4096  # of values, to find those that their median by weight is among
+
+
+def _median_by(values: NDArray, weights: NDArray) -> float:
+    """Return the smallest of the values up to which half of the weight lies. Only those near it are sorted."""
+    near, below = np.arange(len(values)), 0.0
+    total = weights.sum()
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        per_value = (_BINS - 1) / (values.max() - values.min())
+    if len(values) > _BINS and np.isfinite(per_value) and weights.min() >= 0:
+        scaled = values - values.min()
+        scaled *= per_value
+        place = scaled.astype("int16")
+        del scaled
+        sums = np.cumsum(np.bincount(place, weights, _BINS))
+        total = sums[-1]
+        middle = int(np.searchsorted(sums, 0.5 * total))
+        near = np.flatnonzero(place == middle)
+        below = sums[middle - 1] if middle else 0.0
+    near = near[np.argsort(values[near])]
+    sums = below + np.cumsum(weights[near])
+    # the last one where rounding keeps the sum below its half
+    return float(values[near[min(np.searchsorted(sums, 0.5 * total), len(near) - 1)]])
+
+
+def measured_variables(frame: Frame) -> Frame:
+    """Return the variables that `measure_frames` looks at; the memory of others can go before."""
+    return {
+        name: values
+        for name, values in frame.items()
+        if name in ("position", "diameter", "mass")
+        or (values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id")
     }
 
 
@@ -328,7 +372,7 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     if diameters and sum(map(len, diameters)):
         masses = [f["mass"] for f in frames if "mass" in f]
         whole = len(masses) == len(diameters)
-        measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
+        measured |= sizes_of(_joined(diameters), _joined(masses) if whole else None)
     for name in frames[0] if frames else ():
         values = [f[name] for f in frames if f[name].dtype.kind == "i" and f[name].ndim == 1]
         if values and name != "particle_id":
@@ -336,6 +380,11 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
             if 0 < len(unique) <= MAX_GROUPS:
                 measured[f"{name}_values"] = unique
     return measured
+
+
+def _joined(arrays: Sequence[NDArray]) -> NDArray:
+    """Return arrays one after the other; a single one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _different(values: NDArray) -> NDArray:

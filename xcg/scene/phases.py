@@ -187,7 +187,7 @@ def assign_phases(
 
 
 @takes_scene
-def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
+def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
     """Draw the clusters of one step and the scores of `find_phases` (computes).
 
     Returns
@@ -202,7 +202,7 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
         If the step does not exist.
     """
     require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
-    frame = step_at(ds[["diameter", "density", "phase"]], step, "step").compute()
+    frame = step_at(ds[["diameter", "density", "phase"]], index).compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
     plt = extra("matplotlib.pyplot", "plot", "drawing")
     figure, axes = plt.subplots(

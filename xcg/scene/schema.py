@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, vector
+from xcg.common.checks import is_finite, is_positive, vector
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 
@@ -30,7 +30,7 @@ SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are number
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
 Shape: TypeAlias = Literal["sphere", "disc"]
-# what becomes of contacts that are listed from both sides, see `xcg.scene.sanity`
+# what becomes of contacts that are listed from both sides, see `xcg.scene.repeats`
 Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 
@@ -39,12 +39,27 @@ Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable of the scene: dimensions besides time, SI unit, kind."""
+    """Variable of a scene or result: dimensions besides time, SI unit, name in words, kind.
+
+    Parameters
+    ----------
+    dims : tuple of str
+        Dimensions besides time.
+    units : str
+        SI unit such as "m s^-1"; "1" without one.
+    long_name : str
+        Name in words.
+    dtype : {"float64", "int64"}
+        Kind of number.
+    formula : str
+        Formula in words, for the attributes of a result.
+    """
 
     dims: tuple[str, ...]
     units: str
     long_name: str
     dtype: str = "float64"
+    formula: str = ""
 
     @property
     def fill(self) -> float | int:
@@ -83,7 +98,7 @@ VARIABLES: dict[str, Variable] = {
         _PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"
     ),
     "frozen": Variable(
-        _PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"
+        _PARTICLE, "1", "1 where the particle is fixed in place and acts as a wall", "int64"
     ),
     "director": Variable(
         (*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"
@@ -262,6 +277,35 @@ def known_without_reading(ds: xr.Dataset, name: str) -> bool:
 # --- what files do not say -------------------------------------------------------------------------------
 
 
+def periodic_axes(given: Any, plane: str | None = None) -> str:
+    """Return the periodic axes in order, such as "xy".
+
+    Parameters
+    ----------
+    given : str, bool, or list of axes or of a truth value for each axis
+        As a user gives them: "xy", ["x", "y"], True for all axes, (True, True, False).
+    plane : str, optional
+        All axes of the scene.
+
+    Raises
+    ------
+    SceneError
+        If `given` is something else.
+    """
+    every = plane or "".join(COMPONENTS)
+    if given is None or isinstance(given, (bool, np.bool_)):
+        return every if given else ""
+    parts = list(given) if np.iterable(given) else [given]
+    if len(parts) == len(COMPONENTS) and all(isinstance(part, (bool, np.bool_)) for part in parts):
+        parts = [axis for axis, chosen in zip(COMPONENTS, parts, strict=True) if chosen]
+    if not all(isinstance(part, str) and {*part.lower()} <= {*COMPONENTS} for part in parts):
+        raise SceneError(
+            f"periodic={given!r}: expected any of 'x', 'y', 'z', for example periodic='xy', True for all axes or "
+            "False for none"
+        )
+    return "".join(sorted({*"".join(parts).lower()}))
+
+
 @dataclass(frozen=True)
 class Setup:
     """Properties of the whole scene that are not in its rows.
@@ -283,6 +327,8 @@ class Setup:
         "sphere" or "disc": how volume follows from diameter.
     density : float or None
         Material density where the data hold neither mass nor density.
+    diameter, mass : float or None
+        Diameter (m) and mass (kg) of all particles where the data hold neither sizes nor masses.
     scales : tuple of float
         Factors from the data's units of (length, mass, time) to the units of the scene.
     unit_system : str
@@ -298,6 +344,8 @@ class Setup:
     thickness: float | None = None
     shape: Shape = "sphere"
     density: float | None = None
+    diameter: float | None = None
+    mass: float | None = None
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unit_system: str = "SI"
     sides: Sides = "mean"
@@ -335,10 +383,14 @@ class Setup:
                 "factors like {'length': 1e-3}"
             )
         if gravity is not None:
+            if is_finite(gravity):
+                raise SceneError(
+                    f"gravity={gravity!r}: expected three numbers (x, y, z), such as (0.0, 0.0, -9.81)"
+                )
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
-        given["periodic"] = "".join(sorted(set(given.get("periodic") or "")))
+        given["periodic"] = periodic_axes(given.get("periodic"), plane)
         made = cls(
             gravity=gravity,
             dimension=dimension,
@@ -347,10 +399,6 @@ class Setup:
             unit_system=unit_system,
             **given,
         )
-        if set(made.periodic) - set(COMPONENTS):
-            raise SceneError(
-                f"periodic={made.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'"
-            )
         if dimension not in (2, 3) or len(plane) != dimension or set(plane) - set(COMPONENTS):
             raise SceneError(
                 f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
@@ -362,7 +410,8 @@ class Setup:
             raise SceneError(
                 f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}"
             )
-        for name, value in (("density", made.density), ("thickness", made.thickness)):
+        for name in ("density", "diameter", "mass", "thickness"):
+            value = getattr(made, name)
             if value is not None and not is_positive(value):
                 raise SceneError(f"{name}={value!r}: expected a positive number")
         if made.shape == "disc" and made.thickness is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Self
@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from xarray.indexes import PandasIndex
 
 from xcg.common.messages import printable
@@ -18,7 +18,7 @@ from xcg.scene.conform import storable
 from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, Variable, units_in
-from xcg.steps.faults import SKIPPED, Result
+from xcg.steps.faults import SKIPPED
 
 # attributes of a scene that hold for its results, too
 ABOUT = (
@@ -39,35 +39,16 @@ ABOUT = (
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
-def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
-    """Shape of one step, and type, of each variable."""
-    lengths = {**sizes, **dict.fromkeys(AXES, 3)}
-    return {
-        name: (tuple(lengths[dim] for dim in row.dims), row.dtype)
-        for name, row in variables.items()
-    }
-
-
-def empty_results(
-    variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int
-) -> dict[str, NDArray]:
-    """Arrays of padding, time first."""
-    found = results_of(variables, sizes).items()
-    return {
-        name: np.full((steps, *shape), variables[name].fill, dtype)
-        for name, (shape, dtype) in found
-    }
-
-
 def label(
     ds: xr.Dataset,
     variables: Mapping[str, Variable],
     arrays: Mapping[str, Any],
     call: str,
-    further: Mapping[str, xr.Variable] | None = None,
+    *,
+    coords: Mapping[str, xr.Variable] | None = None,
     **attrs: Any,
 ) -> xr.Dataset:
-    """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
+    """Label arrays, time first, as a result of the scene `ds`, with further coordinates.
 
     All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much
     as making it.
@@ -75,18 +56,21 @@ def label(
     system = ds.attrs.get("unit_system", "SI")
     data = {}
     for name, array in arrays.items():
-        if name != SKIPPED:
-            row = variables[name]
-            about = {"units": units_in(row.units, system), "long_name": row.long_name}
-            data[name] = xr.Variable(("time", *row.dims), array, about)
-    data |= further or {}
+        if name == SKIPPED:
+            continue
+        row = variables[name]
+        about = {"units": units_in(row.units, system), "long_name": row.long_name}
+        if row.formula:
+            about["formula"] = row.formula
+        data[name] = xr.Variable(("time", *row.dims), array, about)
     # those of the scene may be changed in place
-    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    labels: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    labels |= coords or {}
     used = {dim for given in data.values() for dim in given.dims}
-    coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    result = storable(xr.Dataset(data, coords))
+    labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
+    result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    return mark_skipped(result, arrays)
+    return mark_skipped(with_phase_labels(result), arrays)
 
 
 def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
@@ -141,6 +125,11 @@ def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
 
 
 PHASES = ("phase", "other_phase")
+
+
+def phases_of(by: str | None, groups: Iterable[int]) -> xr.Variable:
+    """Return the coordinate ``phase``: the bulk, and the values of the variable `by`."""
+    return xr.Variable("phase", ["bulk", *map(str, groups)], {"long_name": f"phase by {by}"})
 
 
 class PhaseLabels(pd.Index):

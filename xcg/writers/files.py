@@ -334,7 +334,7 @@ def lock_of(kept: Path) -> Path:
     return kept.with_name(f"{kept.name}.lock")
 
 
-# What file systems without locks answer, as some of clusters; runs are not held apart there.
+# What file systems without locks answer, as some of clusters; runs are not kept apart there.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
 

@@ -246,7 +246,7 @@ def _check_request(request: Request, recorded: xr.Dataset) -> None:
     if not isinstance(spacing, Mapping):
         spacing = dict.fromkeys("xyz", spacing)
     for a, step in spacing.items():
-        if step is None or recorded.sizes.get(a, 0) < 2:
+        if step is None or isinstance(step, str) or recorded.sizes.get(a, 0) < 2:
             continue
         recorded_step = float(recorded[a][1] - recorded[a][0])
         if a in recorded.attrs.get("periodic", "") and a not in bounds:

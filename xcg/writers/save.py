@@ -48,6 +48,19 @@ _NAMES = {
 }
 
 
+# what to do instead, by suffixes that others write
+_OTHER_SUFFIXES = {
+    ".vtu": "; ParaView opens .vtkhdf and .pvd, and to_vtu writes fields onto a given mesh",
+    ".vti": "; ParaView opens .vtkhdf and .pvd",
+    ".vtk": "; ParaView opens .vtkhdf and .pvd",
+    ".vtp": "; ParaView opens .vtkhdf and .pvd",
+    ".csv": "; tables are written by ds.to_dataframe().to_csv(path)",
+    ".txt": "; tables are written by ds.to_dataframe().to_csv(path)",
+    ".hdf5": "; did you mean .h5?",
+    ".png": "; pictures are drawn by plot and view",
+}
+
+
 def register_writer(suffix: str, write: Writer) -> None:
     """Register a writer of another format for `save`.
 
@@ -166,7 +179,8 @@ def save(
     path = Path(path)
     if path.suffix not in _WRITERS:
         known = ", ".join(f"{end} ({_NAMES[end]})" if end in _NAMES else end for end in _WRITERS)
-        raise ValueError(f"{path}: expected a name that ends with {known}")
+        hint = _OTHER_SUFFIXES.get(path.suffix, "")
+        raise ValueError(f"{path}: expected a name that ends with {known}{hint}")
     with_units = [
         str(name)
         for name, v in ds.variables.items()

@@ -42,7 +42,7 @@ _LETTERS = 14  # in a line of the title of a bar
 
 
 def to_pyvista(
-    ds: xr.Dataset, time: int = -1, *, shapes: bool = True, chains: xr.Dataset | None = None
+    ds: xr.Dataset, index: int = -1, *, shapes: bool = True, chains: xr.Dataset | None = None
 ) -> pyvista.ImageData | pyvista.MultiBlock | pyvista.PolyData:
     """Return one step of a result, a scene or force chains as a mesh of PyVista.
 
@@ -51,8 +51,8 @@ def to_pyvista(
     ds : xarray.Dataset
         A result on evenly spaced nodes along x, y and z, a scene, or a result of `force_chains`.
         Only this step is computed.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     shapes : bool
         Of scenes and chains: spheres in place of points, and tubes in place of lines, whose radius
         grows with the force (up to 0.3 mean radii of the grains at the 98th percentile of the
@@ -96,14 +96,14 @@ def to_pyvista(
             "chains= is drawn with a scene: call to_pyvista on the scene that the chains were found in"
         )
     if "chain_id" in ds:
-        return _links(pv, ds, time, shapes=shapes)
+        return _links(pv, ds, index, shapes=shapes)
     if "position" in ds:
-        return _blocks(pv, conform(ds), time, shapes=shapes, chains=chains)
+        return _blocks(pv, conform(ds), index, shapes=shapes, chains=chains)
     if {"r", "theta"} & {*map(str, ds.dims)}:
         raise ValueError(
             "these fields are on a cylinder, and an image has x, y and z: draw them with f.cg.plot"
         )
-    step = checked(step_at(ds, time, "time")).compute()
+    step = checked(step_at(ds, index)).compute()
     return _noted(
         pv.wrap(image_of(step)), step, {array.name: array.variable for array in arrays_of(step)}
     )
@@ -121,14 +121,14 @@ def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
     return mesh
 
 
-def _blocks(pv: Any, ds: xr.Dataset, time: int, *, shapes: bool, chains: xr.Dataset | None) -> Any:
+def _blocks(pv: Any, ds: xr.Dataset, index: int, *, shapes: bool, chains: xr.Dataset | None) -> Any:
     """Grains, contacts, chains and box of a step."""
     rows = {
         dim: [str(name) for name in ds.data_vars if dim in ds[name].dims]
         for dim in ("particle", "contact")
     }
-    frame, lattice, source = frame_at(ds, time, [*rows["particle"], *rows["contact"]])
-    step, found = step_at(ds, time, "time"), pv.MultiBlock()
+    frame, lattice, source = frame_at(ds, index, [*rows["particle"], *rows["contact"]])
+    step, found = step_at(ds, index), pv.MultiBlock()
     grains = pv.PolyData(frame["position"])
     for name in rows["particle"] if grains.n_points else ():  # PyVista takes no empty vectors
         grains.point_data[name] = frame[name]
@@ -150,7 +150,7 @@ def _blocks(pv: Any, ds: xr.Dataset, time: int, *, shapes: bool, chains: xr.Data
         }
         found["contacts"] = _noted(lines, step, variables)
     if chains is not None:
-        found["chains"] = _links(pv, chains, time, shapes=shapes)
+        found["chains"] = _links(pv, chains, index, shapes=shapes)
     if lattice.edges is not None and np.isfinite(lattice.edges).all():
         found["box"] = _box(pv, lattice.edges, lattice.cell)
     return found
@@ -203,10 +203,10 @@ def _tubes(pv: Any, lines: Any, sizes: NDArray) -> Any:
     return apart.tube(scalars="radius", absolute=True, n_sides=8)
 
 
-def _links(pv: Any, fc: xr.Dataset, time: int, *, shapes: bool) -> Any:
+def _links(pv: Any, fc: xr.Dataset, index: int, *, shapes: bool) -> Any:
     """Links of the chains of a step."""
     require_chains(fc, "to_pyvista")
-    one = step_at(fc, time, "time")
+    one = step_at(fc, index)
     (step,) = steps_of(one, VTK_VARIABLES)
     links = pv.wrap(polydata_of(step))
     links = _tubes(pv, links, 2 * np.asarray(links.point_data["radius"])) if shapes else links
@@ -227,14 +227,15 @@ def view(
     ds: xr.Dataset,
     field: str | None = None,
     *,
-    time: int = -1,
+    index: int = -1,
     component: str | None = None,
     direction: str | None = None,
     phase: int | str = "bulk",
     contacts: bool = False,
     chains: xr.Dataset | None = None,
     cmap: str = "viridis",
-    clim: tuple[float, float] | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
     plotter: pyvista.Plotter | None = None,
 ) -> pyvista.Plotter:
     """Draw one step of a result, a scene or force chains in 3D, with PyVista.
@@ -250,8 +251,8 @@ def view(
         What colours show: a field, a variable of the grains, or an array of chains. By default the
         first field but `sample_count`; the velocity of grains, or their diameter; the stress of
         links. Of a vector or tensor it is the magnitude.
-    time : int
-        Which step, by position; the last one by default.
+    index : int
+        Position of the step in time; the last one by default.
     component, direction : str, optional
         "x", "y" or "z": the part of a vector or tensor field.
     phase : int or str
@@ -262,8 +263,8 @@ def view(
         Of a scene: draw these chains, coloured by their stress, and grains faintly.
     cmap : str
         Colours, by the names of matplotlib.
-    clim : tuple of float, optional
-        Ends of the colours.
+    vmin, vmax : float, optional
+        Ends of the colours; the smallest and largest number by default.
     plotter : pyvista.Plotter, optional
         Where to draw, without showing it. By default a new one, which is shown: in a notebook as a
         picture, or one to turn with the mouse where ``pip install 'pyvista[jupyter]'`` was done,
@@ -301,18 +302,18 @@ def view(
             f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains"
         )
     target = pv.Plotter() if plotter is None else plotter
-    style = {"cmap": cmap, "clim": clim}
+    style = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
     if "position" in ds and "chain_id" not in ds:
-        _draw_scene(target, ds, field, time, contacts, chains, style)
+        _draw_scene(target, ds, field, index, contacts, chains, style)
     elif "chain_id" in ds:
-        links: Any = to_pyvista(ds, time)
+        links: Any = to_pyvista(ds, index)
         _draw(target, links, field or "stress", links.user_dict["units"], style)
     else:
         _draw_field(
             target,
             ds,
             field,
-            time,
+            index,
             {"component": component, "direction": direction, "phase": phase},
             style,
         )
@@ -333,8 +334,18 @@ def _draw(
         text = array.replace("_", " ") + (", magnitude" if mesh[array].ndim > 1 else "")
         unit = f"[{units[array]}]" if units.get(array, "1") != "1" else ""
         title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
+        size = mesh[array] if mesh[array].ndim == 1 else np.linalg.norm(mesh[array], axis=1)
+        others = dict(style)
+        low, high = others.pop("vmin"), others.pop("vmax")
         drawn = plotter.add_mesh(
-            mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style
+            mesh,
+            scalars=array,
+            clim=(
+                np.nanmin(size) if low is None else low,
+                np.nanmax(size) if high is None else high,
+            ),
+            scalar_bar_args=_BAR | {"title": title},
+            **others,
         )
         # by the normals of spheres and tubes, which smooth_shading would compute anew
         drawn.prop.interpolation = "Gouraud"
@@ -344,12 +355,12 @@ def _draw_scene(
     plotter: Any,
     ds: xr.Dataset,
     field: str | None,
-    time: int,
+    index: int,
     contacts: bool,
     chains: xr.Dataset | None,
     style: Mapping[str, Any],
 ) -> None:
-    blocks: Any = to_pyvista(ds, time, chains=chains)
+    blocks: Any = to_pyvista(ds, index, chains=chains)
     before = (
         {"contacts": "force_magnitude"}
         if contacts
@@ -381,7 +392,7 @@ def _draw_field(
     plotter: Any,
     f: xr.Dataset,
     field: str | None,
-    time: int,
+    index: int,
     part: Mapping[str, Any],
     style: dict[str, Any],
 ) -> None:
@@ -393,7 +404,7 @@ def _draw_field(
         dim: label for dim, label in part.items() if label is not None and dim in f[name].dims
     }
     try:
-        image: Any = to_pyvista(f[[name]].sel(chosen), time)
+        image: Any = to_pyvista(f[[name]].sel(chosen), index)
     except KeyError as error:
         raise ValueError(f"{chosen}: {name!r} has no part of this name, {error}") from error
     resolved = sum(nodes > 1 for nodes in image.dimensions)

@@ -97,7 +97,7 @@ print(f"at z = 5 contacts carry {carried:.2f}; what is above makes {at_5}")
 
 # %%
 # The two agree to the 0.1 % that half a time step between forces and velocities costs. Below :math:`z = 2` the spheres
-# that are held in place carry the rest. Weight alone is a few per cent off in a single step, as the layer goes up and
+# that are fixed in place carry the rest. Weight alone is a few per cent off in a single step, as the layer goes up and
 # down a little.
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump", contacts=

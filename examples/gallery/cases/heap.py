@@ -16,7 +16,7 @@ import xcg
 
 ds = xcg.datasets.open("column_2").isel(time=[-1])
 f = ds.cg.coarse_grain("volume_fraction", axes="xy", width=1.5, spacing=0.5).compute()
-surface = f.cg.free_surface("y", threshold=0.5).isel(time=0)
+surface = f.cg.free_surface("y", share=0.5).isel(time=0)
 
 part = surface.sel(x=slice(20, 90))  # without the wall and the foot
 fit = xcg.fit_slope(part)

@@ -47,7 +47,7 @@ plt.show()
 # mean:
 
 first = ds.isel(time=[0])
-chains = first.cg.force_chains(threshold="mean", min_length=4)
+chains = first.cg.force_chains(min_stress="mean", min_length=4)
 first.cg.view(chains=chains)
 
 # %%

@@ -32,7 +32,7 @@ c = large.concentration.where(bulk.volume_fraction > 0.2)
 plotter = pyvista.Plotter(shape=(1, 2))
 for k, step in enumerate((0, -1)):
     plotter.subplot(0, k)
-    ds.cg.view("diameter", time=step, cmap="coolwarm", plotter=plotter)
+    ds.cg.view("diameter", index=step, cmap="coolwarm", plotter=plotter)
     plotter.add_title(f"t = {float(ds.time[step]):.0f}", font_size=10)
 plotter.show()
 

@@ -46,9 +46,9 @@ resemblance = like[steps[0], steps[1]] + like[steps[0], -steps[1]]
 band = angles[resemblance > 0.98 * resemblance.max()].mean()
 coulomb = 45 + float(friction[1]) / 2
 
-fc = ds.isel(time=[1]).cg.force_chains(alpha=45, threshold="mean").compute()
+fc = ds.isel(time=[1]).cg.force_chains(alpha=45, min_stress="mean").compute()
 fig, ax = plt.subplots(figsize=(5.2, 6.5))
-fc.cg.plot_chains(time=0, ax=ax)
+fc.cg.plot_chains(index=0, ax=ax)
 ax.set(xlabel="$x$ [$d$]", ylabel="$y$ [$d$]", title="force chains at 2 %")
 plt.show()
 

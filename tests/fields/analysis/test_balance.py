@@ -92,10 +92,10 @@ def test_dimensions_and_coordinates_are_in_the_order_of_the_fields(options):
 def test_the_history_of_residuals_is_their_own_call():
     history = (
         xcg.datasets.random_scene(50)
-        .cg.balance(width=1.2, of=["force"], spacing=1.0)
+        .cg.balance(width=1.2, quantities=["force"], spacing=1.0)
         .attrs["history"]
     )
-    assert "balance(width=1.2, of=['force'], kernel='lucy'" in history
+    assert "balance(width=1.2, quantities=['force'], kernel='lucy'" in history
     assert "coarse_grain" not in history
 
 

@@ -279,18 +279,18 @@ def test_correlations_of_a_part_of_a_period_end_at_its_edges():
 @pytest.mark.parametrize(
     ("method", "change", "options", "error", "message"),
     [
-        ("spatial_correlation", None, {"name": "b"}, ValueError, "spatial_correlation('b'): no such field"),
-        ("spatial_correlation", lambda f: f.isel(x=0), {"name": "a"}, ValueError, "needs resolved axes of two nodes"),
-        ("spatial_correlation", lambda f: f.isel(x=[0, 1, 3]), {"name": "a"}, xcg.SceneError, "nodes along 'x' at"),
+        ("spatial_correlation", None, {"field": "b"}, ValueError, "spatial_correlation('b'): no such field"),
+        ("spatial_correlation", lambda f: f.isel(x=0), {"field": "a"}, ValueError, "needs resolved axes of two nodes"),
+        ("spatial_correlation", lambda f: f.isel(x=[0, 1, 3]), {"field": "a"}, xcg.SceneError, "nodes along 'x' at"),
         (
-            "spatial_correlation", lambda f: f.assign(v=f.a.expand_dims(component=3)), {"name": "a", "other": "v"},
+            "spatial_correlation", lambda f: f.assign(v=f.a.expand_dims(component=3)), {"field": "a", "other": "v"},
             ValueError, "'a' has the dimensions",
         ),
-        ("time_correlation", None, {"name": "b"}, ValueError, "time_correlation('b'): no such field"),
-        ("time_correlation", lambda f: f.isel(time=[0, 1]), {"name": "a"}, ValueError, "three steps or more"),
-        ("time_correlation", lambda f: f.isel(time=[0, 1, 3]), {"name": "a"}, xcg.SceneError, "times at equal"),
-        ("time_correlation", None, {"name": "a", "max_lag": 4}, ValueError, "max_lag=4: expected a number of steps"),
-        ("time_correlation", None, {"name": "a", "max_lag": 0}, ValueError, "max_lag=0"),
+        ("time_correlation", None, {"field": "b"}, ValueError, "time_correlation('b'): no such field"),
+        ("time_correlation", lambda f: f.isel(time=[0, 1]), {"field": "a"}, ValueError, "three steps or more"),
+        ("time_correlation", lambda f: f.isel(time=[0, 1, 3]), {"field": "a"}, xcg.SceneError, "times at equal"),
+        ("time_correlation", None, {"field": "a", "max_lag": 4}, ValueError, "max_lag=4: expected a number of steps"),
+        ("time_correlation", None, {"field": "a", "max_lag": 0}, ValueError, "max_lag=0"),
     ],
 )  # fmt: skip
 def test_wrong_input_raises(method, change, options, error, message):

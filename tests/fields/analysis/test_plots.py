@@ -43,7 +43,7 @@ def result():
 
 def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
     _, f = result
-    ax = f.cg.plot(time=1, arrows="velocity", shading="flat")
+    ax = f.cg.plot(index=1, arrows="velocity", shading="flat")
     mesh, arrows = ax.collections
     np.testing.assert_array_equal(
         mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x")
@@ -442,8 +442,17 @@ def test_wrong_plots_raise(result, tmp_path):
         ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"
     ):
         f.cg.plot("pressure")
-    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.plot"):
-        scene.cg.plot("velocity")
+    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.movie"):
+        scene.isel(time=[0]).cg.movie("picture.gif")
+    for keyword, message in (
+        ("figsize", "give ax="),
+        ("vmx", "did you mean 'vmax'"),
+        ("foo", "foo"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            f.cg.plot("velocity", **{keyword: 1})
+    with pytest.raises(TypeError, match="give cmap="):
+        f.cg.plot("volume_fraction", color="red")
     with pytest.raises(TypeError, match="component=0: expected a name, one of x, y, z"):
         f.cg.plot("velocity", component=0)
     with pytest.raises(
@@ -472,9 +481,9 @@ def test_wrong_plots_raise(result, tmp_path):
         f.cg.plot("velocity", component="q")
     for wrong in (3, -4, 0.5, "last"):
         with pytest.raises(
-            ValueError, match=f"time={wrong!r}: expected the position of a step, a whole number"
+            ValueError, match=f"index={wrong!r}: expected the position of a step, a whole number"
         ):
-            f.cg.plot("density", time=wrong)
+            f.cg.plot("density", index=wrong)
     with pytest.raises(ValueError, match="phase=1: the result has no dimension 'phase'"):
         f.cg.plot("density", phase=1)
     by_species = xcg.datasets.random_scene(20).cg.coarse_grain(

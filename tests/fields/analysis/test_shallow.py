@@ -150,7 +150,7 @@ def test_heights_hold_what_their_slope_and_their_history_need():
     s = f.cg.free_surface()
     xr.testing.assert_identical(xcg.fit_slope(s.height), s.cg.fit_slope())
     assert (
-        "free_surface(axis='z', threshold=0.5, of='volume_fraction')"
+        "free_surface(axis='z', share=0.5, field='volume_fraction')"
         in s.attrs["history"].splitlines()[-1]
     )
     assert "formula" not in s.height.attrs
@@ -200,9 +200,9 @@ def test_neighbours_within_a_support_are_not_independent():
 @pytest.mark.parametrize(("call", "message"), [
     (lambda ds: ds.cg.depth_average("x"), "periodic"),
     (lambda ds: ds.cg.depth_average("z", axes="xz"), "the depth is along 'z'"),
-    (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.free_surface("z"), "of='volume_fraction'"),
+    (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.free_surface("z"), "field='volume_fraction'"),
     (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface("x"), r"the result has the axes"),
-    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface(threshold=2), "threshold=2"),
+    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface(share=2), "share=2"),
     (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.fit_slope(), "fit_slope needs 'height'"),
 ])  # fmt: skip
 def test_wrong_arguments_raise(call, message):

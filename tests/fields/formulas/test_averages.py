@@ -252,7 +252,8 @@ def test_the_density_of_the_material_is_averaged_by_volume():
 
 
 def test_missing_sums_and_bad_arguments_are_named():
-    f = series(2).cg.coarse_grain(["velocity", "friction_coefficient", "inertial_number"], **ALL)
+    names = ["velocity", "friction_coefficient", "inertial_number"]
+    f = series(2).cg.coarse_grain(names, for_averages=False, **ALL)
     lacking = "velocity needs density; friction_coefficient needs stress; inertial_number needs"
     with pytest.raises(ValueError, match=lacking):
         f.cg.time_average()
@@ -267,6 +268,29 @@ def test_missing_sums_and_bad_arguments_are_named():
     ):
         with pytest.raises(ValueError, match=message):
             call()
+
+
+def test_averages_return_the_fields_that_were_asked_for():
+    """The sums that they need are coordinates, and averages are those of a result that names them."""
+    ds = series(4)
+    names = ["velocity", "volume_fraction", "inertial_number"]
+    f = ds.cg.coarse_grain(names, **ALL)
+    whole = ds.cg.coarse_grain(names, for_averages=True, **ALL)
+    assert list(f.data_vars) == names
+    xr.testing.assert_equal(f.cg.profile("z")[names], whole.cg.profile("z")[names])
+    mean = f.cg.time_average()
+    assert list(mean.data_vars) == [*names, *(f"{name}_error" for name in names)]
+    expected = whole.cg.time_average()
+    for name in mean:
+        xr.testing.assert_equal(
+            mean[name], expected[name].reset_coords(drop=True).assign_coords(mean[name].coords)
+        )
+    twice = f.cg.profile("z").cg.time_average()
+    xr.testing.assert_allclose(
+        twice.velocity.variable,
+        whole.cg.profile("z").cg.time_average().velocity.variable,
+        rtol=1e-14,
+    )
 
 
 def test_every_field_has_an_averaging_rule():

@@ -28,7 +28,7 @@ def played_and_plain(ds, *fields, **options):
     """The same fields by the program, and by the registry on arrays; how often the program was run."""
     with mock.patch.object(program.loops, "run", wraps=program.loops.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
-    with mock.patch("xcg.fields.coarse_grain.program_for", return_value=None):
+    with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
         return played, ds.cg.coarse_grain(*fields, **options), run.call_count
 
 

@@ -273,7 +273,7 @@ def test_widths_displacements_and_balances_take_a_frame():
         ds.cg.width_sweep(frame=frame, **sweep)[["stress"]],
         turned.cg.width_sweep(**sweep)[["stress"]],
     )
-    mesh = {"spacing": 0.5, "of": ["force"], "kernel": "lucy", "width": 1.2}
+    mesh = {"spacing": 0.5, "quantities": ["force"], "kernel": "lucy", "width": 1.2}
     assert_equal(ds.cg.balance(frame=frame, **mesh), turned.cg.balance(**mesh), 1e-9)
     later = ds.assign(position=ds.position + 0.1 * ds.velocity).assign_coords(time=[1.0])
     two = xr.concat([ds, later], "time", data_vars="all")

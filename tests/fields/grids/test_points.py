@@ -171,7 +171,7 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
     with mock.patch.object(grids, "BLOCK_NODES", 700), mock.patch.object(grids, "_FEW", 100):
         assert len(scene.cg.explain(at=turned).deposit.grid.parts) > 10
         parts = scene.cg.coarse_grain(at=turned)
-    with mock.patch("xcg.fields.coarse_grain.THREADS", 1):
+    with mock.patch("xcg.steps.analysis.THREADS", 1):
         alone = scene.cg.coarse_grain(at=many)
     for name in f.data_vars:
         np.testing.assert_array_equal(alone[name], f[name], name)

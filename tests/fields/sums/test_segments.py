@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import planning
+from tests import planning, sharing_threads
 from xcg.fields.sums import segments
 
 SCENES = {
@@ -72,7 +72,7 @@ def test_segments_listed_anew_have_the_same_bits(scene, call):
             a: xr.DataArray(x, dims="point") for a, x in zip("xyz", places, strict=False)
         }
     kept = scene.cg.coarse_grain(**given)
-    found, few = [], mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=0)
+    found, few = [], sharing_threads(2)
     some, told = anew(found)
     with planning(BLOCK_NODES=300), few, some, told:
         same_bits(kept, scene.cg.coarse_grain(**given))

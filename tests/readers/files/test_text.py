@@ -110,6 +110,20 @@ def test_uneven_white_space_changes_nothing(body, wanted):
     }
 
 
+@pytest.mark.parametrize("rows", [2, None])
+@pytest.mark.parametrize("separator", [" ", ",", ";", "\t"])
+def test_vectors_hold_their_columns_in_order(rows, separator):
+    body = separator.join("123").encode() + b"\n" + separator.join("456").encode() + b"\n"
+    table = parse_table(
+        body, COLUMNS, COLUMNS, rows, "file", vectors=[("c", "a")], separator=separator
+    )
+    assert table["c", "a"].tolist() == [[3, 1], [6, 4]]
+    assert table["c", "a"].flags.c_contiguous
+    for name, values in (("a", [1, 4]), ("b", [2, 5]), ("c", [3, 6])):
+        assert table[name].tolist() == values
+    assert np.shares_memory(table["a"], table["c", "a"])
+
+
 @pytest.mark.parametrize(
     "body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"]
 )
@@ -214,7 +228,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     for t in range(3):
         positions.append(rng.random((count, 3)))
         lines = [
-            f"{k} 1 {x} {y} {z} 0 0 0 0.005 1"
+            f"{k} 1 {x} {y} {z} 0 0 0 0.005 0.001"
             for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)
         ]
         texts.append(dump_text(lines, ATOMS, step=10 * t))

@@ -278,7 +278,7 @@ RATES = {
     "mean_squared_displacement": lambda ds: ds.cg.mean_squared_displacement(1),
     "self_diffusion": lambda ds: ds.cg.displacement("self_diffusion"),
     "balance": lambda ds: ds.assign(velocity=0 * ds.position).cg.balance(
-        of=["mass"], axes="x", extent={"y": 1.0, "z": 1.0}
+        quantities=["mass"], axes="x", extent={"y": 1.0, "z": 1.0}
     ),
     "time_correlation": lambda ds: ds.cg.coarse_grain(
         "density", axes="x", at=CENTRE, width=0.5

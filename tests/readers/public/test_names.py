@@ -250,11 +250,23 @@ def test_columns_beside_arguments_that_replace_them_are_not_named():
     assert ds.diameter.values.tolist() == [[0.1, 0.2]]
 
 
-def test_sizes_given_as_an_option_are_answered_by_a_column(tmp_path):
+def test_sizes_given_as_an_option_are_those_of_all_grains(tmp_path):
     path = tmp_path / "p.csv"
-    path.write_text("x,y,z,d\n0,0,0,1\n")
-    with pytest.raises(xcg.SceneError, match=r"'diameter' .*names={'its column': 'diameter'}"):
-        xcg.open_scene(path, diameter=0.1)
+    path.write_text("x,y,z\n0,0,0\n1,0,0\n")
+    ds = xcg.open_scene(path, diameter=0.1, density=2500.0)
+    np.testing.assert_allclose(ds.diameter, 0.1)
+    np.testing.assert_allclose(ds.mass, 2500 * np.pi / 6 * 1e-3)
+    ds = xcg.open_scene(path, diameter=0.1, mass=2.0, units={"length": 1e-3})
+    np.testing.assert_allclose(ds.diameter, 0.1)  # in m, as a density is in SI
+    np.testing.assert_allclose(ds.mass, 2.0)
+    path.write_text("x,y,z,diameter\n0,0,0,0.2\n1,0,0,0.2\n")
+    with pytest.warns(xcg.SceneWarning, match=r"diameter=0.1 is not used, .*\(0.2 to 0.2\)"):
+        ds = xcg.open_scene(path, diameter=0.1)
+    np.testing.assert_allclose(ds.diameter, 0.2)
+    with pytest.raises(xcg.SceneError, match=r"diameter=-1\.0: expected a positive number"):
+        xcg.open_scene(path, diameter=-1.0)
+    with pytest.raises(xcg.SceneError, match="did you mean diameter=, twice the radius"):
+        xcg.open_scene(path, radius=0.1)
 
 
 def test_other_codes_share_the_table(tmp_path):

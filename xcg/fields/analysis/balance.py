@@ -174,7 +174,7 @@ class BalanceRequest(SharedOptions):
         spacing of a quarter of the width or less resolves the kernel.
     at : mapping, optional
         Refused unless empty: no derivative is taken along a fixed axis.
-    of : list of str, optional
+    quantities : list of str, optional
         What is balanced: any of "force", "torque" and "power" at each step, and of "mass",
         "momentum", "spin" and "energy" between steps. By default force, mass and momentum, as far
         as the scene allows.
@@ -182,7 +182,7 @@ class BalanceRequest(SharedOptions):
 
     width: float | str | None = None
     at: Mapping[str, float] | None = None
-    of: Sequence[str] | None = None
+    quantities: Sequence[str] | None = None
 
 
 @takes(BalanceRequest)
@@ -210,7 +210,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     square of the time between the steps; consecutive frames of a usual series are far too far
     apart.
 
-    With `by`, each phase has its residuals: t is then what walls and the other phases do to it
+    With `by`, each phase has its residuals: t is then the force of walls and of the other phases on it
     (``interphase_force``), and the flux of its momentum is p_a V + V J_a + sigma_a, with V the
     bulk's velocity, which its stress is about, and J_a = rho_a (V_a - V) (``segregation_flux``).
 
@@ -233,7 +233,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         If the scene lacks what the fields need, or its times are not known or do not rise.
     ValueError
         If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or
-        with a preset; if `of` names no such balance or a quantity that the scene lacks, or torque,
+        with a preset; if `quantities` names no such balance or a quantity that the scene lacks, or torque,
         power, spin or energy with `by`.
 
     Notes
@@ -260,7 +260,8 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     needed = [name for law in laws.values() for name in law.fields] + list(
         OF_PHASES if asked.by else ()
     )
-    request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
+    fields = list(dict.fromkeys(needed))
+    request = asked.ask(fields=fields, width=asked.width, for_averages=False)
     plan = make_plan(describe(ds, request.by), request)
     grid = plan.deposit.grid
     if not grid.axes:
@@ -312,15 +313,21 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
 
 def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     """Balances that are asked for, or the usual ones that the scene allows."""
-    if isinstance(asked.of, str) or not set(asked.of or ()) <= set(LAWS) or asked.of == []:
-        raise ValueError(f"of={asked.of!r}: expected a list of any of {', '.join(LAWS)}")
+    if (
+        isinstance(asked.quantities, str)
+        or not set(asked.quantities or ()) <= set(LAWS)
+        or asked.quantities == []
+    ):
+        raise ValueError(
+            f"quantities={asked.quantities!r}: expected a list of any of {', '.join(LAWS)}"
+        )
     lacking = {name for name, law in LAWS.items() if law.rate and ds.sizes["time"] < 2}
     lacking |= {
         name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs
     }
-    for name in asked.of or ():
+    for name in asked.quantities or ():
         if name in lacking:
-            msg = f"of={list(asked.of or ())}: the balance of {name} holds between steps"
+            msg = f"quantities={list(asked.quantities or ())}: the balance of {name} holds between steps"
             msg += ", and takes the scene's gravity" if LAWS[name].needs_gravity else ""
             msg += "; open two steps or more" + (
                 ", with gravity=" if LAWS[name].needs_gravity else ""
@@ -328,10 +335,11 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
             raise ValueError(msg)
         if asked.by is not None and name in OF_THE_MIXTURE:
             raise ValueError(
-                f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
+                f"quantities={list(asked.quantities or ())}: the balance of {name} holds for all grains "
+                "together; leave out by="
             )
-    if asked.of:
-        return {name: LAWS[name] for name in asked.of}
+    if asked.quantities:
+        return {name: LAWS[name] for name in asked.quantities}
     if not times_are_known(ds):
         lacking |= {name for name, law in LAWS.items() if law.rate}
     return {name: LAWS[name] for name in USUAL if name not in lacking}

@@ -19,7 +19,7 @@ _TAIL = ("component", "direction")
 _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
 
 
-def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> xr.Dataset:
+def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> xr.Dataset:
     """Correlate a field with itself, or with another one, at all distances between nodes.
 
     ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their
@@ -33,8 +33,9 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     ----------
     f : xarray.Dataset
         A result of `xcg.coarse_grain` with one resolved axis or more.
-    name, other : str
-        Fields in it; `other` is `name` by default. Nodes where one is NaN take no part.
+    field, other : str
+        Fields in it; `other` is `field` by default. A node where a field is NaN takes no part in the
+        sums of this field: its mean, its square, and its products with the other one.
 
     Returns
     -------
@@ -68,23 +69,23 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    other = name if other is None else other
+    other = field if other is None else other
     f = with_facts(with_time(f))
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
     require_facts(f, ("wrapped_axes",), "this result", way_out)
-    a = _field_of(f, name, "spatial_correlation")
+    a = _field_of(f, field, "spatial_correlation")
     b = _field_of(f, other, "spatial_correlation")
     if set(a.dims) != set(b.dims):
         raise ValueError(
-            f"{name!r} has the dimensions {a.dims} and {other!r} {b.dims}: "
+            f"{field!r} has the dimensions {a.dims} and {other!r} {b.dims}: "
             "correlate components, a vector with a vector"
         )
     axes = [axis for axis in COMPONENTS if a.sizes.get(axis, 0) > 1]
     if not axes:
         raise ValueError(
             "spatial_correlation needs resolved axes of two nodes or more, and "
-            f"{name!r} has the dimensions {a.dims}"
+            f"{field!r} has the dimensions {a.dims}"
         )
     length = f[axes[0]].attrs.get("units", "m")
     spacing: list[float] = []
@@ -129,17 +130,17 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         )
     sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
     about = {
-        "correlation": ("1", f"correlation of {name} with {other}"),
-        "radial_correlation": ("1", f"correlation of {name} with {other} by distance"),
+        "correlation": ("1", f"correlation of {field} with {other}"),
+        "radial_correlation": ("1", f"correlation of {field} with {other} by distance"),
         "correlation_length": (length, "distance at which the correlation falls to 1/e"),
     }
-    call = format_call("spatial_correlation", {"name": name, "other": other})
+    call = format_call("spatial_correlation", {"field": field, "other": other})
     result = _with_errors(sums, _correlation_in_space, about, f, call)
     pairs = sums["pairs"].mean("time") if "time" in sums.dims else sums["pairs"]
     return result.assign(pairs=_labelled(pairs, "1", "pairs of nodes in a step"))
 
 
-def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr.Dataset:
+def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> xr.Dataset:
     """Correlate a field with itself at later times, at each node and over all nodes.
 
     ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the
@@ -150,7 +151,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     ----------
     f : xarray.Dataset
         A result of `xcg.coarse_grain` with steps at equal distances.
-    name : str
+    field : str
         A field in it. Steps in which a node is NaN take no part there.
     max_lag : int, optional
         The longest lag, in steps; half of the steps by default.
@@ -177,10 +178,10 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     correlation time over the length of the series.
     """
     f = with_facts(with_time(f))
-    a = _field_of(f, name, "time_correlation")
+    a = _field_of(f, field, "time_correlation")
     steps = a.sizes.get("time", 1)
     if steps < 3:
-        raise ValueError(f"time_correlation needs three steps or more, and {name!r} has {steps}")
+        raise ValueError(f"time_correlation needs three steps or more, and {field!r} has {steps}")
     last = steps // 2 if max_lag is None else max_lag
     if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
         raise ValueError(f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}")
@@ -226,7 +227,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
         dask="parallelized",
         output_dtypes=[float] * 4,
     )
-    what = f"correlation of {name} with itself"
+    what = f"correlation of {field} with itself"
     about = {
         "correlation": (correlation, "1", f"{what} at later times"),
         "mean_correlation": (mean, "1", f"{what} at later times, over all nodes"),
@@ -235,7 +236,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
         "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
     data = {key: _labelled(*entry) for key, entry in about.items()}
-    call = format_call("time_correlation", {"name": name, "max_lag": int(last)})
+    call = format_call("time_correlation", {"field": field, "max_lag": int(last)})
     return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
 
 

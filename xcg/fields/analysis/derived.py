@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,11 @@ from xcg.common.checks import is_positive, unit_vector
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.frame import particle_rows, require_times, steps_in
-from xcg.scene.sanity import rows_of
-from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, VARIABLES, units_in
-from xcg.steps.labels import format_call, label, results_of
-from xcg.steps.mapping import map_over_time
+from xcg.scene.description import Description
+from xcg.scene.frame import require_times
+from xcg.scene.rows import rows_of
+from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
+from xcg.steps.analysis import FrameAnalysis, Step, run
 
 
 @takes_scene
@@ -222,7 +222,6 @@ def _moments(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
 # --- velocities from positions ---------------------------------------------------------------------------
 
 
-_SIDES = {"_before": -1, "_after": 1}
 _LARGE_SHARE = 0.25  # of a period
 
 
@@ -275,61 +274,56 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     if count < 2:
         raise SceneError("derive_velocity needs two steps or more, and this scene has one")
     require_times(ds, "derive_velocity")
-    names = [
-        "particle_id",
-        "position",
-        *(name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"),
-    ]
-    series = ds.drop_vars("velocity", errors="ignore").assign(
-        moment=("time", ds["time"].to_numpy())
-    )
-    beside: dict[str, xr.Variable] = {}
-    for side, step in _SIDES.items():
-        other = np.clip(np.arange(count) + step, 0, count - 1)
-        for name in [*names, "moment"]:
-            beside[name + side] = series[name].variable.isel(time=other).to_base_variable()
-    series = series.assign(beside)
-    compute = partial(_velocities, str(ds.attrs.get("periodic", "")))
-    results = results_of({"velocity": VARIABLES["velocity"]}, ds.sizes)
-    found = map_over_time(series, [*names, "moment", *beside], compute, results, "derive-velocity")
-    made = label(ds, VARIABLES, found, format_call("derive_velocity", {}))
+    # displacements are relative to the box of each step, whose rates they do not need
+    series = ds.drop_vars("lattice_velocity", errors="ignore")
+    made = run(series, _Velocity())
     return ds.assign(velocity=made["velocity"].variable).assign_attrs(history=made.attrs["history"])
 
 
-def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
-    """Velocities (t, n, 3) of a chunk, NaN in padding."""
-    moment = arrays["moment"]
-    here = {
-        name: a
-        for name, a in arrays.items()
-        if not name.endswith(tuple(_SIDES)) and name != "moment"
-    }
-    out = np.full((*here["particle_id"].shape, 3), np.nan)
-    frames = [list(steps_in(here, periodic))]
-    for side in _SIDES:
-        others = {name.removesuffix(side): a for name, a in arrays.items() if name.endswith(side)}
-        others.pop("moment")
-        frames.append(list(steps_in(others, periodic)))
-    for t, (now, before, after) in enumerate(zip(*frames, strict=True)):
-        position = now[0]["position"]
-        total, time = np.zeros_like(position), np.zeros(len(position))
-        for side, other in zip(_SIDES, (before, after), strict=True):
-            apart = float(arrays[f"moment{side}"][t] - moment[t])
-            row = rows_of(other[0]["particle_id"], now[0]["particle_id"])
-            there = np.flatnonzero(row >= 0) if apart else np.empty(0, int)
-            motion = BoxMotion.between(now[1], other[1])
-            moved = motion.relative(now[0], other[0], there, row[there])
-            share = np.abs(moved).max(axis=0, initial=0.0) / now[1].period
-            if "image" not in now[0] and share.max() > _LARGE_SHARE:  # it may be another image
+@dataclass(frozen=True)
+class _Velocity(FrameAnalysis):
+    """Velocity of each particle from its places in the steps before and after."""
+
+    name = "derive_velocity"
+
+    @property
+    def lags(self) -> tuple[int, ...]:
+        """Return the offsets of the step before and the step after."""
+        return (-1, 1)
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return places and times."""
+        return ["position", "time", *(name for name in MOTION if name in scene.columns)]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the velocity."""
+        return {"velocity": VARIABLES["velocity"]}
+
+    def frames(self, now: Step, *others: Step | None) -> dict[str, NDArray]:
+        """Compute velocities (n, 3), NaN for particles that are in neither of the other steps."""
+        frame, lattice, source = now
+        position = frame["position"]
+        total = np.zeros_like(position)
+        time = np.zeros(len(position))
+        for other in others:
+            if other is None:  # before the first step, or after the last
+                continue
+            other_frame, other_lattice, _ = other
+            row = rows_of(other_frame["particle_id"], frame["particle_id"])
+            stays = np.flatnonzero(row >= 0)
+            motion = BoxMotion.between(lattice, other_lattice)
+            moved = motion.relative(frame, other_frame, stays, row[stays])
+            share = np.abs(moved).max(axis=0, initial=0.0) / lattice.period
+            if "image" not in frame and share.max() > _LARGE_SHARE:  # it may be another image
                 warn_once(
                     "velocities across a period",
-                    f"{now[2]}: particles move by up to {share.max():.2f} of the period along "
+                    f"{source}: particles move by up to {share.max():.2f} of the period along "
                     f"'{COMPONENTS[share.argmax()]}' from one step to the next; velocities of those that move by half "
                     "a period or more are wrong. Write steps more often",
                 )
-            moved += motion.shift + position[there] @ motion.gradient.T
-            total[there] += np.sign(apart) * moved
-            time[there] += abs(apart)
+            moved += motion.shift + position[stays] @ motion.gradient.T
+            apart = float(other_frame["time"] - frame["time"])
+            total[stays] += np.sign(apart) * moved
+            time[stays] += abs(apart)
         with np.errstate(invalid="ignore", divide="ignore"):
-            out[t, particle_rows(here["particle_id"][t])] = total / time[:, None]
-    return {"velocity": out}
+            return {"velocity": total / time[:, None]}

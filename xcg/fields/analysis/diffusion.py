@@ -18,7 +18,7 @@ from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
-from xcg.scene.sanity import rows_of
+from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
 from xcg.steps.labels import format_call, provenance, with_phase_labels
 from xcg.steps.mapping import each_step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
-from xcg.compiled._jit import THREADS
-from xcg.fields.coarse_grain import about, compute_chunk, labelled, prepare
+from xcg.fields.coarse_grain import prepare
+from xcg.fields.evaluate import CoarseGraining, about
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
@@ -21,19 +20,16 @@ from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_ids, require_scene
-from xcg.scene.description import describe
+from xcg.scene.description import Description, describe
 from xcg.scene.frame import (
     require_known_times,
     require_rising_times,
-    steps_in,
     times_are_known,
     unit_of_times,
     with_measures,
 )
-from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, PADDING
-from xcg.steps.faults import Compute, Result
-from xcg.steps.labels import mark_skipped
-from xcg.steps.mapping import map_over_time, threads_a_chunk
+from xcg.scene.schema import MOTION, Variable
+from xcg.steps.analysis import FrameAnalysis, Step, run
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
 BESIDE = (
@@ -46,13 +42,14 @@ BESIDE = (
     "fluctuation_density",
 )
 _GRADIENT, _TOTAL = "displacement_gradient", "deformation_gradient"
-_LATER = "_later"
 _MADE = ("velocity", "interval")
-_MOTION: dict[str, Result] = {
-    "left": ((), "int64"),
-    "entered": ((), "int64"),
-    "box_gradient": ((3, 3), "float64"),
-    "box_shift": ((3,), "float64"),
+_COUNTS = {
+    "left": Variable((), "1", "number of grains in the first frame only", "int64"),
+    "entered": Variable((), "1", "number of grains in the later frame only", "int64"),
+}
+_MOTION = {
+    "box_gradient": Variable(("component", "direction"), "1", "displacement gradient of the box"),
+    "box_shift": Variable(("component",), "m", "displacement of the box"),
 }
 
 
@@ -80,8 +77,8 @@ class DisplacementRequest(SharedOptions):
         in `coarse_grain`.
     at : mapping, optional
         Coordinate of fixed axes (m), or points, as in `coarse_grain`.
-    for_averages : bool
-        Also compute what `time_average` and `profile` of the fields need beside them.
+    for_averages : bool, optional
+        As in `coarse_grain`.
     by_pair : bool
         Refused: displacements take no contacts.
     preset : str, optional
@@ -94,7 +91,7 @@ class DisplacementRequest(SharedOptions):
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
-    for_averages: bool = False
+    for_averages: bool | None = None
 
 
 @takes(DisplacementRequest)
@@ -172,8 +169,10 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         {**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature}
     )
     options = replace(options, lag=asked.lag)
-    if asked.for_averages:
-        names = (*names, *needed_for_averages(names, options))
+    beside: tuple[str, ...] = ()
+    if asked.for_averages is not False:
+        beside = needed_for_averages(names, options)
+        names = (*names, *beside)
     # fields that follow from the gradient relative to the box, once the box is added to it
     derived = [
         name
@@ -185,10 +184,10 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         summed.append(_GRADIENT)
     if box_changes and "displacement" in names:
         summed.append("centre_offset")
-    f, motion = _between_frames(ds, asked, list(dict.fromkeys(summed)), call)
+    f = _between_frames(ds, asked, list(dict.fromkeys(summed)), call, box_changes)
     fields = {name: f[name] for name in summed}
     if box_changes:
-        fields |= _with_box(f, ds, motion)
+        fields |= _with_box(f, ds)
     if asked.accumulate:
         fields[_TOTAL] = _composed(derive(_TOTAL, dict(fields), options))
         f = f.assign_coords(_coords_of_later_frames(ds, f["interval"].attrs))
@@ -197,7 +196,8 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     for name in names:
         values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
-    return xr.Dataset(data, f.coords, f.attrs).unify_chunks()
+    result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
+    return result if asked.for_averages else result.set_coords(beside)
 
 
 def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> dict[str, Any]:
@@ -264,98 +264,113 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
 # --- pairs of frames ------------------------------------------------------------------------------
 
 
-def _between_frames(
-    ds: xr.Dataset, asked: DisplacementRequest, names: Sequence[str], call: str
-) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return fields of displacements relative to the box, and the motion of the box (time)."""
-    lag = asked.lag
-    count = ds.sizes["time"] - lag
-    # contacts belong to one frame; displacements relative to the box are the same in all images
-    contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
-    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore")
-    first = first.isel(time=slice(0, count))
-    # a plan looks at names only: displacements and intervals are computed with the frames
-    moved = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
-    scene = describe(moved, asked.by)
-    plan = make_plan(scene, asked.ask(fields=names, width=asked.width, at=asked.at))
+@dataclass(frozen=True, eq=False)
+class _Displacements(FrameAnalysis):
+    """Fields of displacements relative to the box, which take the place of velocities."""
 
-    of_frames = [name for name in (*MOTION, *OF_STEP) if name in ds and name != "lattice_velocity"]
-    of_both = ["particle_id", "position", "time", *of_frames]
-    later = {
-        f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable()
-        for name in of_both
-    }
-    of_first = [name for name in plan.variables if name not in _MADE]
-    read = list(dict.fromkeys([*of_first, *of_both, *later]))
-    pairs = first.assign(later)
-    threads = threads_a_chunk(pairs, read, THREADS)
-    compute = partial(_of_pairs, plan.setup.periodic, partial(compute_chunk, plan, threads))
-    results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
-    arrays = map_over_time(pairs, read, compute, results, "displacement", asked.on_error)
+    name = "displacement"
 
-    f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
-    what = "time" if times_are_known(ds) else "steps of the simulation"
-    times = ds["time"].to_numpy()
-    interval = xr.Variable("time", times[lag:] - times[:count])
-    interval.attrs = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
-    left = xr.Variable("time", arrays["left"])
-    left.attrs = {"units": "1", "long_name": "number of grains in the first frame only"}
-    entered = xr.Variable("time", arrays["entered"])
-    entered.attrs = {"units": "1", "long_name": "number of grains in the later frame only"}
-    motion = xr.Dataset(
-        {
-            "box_gradient": (("time", "component", "direction"), arrays["box_gradient"]),
-            "box_shift": (("time", "component"), arrays["box_shift"]),
-        },
-        {"component": list(COMPONENTS), "direction": list(COMPONENTS)},
-    )
-    return f.assign_coords(interval=interval, left=left, entered=entered), motion
+    fields: CoarseGraining
+    lag: int
+    box_changes: bool
 
+    @property
+    def lags(self) -> tuple[int, ...]:
+        """Return the offset of the later frame."""
+        return (self.lag,)
 
-def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Compute fields of a chunk of frames, with displacements in the place of velocities."""
-    first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
-    later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
-    steps, grains = first["particle_id"].shape
-    out = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
-    interval = later.pop("time") - first.pop("time")
-    first["interval"] = np.broadcast_to(interval[:, None], (steps, grains))
-    first["velocity"] = np.full((steps, grains, 3), np.nan)
-    ids = np.full((steps, grains), PADDING)
-    frames = steps_in({name: first[name] for name in later}, periodic)
-    later_frames = steps_in(later, periodic)
-    for t, (step, later_step) in enumerate(zip(frames, later_frames, strict=True)):
-        frame, lattice, source = step
-        later_frame, later_lattice, later_source = later_step
+    def reads(self, scene: Description) -> list[str]:
+        """Return what the fields need of the first frame, and where grains are in both."""
+        of_fields = [name for name in self.fields.reads(scene) if name not in _MADE]
+        moved = [name for name in MOTION if name in scene.columns]
+        return [*of_fields, "position", *moved, "time"]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the fields, the grains that are in one frame only, and the motion of the box."""
+        rows = self.fields.rows(scene) | _COUNTS
+        return rows | _MOTION if self.box_changes else rows
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the coordinates of the fields."""
+        return self.fields.coords(scene)
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return the options of the fields."""
+        return self.fields.attrs(scene)
+
+    def frames(self, now: Step, *others: Step | None) -> dict[str, Any]:
+        """Compute the fields of the grains that are in both frames."""
+        (later,) = others
+        if later is None:  # the last frames are left out of the result
+            return {
+                name: np.full(shape, np.nan) for name, shape in self.fields.plan.shapes.items()
+            } | {
+                "left": 0,
+                "entered": 0,
+                "box_gradient": np.full((3, 3), np.nan),
+                "box_shift": np.full(3, np.nan),
+            }
+        frame, lattice, source = now
+        later_frame, later_lattice, later_source = later
         rows = partners(frame, later_frame, (source, later_source))
         stays = rows >= 0
         motion = BoxMotion.between(lattice, later_lattice)
-        # grains without a partner become padding, and all rows stay where they are
-        ids_of_rows = first["particle_id"][t]
-        place = np.argsort(ids_of_rows, kind="stable")[grains - len(rows) :][stays]
-        ids[t, place] = ids_of_rows[place]
-        first["velocity"][t, place] = motion.relative(
+        of_both = {name: values[stays] for name, values in frame.items() if np.ndim(values)}
+        of_both["velocity"] = motion.relative(
             frame, later_frame, np.flatnonzero(stays), rows[stays]
         )
-        out["left"][t] = (~stays).sum()
-        out["entered"][t] = len(later_frame["position"]) - stays.sum()
-        out["box_gradient"][t] = motion.gradient
-        out["box_shift"][t] = motion.shift
-    return {**compute(first | {"particle_id": ids}), **out}
+        of_both["interval"] = np.full(stays.sum(), later_frame["time"] - frame["time"])
+        fields = replace(self.fields, threads=self.threads).frame(of_both, lattice, source)
+        return fields | {
+            "left": (~stays).sum(),
+            "entered": len(later_frame["position"]) - stays.sum(),
+            "box_gradient": motion.gradient,
+            "box_shift": motion.shift,
+        }
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Leave out frames without a later one, and name the time between the two."""
+        count = ds.sizes["time"] - self.lag
+        result = self.fields.after(result, ds).isel(time=slice(0, count))
+        times = ds["time"].to_numpy()
+        what = "time" if times_are_known(ds) else "steps of the simulation"
+        about = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
+        interval = xr.Variable("time", times[self.lag :] - times[:count], about)
+        return result.assign_coords(interval=interval).set_coords([*_COUNTS])
+
+
+def _between_frames(
+    ds: xr.Dataset,
+    asked: DisplacementRequest,
+    names: Sequence[str],
+    call: str,
+    box_changes: bool,
+) -> xr.Dataset:
+    """Return fields of displacements relative to the box, and its motion where it changes."""
+    # contacts belong to one frame; displacements relative to the box are the same in all images
+    contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
+    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore")
+    scene = describe(first, asked.by)
+    made = dict.fromkeys(_MADE, scene.columns["position"])
+    moved = replace(scene, columns={**scene.columns, **made}, lag=asked.lag)
+    request = asked.ask(fields=names, width=asked.width, at=asked.at, for_averages=False)
+    plan = make_plan(moved, request)
+    analysis = _Displacements(CoarseGraining(plan), asked.lag, box_changes)
+    return run(first, analysis, call=call, scene=moved, on_error=asked.on_error)
 
 
 # --- from displacements relative to the box -------------------------------------------------------
 
 
-def _with_box(f: xr.Dataset, ds: xr.Dataset, motion: xr.Dataset) -> dict[str, xr.DataArray]:
+def _with_box(f: xr.Dataset, ds: xr.Dataset) -> dict[str, xr.DataArray]:
     """Add the displacement and gradient that the box imposes on the grains of a node."""
     fields = {}
-    gradient = motion["box_gradient"]
+    gradient = f["box_gradient"]
     if _GRADIENT in f:
         fields[_GRADIENT] = f[_GRADIENT] + gradient
     if "displacement" in f:
         middle = ds["box"].isel(time=slice(0, f.sizes["time"])).mean("bound").drop_vars("time")
-        imposed = motion["box_shift"]
+        imposed = f["box_shift"]
         for a in ds.attrs["periodic"]:
             if a in f.coords:
                 place = f[a] + f["centre_offset"].sel(component=a, drop=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Mapping
 from itertools import product
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 from xcg.common import drawing
 from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
-from xcg.fields.formulas.registry import FIELDS
+from xcg.fields.analysis.grain_plots import draw_grains
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
 from xcg.scene.frame import require_steps, step_at, with_time
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS, NUMBERED
 from xcg.steps.mapping import each_step, shown
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ def plot(
     f: xr.Dataset,
     field: str | None = None,
     *,
-    time: int = -1,
+    index: int = -1,
     component: str | None = None,
     direction: str | None = None,
     phase: int | str | None = None,
@@ -51,8 +53,9 @@ def plot(
     cmap: str | None = None,
     vmin: float | None = None,
     vmax: float | None = None,
+    **options: Any,
 ) -> Axes:
-    """Draw one field of a result: a profile along one axis, or a map over two.
+    """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
 
     Profiles show one line for each component of a vector or for each phase, and a band of one
     standard error on both sides where the result has errors (`time_average`). The axis z stands
@@ -62,14 +65,19 @@ def plot(
     one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
     the slice in the middle of its shortest axis is drawn.
 
+    Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
+    Their colours show a variable of the particles.
+
     Parameters
     ----------
     f : xarray.Dataset
-        A result with one, two or three axes, lazy or in memory. Only what is drawn is computed.
+        A result with one, two or three axes, or a scene, lazy or in memory. Only what is drawn is
+        computed.
     field : str, optional
-        Which field; the first one but `sample_count` by default.
-    time : int
-        Which step, by position; the last one by default.
+        Which field; the first one but `sample_count` by default. Of a scene, a variable of the
+        particles; grains are grey by default.
+    index : int
+        Position of the step in time; the last one by default.
     component, direction : str, optional
         "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw.
         A tensor needs both.
@@ -93,6 +101,9 @@ def plot(
     vmin, vmax : float, optional
         Ends of the colours of a map; the smallest and largest number by default. If both signs
         matter, one end is minus the other.
+    **options
+        For matplotlib: of lines, such as ``color`` and ``linewidth``; of maps and grains, such as
+        ``norm="log"`` and ``alpha``.
 
     Returns
     -------
@@ -102,6 +113,8 @@ def plot(
     ------
     ImportError
         If matplotlib is not installed.
+    TypeError
+        If matplotlib has no such option.
     ValueError
         If the result has no such field, no axes to draw along, or a part has to be named, or an
         argument is wrong.
@@ -113,19 +126,83 @@ def plot(
     >>> f.cg.plot("pressure")  # doctest: +SKIP
     """
     extra("matplotlib.pyplot", "plot", "drawing")
+    _check_options(options)
+    if "particle_id" in f:
+        _check_grains(direction, phase, arrows, shading)
+        ax = drawing.new_axes() if ax is None else ax
+        ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
+        try:
+            picture = draw_grains(f, field, index, component, at, ax, ends, options)
+        except AttributeError as error:  # of matplotlib, about keywords
+            raise TypeError(f"plot: {error}") from None
+        ax.set_title(_title(picture))
+        return ax
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, time, phase).compute()
+    picture = _one_step(part, index, phase).compute()
     ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], _axes(picture)
-    if len(axes) == 1:
-        _draw_profile(picture, name, axes[0], ax)
-    else:
-        values = _known([picture[name]])
-        colours = drawing.colours_of(values, cmap, vmin, vmax)
-        mesh = _draw_map(picture, name, axes, ax, colours, _fastest(picture), shading)
-        _draw_colour_bar(picture, name, mesh, values)
+    try:
+        if len(axes) == 1:
+            _draw_profile(picture, name, axes[0], ax, options)
+        else:
+            values = _known([picture[name]])
+            colours = drawing.colours_of(values, cmap, vmin, vmax)
+            if "color" in options:
+                raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
+            if "norm" in options:
+                ends = {"vmin": vmin, "vmax": vmax}
+                colours = {"cmap": cmap or "viridis"} | {
+                    end: number for end, number in ends.items() if number is not None
+                }
+            mesh = _draw_map(picture, name, axes, ax, colours | options, _fastest(picture), shading)
+            _draw_colour_bar(picture, name, mesh, values)
+    except AttributeError as error:  # of matplotlib, about keywords
+        raise TypeError(f"plot: {error}") from None
     ax.set_title(_title(picture))
     return ax
+
+
+# Options of other plotting functions, with what to do in place of them.
+_OTHER_OPTIONS = {
+    "time": "give index=, the position of a step, or select it before, .sel(time=...)",
+    "step": "give index=, the position of a step",
+    "figsize": "give ax=, from matplotlib.pyplot.subplots(figsize=...)",
+    "title": "call set_title on what plot returns",
+    "xlabel": "call set_xlabel on what plot returns",
+    "ylabel": "call set_ylabel on what plot returns",
+    "xlim": "call set_xlim on what plot returns",
+    "ylim": "call set_ylim on what plot returns",
+    "log": "give norm='log' for colours, or call set_xscale('log') on what plot returns",
+    "clim": "give vmin= and vmax=",
+    "colormap": "give cmap=",
+}
+
+
+def _check_options(options: Mapping[str, Any]) -> None:
+    """Raise TypeError for keywords that are done in another way."""
+    for name in options:
+        if name in _OTHER_OPTIONS:
+            raise TypeError(f"plot has no argument {name!r}: {_OTHER_OPTIONS[name]}")
+        near = did_you_mean(
+            name, [p for p in inspect.signature(plot).parameters if len(p) > 2], 0.8
+        )
+        if near:
+            raise TypeError(f"plot has no argument {name!r}{near}")
+
+
+def _check_grains(
+    direction: str | None, phase: int | str | None, arrows: str | None, shading: Shading
+) -> None:
+    """Raise ValueError for arguments that pictures of grains have not."""
+    given = {"direction": direction, "phase": phase}
+    given["arrows"] = None if arrows == "auto" else arrows
+    given["shading"] = None if shading == "smooth" else shading
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"{name}={value!r}: this is a scene, whose grains are drawn without it; fields are drawn by "
+                "ds.cg.coarse_grain(...).cg.plot()"
+            )
 
 
 def movie(
@@ -264,12 +341,12 @@ def _part(
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
     if "particle_id" in f:
         raise ValueError(
-            "plot draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.plot()"
+            "movie draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.movie(path)"
         )
     if name is None or name not in f:
         fields = list(map(str, f.data_vars))
         hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
-        hint = hint if name in FIELDS else did_you_mean(str(name), fields)
+        hint = hint if name in FIELDS else did_you_mean(str(name), fields, synonyms=OTHER_NAMES)
         raise ValueError(f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}{hint}")
     cut = _slice(f, at)
     axes = _axes(cut)
@@ -354,9 +431,9 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 
-def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Dataset:
+def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
     """Select a step, and of maps a phase."""
-    part = step_at(part, time, "time")
+    part = step_at(part, index)
     if phase is None and "phase" in part.dims and len(_axes(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
@@ -393,16 +470,18 @@ def _fastest(picture: xr.Dataset) -> float:
 # --- drawing ---------------------------------------------------------------------------------------------
 
 
-def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
+def _draw_profile(
+    picture: xr.Dataset, name: str, axis: str, ax: Axes, options: Mapping[str, Any] | None = None
+) -> None:
     nodes = picture[axis].to_numpy()
     value, error = picture[name], picture.get(f"{name}{ERROR}")
     others, upright = [dim for dim in value.dims if dim != axis], axis == "z"
     for labels in product(*(value[dim].to_numpy() for dim in others)):
         place = dict(zip(others, labels, strict=True))
         y = value.sel(place).to_numpy()
-        (line,) = ax.plot(
-            *((y, nodes) if upright else (nodes, y)), label=", ".join(map(str, labels)) or None
-        )
+        label = ", ".join(map(str, labels)) or None
+        points = (y, nodes) if upright else (nodes, y)
+        (line,) = ax.plot(*points, **{"label": label, **(options or {})})
         if error is not None:
             e = error.sel(place).to_numpy()
             fill = ax.fill_betweenx if upright else ax.fill_between
@@ -429,7 +508,7 @@ def _draw_map(
     if axes == ["r", "theta"]:
         return _draw_circle(picture, value, ax, colours, fastest, shading)
     x, y, values = drawing.cells_of(value, shading)
-    mesh = ax.pcolormesh(x, y, values, rasterized=shading == "smooth", **colours)
+    mesh = ax.pcolormesh(x, y, values, **{"rasterized": shading == "smooth", **colours})
     if fastest > 0:
         every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
         some = picture.isel({a: slice(every // 2, None, every) for a in axes})
@@ -465,8 +544,7 @@ def _draw_circle(
         rim * np.cos(turn[:, None]),
         rim * np.sin(turn[:, None]),
         values,
-        rasterized=shading == "smooth",
-        **colours,
+        **{"rasterized": shading == "smooth", **colours},
     )
     if fastest > 0:
         apart = 2 * rim[-1] / ARROWS
@@ -529,10 +607,10 @@ def _title(picture: xr.Dataset) -> str:
     for name in (
         a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim
     ):
-        value, unit = (
-            picture[name].item(),
-            drawing.unit_text(str(picture[name].attrs.get("units", ""))),
-        )
+        value = picture[name].item()
+        unit = drawing.unit_text(str(picture[name].attrs.get("units", "")))
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        if picture[name].attrs.get("long_name") == NUMBERED:
+            name, text = "step", f"{value:.0f}"
         parts.append(f"{name} = {text} {unit}".rstrip())
     return ", ".join(parts)

@@ -24,7 +24,7 @@ from xcg.steps.labels import format_call, provenance
 
 
 def free_surface(
-    f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: str = "volume_fraction"
+    f: xr.Dataset, axis: str = "z", share: float = 0.5, *, field: str = "volume_fraction"
 ) -> xr.Dataset:
     """Find the free surface and the base of a flow, where a field falls to a share of its bulk.
 
@@ -38,16 +38,16 @@ def free_surface(
         A result of `xcg.coarse_grain` that is resolved along the axis, and holds the field.
     axis : str
         Across the base, upwards.
-    threshold : float
+    share : float
         Share of the bulk value, between 0 and 1.
-    of : str
-        The field: "volume_fraction" or "density".
+    field : str
+        "volume_fraction" or "density".
 
     Returns
     -------
     xarray.Dataset
         ``height`` and ``base`` (m), without the axis, of all grains together or else of each phase
-        that was selected; NaN where nothing is above the threshold, or where the mesh ends before
+        that was selected; NaN where nothing is above this share, or where the mesh ends before
         the field falls through it. Lazy where the result is.
 
     Raises
@@ -55,7 +55,7 @@ def free_surface(
     SceneError
         If results of different options were joined.
     ValueError
-        If the axis is not resolved, the field is not there, or the threshold is not between 0 and
+        If the axis is not resolved, the field is not there, or the share is not between 0 and
         1.
 
     Examples
@@ -66,18 +66,17 @@ def free_surface(
     ('time', 'x')
     """
     f = with_facts(f)
-    if of not in f:
+    if field not in f:
         fields = ", ".join(map(str, f.data_vars))
-        raise ValueError(f"of={of!r}: expected a field of this result, which holds {fields}")
-    if axis not in f[of].dims:
+        raise ValueError(f"field={field!r}: expected a field of this result, which holds {fields}")
+    if axis not in f[field].dims:
         axes = [a for a in COMPONENTS if a in f.dims]
         raise ValueError(f"free_surface({axis!r}): the result has the axes {axes}")
-    if not (is_finite(threshold) and 0 < threshold < 1):
+    if not (is_finite(share) and 0 < share < 1):
         raise ValueError(
-            f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, "
-            "such as 0.5"
+            f"share={share!r}: expected a share of the bulk value between 0 and 1, such as 0.5"
         )
-    values = f[of].sortby(axis)
+    values = f[field].sortby(axis)
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
@@ -85,7 +84,7 @@ def free_surface(
     crossings = xr.apply_ufunc(
         partial(_crossings, z=values[axis].to_numpy()),
         values.chunk({axis: -1}) if values.chunks else values,
-        threshold * bulk,
+        share * bulk,
         input_core_dims=[[axis], []],
         output_core_dims=[["end"]],
         dask="parallelized",
@@ -95,12 +94,12 @@ def free_surface(
     attrs = {"units": f[axis].attrs.get("units", "m")}
     if "cutoff" in f.attrs:
         attrs["cutoff"] = f.attrs["cutoff"]
-    where = f"along {axis}, where {of} is {threshold:g} of its bulk value"
+    where = f"along {axis}, where {field} is {share:g} of its bulk value"
     height = crossings.isel(end=1).drop_attrs(deep=False)
     height.attrs = attrs | {"long_name": f"free surface {where}"}
     base = crossings.isel(end=0).drop_attrs(deep=False)
     base.attrs = attrs | {"long_name": f"base {where}"}
-    call = format_call("free_surface", {"axis": axis, "threshold": threshold, "of": of})
+    call = format_call("free_surface", {"axis": axis, "share": share, "field": field})
     of_result = f.attrs | provenance(f, call) | {"surface_axis": axis}
     return xr.Dataset({"height": height, "base": base}, attrs=of_result)
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import unknown, warn_once
@@ -20,16 +19,16 @@ from xcg.fields.grids.frames import Rotated, axis_of
 from xcg.fields.grids.grid import warn_beyond
 from xcg.fields.grids.walls import Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
 from xcg.scene.description import Description, describe
 from xcg.scene.facts import SETUP
-from xcg.scene.frame import steps_in, without_frozen
+from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, OF_STEP, ROTATION, Setup, Variable, units_in
+from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Setup, Variable, units_in
+from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, label, provenance, results_of
-from xcg.steps.mapping import map_over_time
+from xcg.steps.labels import format_call, provenance
 
 Flow: TypeAlias = Literal["mass", "number", "volume", "momentum", "energy"]
 _UNITS = {"mass": "kg s^-1", "number": "s^-1", "volume": "m^3 s^-1", "momentum": "N", "energy": "W"}
@@ -40,7 +39,7 @@ _FINE = 0.25  # widths between the points of a quadrature
 def flow_rate(
     ds: xr.Dataset,
     surface: Wall,
-    of: Flow | Sequence[Flow] = "mass",
+    quantities: Flow | Sequence[Flow] = "mass",
     *,
     width: float | str | None = None,
     kernel: KernelName | str | Kernel = "lucy",
@@ -67,7 +66,7 @@ def flow_rate(
         periodic axes over one period. Planes with `bounds`, the side of a cylinder between `low`
         and `high` and triangles are sums over points, see `spacing`. In a scene of one layer,
         planes and cylinders across it count within its thickness.
-    of : str or list of str
+    quantities : str or list of str
         "mass", "number", "volume", "momentum", "energy".
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
@@ -107,12 +106,13 @@ def flow_rate(
     """
     if not isinstance(surface, Wall):
         raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
-    flows: list[Any] = [of] if isinstance(of, str) else list(of)
+    flows: list[Any] = [quantities] if isinstance(quantities, str) else list(quantities)
     for flow in flows:
         if flow not in get_args(Flow):
             raise ValueError(unknown("flow", flow, get_args(Flow)))
     call = format_call(
-        "flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by}
+        "flow_rate",
+        {"surface": surface, "quantities": quantities, "width": width, "kernel": kernel, "by": by},
     )
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)
@@ -282,17 +282,6 @@ def _parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDAr
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Options of the traction on a surface."""
-
-    surface: Wall
-    cells: SurfaceCells
-    kernel: Kernel
-    within: float
-    setup: Setup
-
-
 @takes_scene
 def wall_stress(
     ds: xr.Dataset,
@@ -378,7 +367,6 @@ def wall_stress(
     if walls is not None:
         ds = select_walls(ds, walls)
     scene = describe(ds)
-    setup = scene.setup
     smooth = kernel_of(kernel, width, scene.sizes, 2)
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
@@ -386,38 +374,8 @@ def wall_stress(
     low, high = _box_of_grains(scene)
     cells = surface.cells(low, high, smooth.width / 2 if spacing is None else float(spacing))
     reach = smooth.width if within is None else float(within)
-    task = _Task(surface, cells, smooth, reach, setup)
-    nodes = tuple(cells.coords)
-    rows = {
-        "normal_traction": Variable(
-            nodes, "Pa", "normal traction of the grains on the wall, compression positive"
-        ),
-        "shear_traction": Variable(
-            (*nodes, "along"), "Pa", "shear traction of the grains on the wall"
-        ),
-        "traction": Variable((*nodes, "component"), "Pa", "traction of the grains on the wall"),
-        "wall_force": Variable(("component",), "N", "force of the grains on the wall"),
-        "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
-    }
-    sizes = {**dict(zip(nodes, cells.shape, strict=True)), "along": len(cells.axes)}
-    results = results_of(rows, sizes)
-    optional = [name for name in ("diameter", "frozen", *OF_STEP) if name in ds]
-    names = ["particle_id", "position", *_NEEDS, *optional]
-    arrays = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
-    result = label(
-        ds,
-        rows,
-        arrays,
-        call,
-        kernel=smooth.name,
-        width=smooth.width,
-        cutoff=smooth.cutoff,
-        surface=repr(surface),
-    )
-    for values in result.data_vars.values():
-        # sums over contacts, which averages take as they are
-        values.attrs["source"] = "contact_force"
-    return storable(result.assign_coords(_coordinates(cells, setup.unit_system)))
+    analysis = _WallStress(surface, cells, smooth, reach, scene.setup)
+    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
 def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
@@ -437,35 +395,81 @@ def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
     return low, high
 
 
-def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Tractions of one chunk of time."""
-    steps = [_of_step(task, *step) for step in steps_in(arrays, task.setup.periodic)]
-    return {name: np.stack([step[name] for step in steps]) for name in steps[0]}
+@dataclass(frozen=True, eq=False)
+class _WallStress(FrameAnalysis):
+    """Traction of the grains on the cells of a surface."""
 
+    name = "wall_stress"
 
-def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str, NDArray]:
-    _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
-    point, force = _over_surface(task, point, -force, lattice, source)
-    if not len(point):
-        warn_once(
-            "wall stress",
-            f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}",
-        )
-    normal, along = task.surface.in_surface(point, force)
-    smeared = _smear(task, point, np.column_stack([-normal, along, force]), lattice)
-    shape = task.cells.shape
-    axes = len(task.cells.axes)
-    return {
-        "normal_traction": smeared[:, 0].reshape(shape),
-        "shear_traction": smeared[:, 1 : 1 + axes].reshape(*shape, axes),
-        "traction": smeared[:, 1 + axes :].reshape(*shape, 3),
-        "wall_force": force.sum(axis=0),
-        "wall_contacts": np.asarray(len(force)),
-    }
+    surface: Wall
+    cells: SurfaceCells
+    kernel: Kernel
+    within: float
+    setup: Setup
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return the contacts, and what their branches and walls follow from."""
+        optional = [name for name in ("diameter", "frozen") if name in scene.columns]
+        return ["position", *_NEEDS, *optional]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return tractions on the cells, and the sum and number of the forces of a step."""
+        nodes = tuple(self.cells.coords)
+        return {
+            "normal_traction": Variable(
+                nodes, "Pa", "normal traction of the grains on the wall, compression positive"
+            ),
+            "shear_traction": Variable(
+                (*nodes, "along"), "Pa", "shear traction of the grains on the wall"
+            ),
+            "traction": Variable((*nodes, "component"), "Pa", "traction of the grains on the wall"),
+            "wall_force": Variable(("component",), "N", "force of the grains on the wall"),
+            "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
+        }
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return places and areas of the cells, and the axes of shear."""
+        return _coordinates(self.cells, self.setup.unit_system)
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return kernel and surface."""
+        return {
+            "kernel": self.kernel.name,
+            "width": self.kernel.width,
+            "cutoff": self.kernel.cutoff,
+            "surface": repr(self.surface),
+        }
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
+        """Compute the tractions of one step."""
+        _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
+        point, force = _over_surface(self, point, -force, lattice, source)
+        if not len(point):
+            warn_once(
+                "wall stress",
+                f"{source}: no contact with a wall is within {self.within:.3g} m of {self.surface!r}",
+            )
+        normal, along = self.surface.in_surface(point, force)
+        smeared = _smear(self, point, np.column_stack([-normal, along, force]), lattice)
+        shape = self.cells.shape
+        axes = len(self.cells.axes)
+        return {
+            "normal_traction": smeared[:, 0].reshape(shape),
+            "shear_traction": smeared[:, 1 : 1 + axes].reshape(*shape, axes),
+            "traction": smeared[:, 1 + axes :].reshape(*shape, 3),
+            "wall_force": force.sum(axis=0),
+            "wall_contacts": len(force),
+        }
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Mark sums over contacts, which averages take as they are."""
+        for values in result.data_vars.values():
+            values.attrs["source"] = "contact_force"
+        return result
 
 
 def _over_surface(
-    task: _Task, point: NDArray, force: NDArray, lattice: Lattice, source: str
+    task: _WallStress, point: NDArray, force: NDArray, lattice: Lattice, source: str
 ) -> tuple[NDArray, ...]:
     """Return points and forces of contacts near the cells, as the images nearest to the surface."""
     if not len(point):
@@ -498,7 +502,7 @@ def _shifts(lattice: Lattice, count: int) -> NDArray:
     return np.array(list(product(numbers, repeat=len(basis)))) @ basis
 
 
-def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> NDArray:
+def _smear(task: _WallStress, point: NDArray, values: NDArray, lattice: Lattice) -> NDArray:
     """Sum over contacts weights (cells, contacts) times values (contacts, n), per area."""
     from scipy.spatial import cKDTree  # slow to import
 
@@ -530,15 +534,18 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     return out / cells.area[:, None]
 
 
-def _coordinates(cells: SurfaceCells, system: str) -> dict[str, Any]:
-    """Places and areas of the cells, and the axes of shear."""
+def _coordinates(cells: SurfaceCells, system: str) -> dict[str, xr.Variable]:
+    """Return places and areas of the cells, and the axes of shear."""
     units = {"theta": "rad", "triangle": "1"}
-    coords: dict[str, Any] = {}
+    coords: dict[str, xr.Variable] = {}
     for dim, (values, text) in cells.coords.items():
         unit = units.get(dim, units_in("m", system))
-        coords[dim] = (dim, values, {"units": unit, "long_name": text})
+        coords[dim] = xr.Variable(dim, values, {"units": unit, "long_name": text})
+    dims = tuple(cells.coords)
     about = {"units": units_in("m^2", system), "long_name": "area of the cell"}
-    coords["area"] = (tuple(cells.coords), cells.area.reshape(cells.shape), about)
+    coords["area"] = xr.Variable(dims, cells.area.reshape(cells.shape), about)
     about = {"units": units_in("m", system), "long_name": "centre of the cell"}
-    coords["centre"] = ((*cells.coords, "component"), cells.centre.reshape(*cells.shape, 3), about)
-    return coords | {"along": list(cells.axes)}
+    centre = cells.centre.reshape(*cells.shape, 3)
+    coords["centre"] = xr.Variable((*dims, "component"), centre, about)
+    coords["along"] = xr.Variable("along", list(cells.axes))
+    return coords

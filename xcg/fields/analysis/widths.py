@@ -48,17 +48,18 @@ class SweepRequest(SharedOptions):
         Points: one number an axis, or lists of the same length, one entry a point (dimension
         ``point``), or DataArrays as in `coarse_grain`. Axes not named are averaged, unless ``axes``
         resolves them; None averages over the whole box.
-    threshold : float
+    max_slope : float
         Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
-        Also the largest bias of a width that is not too wide, relative to the largest value of the
-        field.
+    max_bias : float
+        Largest bias of a width that is not too wide, relative to the largest value of the field.
     """
 
     widths: Sequence[float | str]
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
     at: Mapping[str, ArrayLike | xr.DataArray] | None = None
-    threshold: float = 0.1
+    max_slope: float = 0.1
+    max_bias: float = 0.1
 
 
 @takes(SweepRequest)
@@ -66,7 +67,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths: the bias of each width, and the plateau of each field.
 
     The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below
-    `threshold` there; it takes three widths or more. Lazy where the scene is; computed in one go,
+    `max_slope` there; it takes three widths or more. Lazy where the scene is; computed in one go,
     all widths share one pass over the files.
 
     Parameters
@@ -80,7 +81,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     xarray.Dataset
         The fields with the dimension ``width`` (m), and for each ``<field>_bias``, what the width
         adds to the field by smearing it; ``<field>_extrapolated``, the field less its bias;
-        ``<field>_too_wide``, whether the bias exceeds `threshold` times the largest value of the
+        ``<field>_too_wide``, whether the bias exceeds `max_bias` times the largest value of the
         field in the step. Of three widths or more also ``<field>_slope``, ``<field>_plateau_width``
         (m, NaN without a plateau) and ``<field>_plateau`` (the value there).
 
@@ -109,7 +110,9 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     if asked.axes:
         asked = _with_nodes(ds, asked, lengths, points[0])
     swept = [
-        _join_widths(ds, lengths, partial(asked.ask, fields=asked.fields, at=point))
+        _join_widths(
+            ds, lengths, partial(asked.ask, fields=asked.fields, at=point, for_averages=False)
+        )
         for point in points
     ]
     joined = xr.concat(swept, "point", coords="different", compat="equals") if several else swept[0]
@@ -118,9 +121,9 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         joined = joined.chunk({"width": -1})
     widths, found = np.array(lengths), dict[str, xr.DataArray]()
     for field in map(str, joined.data_vars):
-        found |= _bias(field, joined[field], widths, asked.threshold)
+        found |= _bias(field, joined[field], widths, asked.max_bias)
         if len(lengths) > 2:
-            found |= _plateau(field, joined[field], widths, asked.threshold)
+            found |= _plateau(field, joined[field], widths, asked.max_slope)
     return joined.assign(found).assign_attrs(provenance(ds, call))
 
 
@@ -180,7 +183,7 @@ def _with_nodes(
 
 
 def _bias(
-    name: str, field: xr.DataArray, widths: NDArray, threshold: float
+    name: str, field: xr.DataArray, widths: NDArray, max_bias: float
 ) -> dict[str, xr.DataArray]:
     """Bias of a field in proportion to w^2, the field without it, and where it exceeds a share of the largest value."""
     squares = xr.DataArray(widths**2, {"width": widths}, "width")
@@ -200,15 +203,15 @@ def _bias(
         f"{name}_extrapolated": (field - bias).assign_attrs(
             units, long_name=f"{what} without the bias of the width"
         ),
-        f"{name}_too_wide": (size > threshold * largest.max(places)).assign_attrs(
+        f"{name}_too_wide": (size > max_bias * largest.max(places)).assign_attrs(
             units="1",
-            long_name=f"whether the width smears {what} by more than {threshold:g} of its largest value",
+            long_name=f"whether the width smears {what} by more than {max_bias:g} of its largest value",
         ),
     }
 
 
 def _plateau(
-    name: str, field: xr.DataArray, widths: NDArray, threshold: float
+    name: str, field: xr.DataArray, widths: NDArray, max_slope: float
 ) -> dict[str, xr.DataArray]:
     """Slope of a field, and width and value where it is smallest."""
     # d ln f / d ln w = (w / f) df / dw, which also holds where f is negative
@@ -219,7 +222,7 @@ def _plateau(
     # the ends have one neighbour only: no plateau is told from them
     inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
     rows = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
-    best = (rows == inside.argmin("width")) & (inside.min("width") < threshold)
+    best = (rows == inside.argmin("width")) & (inside.min("width") < max_slope)
     value = field.where(best).sum("width", min_count=1)
     width = inside.width.where(best).sum("width", min_count=1)
     unit, what = field.coords["width"].attrs.get("units", "m"), field.attrs.get("long_name", name)

@@ -8,9 +8,8 @@ published with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -23,13 +22,14 @@ from xcg.compiled.geometry import add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
-from xcg.scene.conform import require_scene, storable, takes_scene
-from xcg.scene.description import describe
-from xcg.scene.frame import phase_of, steps_in, without_frozen
-from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, Variable, units_in
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import Description, describe
+from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, Frame, Setup, Variable, units_in
+from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, label, results_of, with_phase_labels
-from xcg.steps.mapping import map_over_time
+from xcg.steps.labels import format_call, phases_of
 
 _SPHERE = 1e-6  # how far volumes may be from those of spheres of their diameters
 _COLUMNS = 6  # number, volume, mass and momentum of each grain
@@ -51,27 +51,17 @@ _FIELDS = {
     ),
 }
 SliceMethod: TypeAlias = Literal["planes", "bins"]
+_WEIGHTS = {"planes": "diameter", "bins": "mass"}
 
 
-def _along(axis: str, nodes: NDArray, system: str) -> tuple[str, NDArray, dict[str, str]]:
-    """Coordinate of the cells or slices along an axis."""
+def _along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
+    """Return the coordinate of the cells or slices along an axis."""
     about = {
         "units": units_in("m", system),
         "long_name": f"position along {axis}",
         "axis": axis.upper(),
     }
-    return axis, nodes, about
-
-
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    """Options of the shares of cells."""
-
-    grid: Grid
-    setup: Setup
-    depth: float | str | None
-    by: str | None
-    groups: tuple[int, ...]
+    return xr.Variable(axis, nodes, about)
 
 
 @takes_scene
@@ -157,94 +147,119 @@ def cell_volumes(
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
-    values = scene.groups(by, groups)
-    task = _Cells(grid, setup, scene.layer_depth, by, values)
-    dims = (*grid.dims, *(("phase",) if by is not None else ()))
-    rows = {
-        name: replace(row, dims=(*dims, *row.dims))
-        for name, row in _FIELDS.items()
-        if "velocity" in ds or not row.dims
-    }
-    results = results_of(
-        rows, dict(zip(grid.dims, grid.sizes, strict=True)) | {"phase": 1 + len(values)}
-    )
-    names = ["particle_id", "position", "diameter", "volume", "mass", *([by] if by else [])]
-    names += [name for name in ("velocity", "frozen", *OF_STEP) if name in ds]
-    found = map_over_time(ds, names, partial(_of_chunk, task), results, "cell-volumes", on_error)
+    analysis = _Cells(grid, setup, scene.layer_depth, by, scene.groups(by, groups))
     call = format_call("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
-    result = label(ds, rows, found, call, sampling="cell")
-    coords: dict[str, Any] = {
-        a: _along(a, nodes.to_numpy(), setup.unit_system) for a, nodes in grid.coords.items()
-    }
-    if by is not None:
-        coords["phase"] = ("phase", ["bulk", *map(str, values)], {"long_name": f"phase by {by}"})
-    return with_phase_labels(storable(result.assign_coords(coords)))
+    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
-def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Fields of one chunk of time."""
-    grid, groups = task.grid, max(1, len(task.groups))
-    steps = [_shares(task, groups, *step) for step in steps_in(arrays, task.setup.periodic)]
-    sums = np.stack(steps)  # (time, groups, cells..., columns)
-    if task.by is not None:
-        sums = np.concatenate([sums.sum(axis=1, keepdims=True), sums], axis=1)
-    sums = np.moveaxis(sums, 1, -2).reshape(
-        len(sums), *grid.sizes, *(sums.shape[1:2] if task.by else ()), _COLUMNS
-    )
-    found = {
-        "volume_fraction": sums[..., 1],
-        "void_fraction": 1.0 - sums[..., 1],
-        "number_density": sums[..., 0],
-        "density": sums[..., 2],
-    }
-    if "velocity" in arrays:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found |= {"momentum_density": sums[..., 3:], "velocity": sums[..., 3:] / sums[..., 2:3]}
-    return found
+@dataclass(frozen=True, eq=False)
+class _Cells(FrameAnalysis):
+    """Volume, mass and momentum of the grains in each cell."""
 
+    name = "cell_volumes"
 
-def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
-    """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
-    grid, setup = task.grid, task.setup
-    some = without_frozen(frame)
-    for a in grid.fitted:
-        k = COMPONENTS.index(a)
-        warn_beyond(
-            a,
-            some["position"][:, k],
-            grid.lower[k],
-            grid.upper[k],
-            source,
-            room=some["diameter"] / 2,
+    grid: Grid
+    setup: Setup
+    depth: float | str | None
+    by: str | None
+    groups: tuple[int, ...]
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return what is shared, and what the grains are grouped by."""
+        optional = [name for name in ("velocity", "frozen") if name in scene.columns]
+        return [
+            "position",
+            "diameter",
+            "volume",
+            "mass",
+            *optional,
+            *([self.by] if self.by else []),
+        ]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the fields on the cells, those of velocity where the scene has one."""
+        dims = self.grid.dims if self.by is None else (*self.grid.dims, "phase")
+        return {
+            name: replace(row, dims=(*dims, *row.dims))
+            for name, row in _FIELDS.items()
+            if "velocity" in scene.columns or not row.dims
+        }
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the centres of the cells, and the phases."""
+        system = self.setup.unit_system
+        coords = {a: _along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()}
+        if self.by is not None:
+            coords["phase"] = phases_of(self.by, self.groups)
+        return coords
+
+    def attrs(self, scene: Description) -> dict[str, str]:
+        """Return how results are sampled."""
+        return {"sampling": "cell"}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
+        """Compute the fields of one step."""
+        sums = self._sums(frame, lattice, source)
+        if self.by is not None:
+            sums = np.concatenate([sums.sum(axis=0, keepdims=True), sums])
+        phases = () if self.by is None else (len(sums),)
+        sums = np.moveaxis(sums, 0, -2).reshape(*self.grid.sizes, *phases, _COLUMNS)
+        found = {
+            "volume_fraction": sums[..., 1],
+            "void_fraction": 1.0 - sums[..., 1],
+            "number_density": sums[..., 0],
+            "density": sums[..., 2],
+        }
+        if "velocity" in frame:
+            found["momentum_density"] = sums[..., 3:]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                found["velocity"] = sums[..., 3:] / sums[..., 2:3]
+        return found
+
+    def _sums(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
+        """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
+        grid = self.grid
+        some = without_frozen(frame)
+        for a in grid.fitted:
+            k = COMPONENTS.index(a)
+            warn_beyond(
+                a,
+                some["position"][:, k],
+                grid.lower[k],
+                grid.upper[k],
+                source,
+                room=some["diameter"] / 2,
+            )
+        phase = phase_of(some, self.by, self.groups, source)
+        count, diameter, volume = len(some["position"]), some["diameter"], some["volume"]
+        momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
+        values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
+        spheres = self.setup.dimension == 3 or np.allclose(
+            volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0
         )
-    phase = phase_of(some, task.by, task.groups, source)
-    count, diameter, volume = len(some["position"]), some["diameter"], some["volume"]
-    momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
-    values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
-    spheres = setup.dimension == 3 or np.allclose(
-        volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0
-    )
-    across = next((k for k, a in enumerate(COMPONENTS) if a not in setup.plane), -1)
-    step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
-    reach = [1.0 if np.isinf(size) else diameter.max(initial=0.0) // size + 3.0 for size in step]
-    out = np.zeros((groups, *grid.shape, _COLUMNS))
-    add_shares(
-        np.ascontiguousarray(some["position"]),
-        diameter / 2,
-        values,
-        phase,
-        grid.lower,
-        step,
-        np.array(grid.shape),
-        lattice.period,
-        -1 if spheres else across,
-        np.empty(int(math.prod(n + 1 for n in reach))),
-        out,
-    )
-    lengths = [lattice.length(a) for a in grid.averaged]
-    if task.depth is not None:  # of one layer
-        lengths.append(lattice.length(task.depth) if isinstance(task.depth, str) else task.depth)
-    return np.asarray(out / math.prod([*lengths, *grid.spacing.values()]))
+        across = next((k for k, a in enumerate(COMPONENTS) if a not in self.setup.plane), -1)
+        step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
+        reach = [1.0 if np.isinf(n) else diameter.max(initial=0.0) // n + 3.0 for n in step]
+        out = np.zeros((max(1, len(self.groups)), *grid.shape, _COLUMNS))
+        add_shares(
+            np.ascontiguousarray(some["position"]),
+            diameter / 2,
+            values,
+            phase,
+            grid.lower,
+            step,
+            np.array(grid.shape),
+            lattice.period,
+            -1 if spheres else across,
+            np.empty(int(math.prod(n + 1 for n in reach))),
+            out,
+        )
+        lengths = [lattice.length(a) for a in grid.averaged]
+        if isinstance(self.depth, str):
+            lengths.append(lattice.length(self.depth))
+        elif self.depth is not None:
+            lengths.append(self.depth)
+        return np.asarray(out / math.prod([*lengths, *grid.spacing.values()]))
 
 
 # --- slices ----------------------------------------------------------------------------------------------
@@ -274,7 +289,8 @@ def slice_temperature(
         "planes": slices overlap, each holds ``2 planes + 1`` planes; on plane m a grain weighs by
         the area ``A_im`` of its cut, ``V_m = S A_im v_i / S A_im``, and the slice takes ``T = S_m
         w_m S_i A_im |v_i - V_m|^2 / (D S_m w_m S_i A_im)`` with weights ``w_m = 1 - |m| / (planes +
-        1)``. After Zhang & Kamrin (2017). "bins": slices touch, a grain belongs to the one that
+        1)``. Both sums of T are over the planes that cut two grains or more; one grain has no
+        fluctuation about itself. After Zhang & Kamrin (2017). "bins": slices touch, a grain belongs to the one that
         holds its centre, ``T = S m_i |v_i - V|^2 / (D S m_i)`` about the velocity V of the bin, as
         LAMMPS computes it by chunks.
     width : float, optional
@@ -297,7 +313,7 @@ def slice_temperature(
     xarray.Dataset
         ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m
         s-1, and ``sample_count`` (time, axis), the grains in each slice. The temperature is NaN for
-        slices with fewer than two, the velocity for empty ones.
+        slices with fewer than two (on one plane, for planes), the velocity for empty ones.
 
     Raises
     ------
@@ -311,7 +327,7 @@ def slice_temperature(
         for name, value in locals().items()
         if name not in ("ds", "on_error") and value is not None
     }
-    weight = {"planes": "diameter", "bins": "mass"}.get(method)
+    weight = _WEIGHTS.get(method)
     if weight is None:
         raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
     if method == "bins" and spacing is not None:
@@ -334,18 +350,11 @@ def slice_temperature(
         raise ValueError(
             f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()"
         )
-    width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
-    shared: dict[str, Any] = {
-        "axis": k,
-        "dims": [COMPONENTS.index(a) for a in setup.plane],
-        "width": width,
-    }
+    low, high = rising_pair("bounds", bounds, equal=True)
+    step = float(width)
     if method == "bins":
-        count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
-        nodes = bounds[0] + width * (np.arange(count) + 0.5)
-        hair = _HAIR * width  # the last edge is the first over again
-        limits = (bounds[0] - hair, bounds[0] + count * width - 2 * hair)
-        function = partial(_bins, edges=bounds[0], **shared)
+        count = max(1, _whole(np.ceil((high - low) / width - 1e-9)))
+        nodes = low + step * (np.arange(count) + 0.5)
     else:
         step = width / 2 if spacing is None else spacing
         if not (is_positive(step) and is_whole(planes, 0)):
@@ -353,43 +362,11 @@ def slice_temperature(
                 f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             )
         step = float(step)
-        nodes = bounds[0] + step * np.arange(
-            _whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1
-        )
-        limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
-        function = partial(_planes, sides=planes, **shared)
-    periodic = setup.periodic if scene.tilted else axis if axis in setup.periodic else ""
-    compute = partial(
-        _over_time,
-        weight=weight,
-        function=function,
-        nodes=nodes,
-        axis=k,
-        limits=limits,
-        periodic=periodic,
-        fitted=fitted,
-    )
-    names = [
-        "particle_id",
-        "position",
-        "velocity",
-        weight,
-        *(name for name in ("frozen", *OF_STEP) if name in ds),
-    ]
-    rows = {
-        "granular_temperature": Variable(
-            (axis,), "m^2 s^-2", f"granular temperature in slices ({method})"
-        ),
-        "velocity": Variable((axis, "component"), "m s^-1", "velocity of the slice"),
-        "sample_count": Variable((axis,), "1", "number of particles in the slice"),
-    }
-    found = map_over_time(
-        ds, names, compute, results_of(rows, {axis: len(nodes)}), "slices", on_error
-    )
-    result = label(
-        ds, rows, found, format_call("slice_temperature", given), slice_width=width, method=method
-    )
-    return result.assign_coords({axis: _along(axis, nodes, setup.unit_system)})
+        count = _whole((high - low) / step + 1e-9, 2 * planes + 1) + 1
+        nodes = low + step * np.arange(count)
+    analysis = _Slices(axis, method, float(width), nodes, low, planes, setup, fitted)
+    call = format_call("slice_temperature", given)
+    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
 def _whole(count: float, planes: int = 1) -> int:
@@ -401,47 +378,99 @@ def _whole(count: float, planes: int = 1) -> int:
     return int(count)
 
 
-def _over_time(
-    arrays: Mapping[str, NDArray],
-    *,
-    weight: str,
-    function: Callable[..., NDArray],
-    nodes: NDArray,
-    axis: int,
-    periodic: str,
-    limits: tuple[float, float],
-    fitted: tuple[float, float] | None,
-) -> dict[str, NDArray]:
-    """Temperature, velocity and count of the slices of one chunk of time."""
-    out = np.empty((len(arrays[weight]), len(nodes), 5))
-    for t, (whole, box, source) in enumerate(steps_in(arrays, periodic)):
-        frame = without_frozen(whole)
-        lattice, position, velocity = (
-            box.seen(np.arange(3) == axis, source),
-            frame["position"],
-            frame["velocity"],
-        )
+@dataclass(frozen=True, eq=False)
+class _Slices(FrameAnalysis):
+    """Temperature and velocity in slices across an axis.
+
+    Attributes
+    ----------
+    nodes : array (n,)
+        Centres of the slices (m).
+    low : float
+        Lower bound of the slices (m).
+    planes : int
+        Planes on each side of a centre.
+    fitted : tuple of float, optional
+        Extent of the grains (m), where the slices follow from it.
+    """
+
+    name = "slice_temperature"
+
+    axis: str
+    method: SliceMethod
+    width: float
+    nodes: NDArray
+    low: float
+    planes: int
+    setup: Setup
+    fitted: tuple[float, float] | None
+
+    @property
+    def weight(self) -> str:
+        """Variable that grains weigh by."""
+        return _WEIGHTS[self.method]
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return the velocity, and what grains weigh by."""
+        optional = [name for name in ("frozen",) if name in scene.columns]
+        return ["position", "velocity", self.weight, *optional]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return temperature, velocity and number of grains in each slice."""
+        return {
+            "granular_temperature": Variable(
+                (self.axis,), "m^2 s^-2", f"granular temperature in slices ({self.method})"
+            ),
+            "velocity": Variable((self.axis, "component"), "m s^-1", "velocity of the slice"),
+            "sample_count": Variable((self.axis,), "1", "number of particles in the slice"),
+        }
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the centres of the slices."""
+        return {self.axis: _along(self.axis, self.nodes, self.setup.unit_system)}
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return thickness and method."""
+        return {"slice_width": self.width, "method": self.method}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
+        """Compute temperature, velocity and count in the slices of one step."""
+        some = without_frozen(frame)
+        k = COMPONENTS.index(self.axis)
+        along = np.arange(3) == k
+        lattice = lattice.seen(along, source)
+        position, velocity, weight = some["position"], some["velocity"], some[self.weight]
         row = np.arange(len(position))
-        if fitted is not None:
-            warn_beyond(COMPONENTS[axis], position[:, axis], *fitted, source)
+        if self.fitted is not None:
+            warn_beyond(self.axis, position[:, k], *self.fitted, source)
         # every image stands for itself, as its velocity may be another
         if lattice.vectors is not None:
-            reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
-            low, high = (
-                np.where(np.arange(3) == axis, end, sign * np.inf)
-                for sign, end in ((-1, limits[0] - reach), (1, limits[1] + reach))
-            )
+            reach = 0.5 * weight.max(initial=0.0) if self.method == "planes" else 0.0
+            first, last = self._limits()
+            low = np.where(along, first - reach, -np.inf)
+            high = np.where(along, last + reach, np.inf)
             row, shift, drift = lattice.images(position, low, high, source)
-            frame = {weight: frame[weight][row]}
-            position, velocity = position[row] + shift, velocity[row] + drift
-        out[t] = function(
-            position, velocity, frame[weight], nodes, row=row, period=float(lattice.period[axis])
-        )
-    return {
-        "granular_temperature": out[..., 0],
-        "velocity": out[..., 1:4],
-        "sample_count": out[..., 4],
-    }
+            position, velocity, weight = position[row] + shift, velocity[row] + drift, weight[row]
+        of_method = _bins if self.method == "bins" else _planes
+        period = float(lattice.period[k])
+        out = of_method(self, position[:, k], velocity, weight, row, period)
+        return {
+            "granular_temperature": out[:, 0],
+            "velocity": out[:, 1:4],
+            "sample_count": out[:, 4],
+        }
+
+    @property
+    def dims(self) -> list[int]:
+        """Axes of the scene, which temperatures are a mean over."""
+        return [COMPONENTS.index(a) for a in self.setup.plane]
+
+    def _limits(self) -> tuple[float, float]:
+        """Return the ends of the first and the last slice (m)."""
+        if self.method == "planes":
+            return self.nodes[0] - self.width / 2, self.nodes[-1] + self.width / 2
+        hair = _HAIR * self.width  # the last edge is the first over again
+        return self.low - hair, self.low + len(self.nodes) * self.width - 2 * hair
 
 
 def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
@@ -452,26 +481,19 @@ def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArr
 
 
 def _bins(
-    position: NDArray,
-    velocity: NDArray,
-    mass: NDArray,
-    nodes: NDArray,
-    *,
-    axis: int,
-    dims: list[int],
-    edges: float,
-    width: float,
-    row: NDArray,
-    period: float,
+    slices: _Slices, x: NDArray, velocity: NDArray, mass: NDArray, row: NDArray, period: float
 ) -> NDArray:
+    """Return temperature, velocity and count (slices, 5) by the centres of grains."""
+    low = slices.low
+    width = slices.width
+    dims = slices.dims
+    nodes = slices.nodes
     out = np.full((len(nodes), 5), np.nan)
     hair = _HAIR * width  # edges are known to rounding only
     for k in range(len(nodes)):
         # the last edge belongs to the last bin, unless it is the first edge over again
         end = hair if k == len(nodes) - 1 and not np.isfinite(period) else -hair
-        images = _images_between(
-            position[:, axis], edges + k * width - hair, edges + (k + 1) * width + end, period
-        )
+        images = _images_between(x, low + k * width - hair, low + (k + 1) * width + end, period)
         here = images > 0
         m, v = (images * mass)[here], velocity[here]
         out[k, 4] = len(np.unique(row[here]))
@@ -483,19 +505,14 @@ def _bins(
 
 
 def _planes(
-    position: NDArray,
-    velocity: NDArray,
-    diameter: NDArray,
-    nodes: NDArray,
-    *,
-    axis: int,
-    dims: list[int],
-    sides: int,
-    width: float,
-    row: NDArray,
-    period: float,
+    slices: _Slices, x: NDArray, velocity: NDArray, diameter: NDArray, row: NDArray, period: float
 ) -> NDArray:
-    x, radius, grain = position[:, axis], diameter / 2, np.arange(len(position))
+    """Return temperature, velocity and count (slices, 5) by the cuts of grains with planes."""
+    width = slices.width
+    sides = slices.planes
+    dims = slices.dims
+    count = len(x)
+    radius, grain = diameter / 2, np.arange(count)
     reach = radius.max(initial=0.0)
     if not reach < _MOST_PERIODS * period:
         raise SceneError(
@@ -509,10 +526,10 @@ def _planes(
     order = np.argsort(x)
     grain, x = grain[order], x[order]
     velocity, radius = velocity[grain], radius[grain]
-    out = np.full((len(nodes), 5), np.nan)
+    out = np.full((len(slices.nodes), 5), np.nan)
     shifts = np.arange(-sides, sides + 1)
-    for k, node in enumerate(nodes):
-        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(len(position), bool)
+    for k, node in enumerate(slices.nodes):
+        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(count, bool)
         shared = 0.0
         for m in shifts:
             plane, share = node + m * width / (2 * max(sides, 1)), 1 - abs(m) / (sides + 1)

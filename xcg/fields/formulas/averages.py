@@ -4,8 +4,8 @@ Averages of ratios are ratios of averages, by the rule on each field's row in th
 (`additive` fields) are averaged as they are. A ratio, such as a velocity, is averaged with the sum
 in its denominator as its `weight`: this is the ratio of the averaged sums. What is not linear in
 these (magnitudes, friction, inertial number) is computed anew from the averages. The sums have to
-be in the result beside the ratios: `needed_for_averages` says which these are, and an error which
-are missing.
+be in the result beside the ratios, as variables or coordinates: `needed_for_averages` says which
+these are, and an error which are missing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
-    f, noise = _without_noise(with_facts(f))
+    f, beside = _with_sums(with_facts(f))
+    f, noise = _without_noise(f)
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
@@ -78,16 +79,17 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
-        return _from_sums((sums * sums["r"]).sum(others, skipna=False) / area, f)
+        mean = _from_sums((sums * sums["r"]).sum(others, skipna=False) / area, f)
+        return mean.set_coords(beside)
     mean = _from_sums(sums.mean(others, skipna=False), f)
     if not noise or not set(others) <= set(COMPONENTS):
-        return mean
+        return mean.set_coords(beside)
     count = _independent(f, others)
     if count > 1:
         scatter = {name: f[name].std(others) / np.sqrt(count - 1.0) for name in noise}
         mean = mean.assign({f"{name}_error": error for name, error in scatter.items()})
     of_nodes = {name: _noise(error, sums, name, others, count) for name, error in noise.items()}
-    return _with_larger(mean, of_nodes, "scatter_of_places")
+    return _with_larger(mean, of_nodes, "scatter_of_places").set_coords(beside)
 
 
 def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
@@ -125,7 +127,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         If there is no time, the window does not fit, or a sum that a ratio needs is not in the
         result.
     """
-    f, noise = _without_noise(with_facts(with_time(f)))
+    f, sums_beside = _with_sums(with_facts(with_time(f)))
+    f, noise = _without_noise(f)
     if "time" not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
     count = f.sizes["time"]
@@ -168,7 +171,10 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         name: _noise(error, samples, name, [_SAMPLE], steps_averaged)
         for name, error in noisy.items()
     }
-    return _with_larger(mean, of_steps, "scatter_of_steps")
+    mean = _with_larger(mean, of_steps, "scatter_of_steps")
+    # what was not asked for has no error
+    mean = mean.drop_vars([f"{name}_error" for name in sums_beside], errors="ignore")
+    return mean.set_coords(sums_beside)
 
 
 def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
@@ -194,6 +200,18 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
 
 
 # --- errors of one step ----------------------------------------------------------------------------------
+
+
+def _with_sums(f: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Make variables of the sums that are coordinates beside a result; return their names, too."""
+    options = registry.options_of(f.attrs)
+    beside = []
+    for name, coord in f.coords.items():
+        if name in registry.FIELDS and name not in f.dims:
+            label = registry.row(str(name), options).long_name
+            if coord.attrs.get("long_name") == label:
+                beside.append(str(name))
+    return f.reset_coords(beside), beside
 
 
 def _noise_of(name: str) -> str:
@@ -390,7 +408,7 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         )
         sums = ", ".join(_all_of(missing))
         if sums:
-            msg += f". Call coarse_grain with for_averages=True, or ask it for {sums} too"
+            msg += f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
         raise ValueError(msg)
     f = _with_components(f, rows, purpose)
     out: dict[str, xr.DataArray] = {}

@@ -312,7 +312,7 @@ class Conduction(Quantity):
     much. S_i and S_j are the integrals of Psi from the contact point c to the centres, so that
     ``sum_i Psi_i sum_j Q_ij = -div q`` holds exactly: with `Flux` and the rate of the grains'
     content the balance closes. The flux is from j to i where Q > 0. Contacts with walls have the
-    part of their grain only, and what walls give is ``sum_w Q Psi(r - c)``. The result is
+    part of their grain only, and the contribution of walls is ``sum_w Q Psi(r - c)``. The result is
     ``conduction_<variable>``, a vector, per area (W m-2).
 
     Parameters

@@ -38,6 +38,51 @@ _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.
 REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(REGISTERED, _ROWS))
+# Fields by the symbols and words that others use for them.
+OTHER_NAMES = {
+    "phi": "volume_fraction",
+    "nu": "volume_fraction",
+    "solid_fraction": "volume_fraction",
+    "solids_fraction": "volume_fraction",
+    "packing_fraction": "volume_fraction",
+    "solid_volume_fraction": "volume_fraction",
+    "vof": "volume_fraction",
+    "porosity": "void_fraction",
+    "voidage": "void_fraction",
+    "rho": "density",
+    "bulk_density": "density",
+    "mass_density": "density",
+    "u": "velocity",
+    "v": "velocity",
+    "vx": "velocity",
+    "vy": "velocity",
+    "vz": "velocity",
+    "flow": "velocity",
+    "momentum": "momentum_density",
+    "t": "granular_temperature",
+    "temperature": "granular_temperature",
+    "theta": "granular_temperature",
+    "sigma": "stress",
+    "total_stress": "stress",
+    "principal": "stress",
+    "principal_stress": "stress",
+    "p": "pressure",
+    "tau": "shear_stress",
+    "mu": "friction_coefficient",
+    "friction": "friction_coefficient",
+    "macroscopic_friction": "friction_coefficient",
+    "i": "inertial_number",
+    "strain_rate": "shear_rate_tensor",
+    "rate_of_strain": "shear_rate_tensor",
+    "gamma_dot": "shear_rate",
+    "gammadot": "shear_rate",
+    "coordination": "coordination_number",
+    "contacts": "contact_number_density",
+    "omega": "spin",
+    "angular_velocity": "spin",
+    "fabric_tensor": "fabric",
+    "count": "sample_count",
+}
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the
 # default.
 WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS

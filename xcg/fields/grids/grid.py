@@ -32,11 +32,13 @@ def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
         if wrong := [a for a in given if a not in known]:
             layer = " (one layer, dimension=2)" if len(known) == 2 else ""
             example = "".join(known[:2])
-            how = (
-                f"; write names without commas or spaces, such as {example!r}"
-                if {",", " "} & {*wrong}
-                else ""
-            )
+            how = ""
+            if {",", " "} & {*wrong}:
+                how = f"; write names without commas or spaces, such as {example!r}"
+            elif all(isinstance(a, str) and a.lower() in known for a in wrong):
+                how = f"; did you mean {wrong[0].lower()!r}?"
+            elif "r" in wrong:
+                how = "; axes r, theta and z need frame=xcg.Cylindrical(...)"
             raise ValueError(
                 f"{name} names {wrong}: the axes of this scene are {', '.join(known)}{layer}{how}"
             )

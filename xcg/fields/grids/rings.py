@@ -25,7 +25,7 @@ from xcg.fields.sums.moments import MOMENTS
 from xcg.fields.sums.nodes import BLOCK_NODES, Grid
 from xcg.fields.sums.step import Layout, Squared
 
-_TO_TURN = (  # moments in flow columns that are vectors and tensors, and the level from which they are there
+_TO_TURN = (  # moments in kinematic columns that are vectors and tensors, and the level from which they are there
     (loops.VELOCITY, "momentum"),
     (loops.FLUCTUATION, "kinetic"),
     (loops.LINEAR, "offset"),

@@ -26,7 +26,7 @@ from xcg.scene.schema import VARIABLES, Frame
 def grains(step: StepRows) -> list[Pass]:
     """Prepare the pass over grains.
 
-    Flow columns come first, then columns of constants that differ between grains, then the number
+    Kinematic columns come first, then columns of constants that differ between grains, then the number
     of grains.
     """
     spec = step.spec
@@ -80,7 +80,7 @@ def _in_fours(width: int) -> int:
 
 
 def slopes(step: StepRows) -> list[Pass]:
-    """Flow columns weighted by grad Psi."""
+    """Kinematic columns weighted by grad Psi."""
     spec = step.spec
     images = step.grains
     moments = {}
@@ -188,7 +188,7 @@ def _pass(
     *,
     by_gradient: bool | None = None,
 ) -> Pass:
-    """Prepare grains, or other points, with their flow columns and columns of constants.
+    """Prepare grains, or other points, with their kinematic columns and columns of constants.
 
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the
     second.

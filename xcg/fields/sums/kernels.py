@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import is_finite, is_positive, is_whole
-from xcg.common.messages import warn_user
+from xcg.common.messages import did_you_mean, warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
@@ -427,14 +428,21 @@ def kernel_of(
             raise ValueError(f"kernel={kernel!r} has its own width; leave width= out")
         return kernel.in_dimension(dimension)
     if str(kernel).lower() not in _NAMED:
+        likely = did_you_mean(str(kernel), _NAMED, 0.4) if isinstance(kernel, str) else ""
         raise ValueError(
-            f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
+            f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as "
+            f"xcg.Lucy(width=0.01){likely}"
         )
     return _NAMED[kernel.lower()](resolve_width(width, sizes), dimension=dimension)
 
 
+_MULTIPLE = re.compile(
+    r"\s*([-+.\deE]*?)\s*\*?\s*([A-Za-z]\w*)\s*"
+)  # such as "0.75 d43", "2*d50", "d43"
+
+
 def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
-    """Width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
+    """Return a width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
 
     Raises
     ------
@@ -445,25 +453,54 @@ def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
         width = "0.75 d43"
     if isinstance(width, Mapping):
         raise ValueError(f"width={dict(width)!r}: expected one width here, not one for each group")
-    if isinstance(width, str):
-        factor, _, size = width.rpartition(" ")
-        try:
-            multiple = float(factor) if factor else 1.0
-        except ValueError:
-            multiple = np.nan
-        if size not in SIZES or not np.isfinite(multiple):
-            raise ValueError(
-                f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
-            )
+    return resolve_length("width", width, attrs, "the usual choice is 0.75 mean diameters")
+
+
+def resolve_length(name: str, length: float | str, attrs: Mapping[Any, Any], advice: str) -> float:
+    """Return a length in metres from a number or a multiple of a size such as "0.75 d43".
+
+    Parameters
+    ----------
+    name : str
+        The argument, for messages.
+    length : float or str
+        Its value.
+    attrs : mapping
+        Sizes of the scene (m).
+    advice : str
+        End of the message about a length that is not positive.
+
+    Raises
+    ------
+    ValueError
+        If it is not positive, or names a size that the scene does not hold.
+    """
+    given = length
+    if isinstance(length, str):
+        multiple, size = _multiple_of(name, length)
         if size not in attrs:
             raise ValueError(
-                f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
-                "diameters were changed; give width= in metres, or, where there are diameters, call "
+                f"{name}={given!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
+                f"diameters were changed; give {name}= in metres, or, where there are diameters, call "
                 "ds = ds.cg.measure() first (of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
             )
-        width = multiple * float(attrs[size])
-    if not is_positive(width):
+        length = multiple * float(attrs[size])
+    if not is_positive(length):
+        raise ValueError(f"{name}={given!r}: expected a positive length (m); {advice}")
+    return float(length)
+
+
+def _multiple_of(name: str, text: str) -> tuple[float, str]:
+    """Return the factor and the size of a text such as "0.75 d43"; raise ValueError for another text."""
+    parts = _MULTIPLE.fullmatch(text)
+    try:
+        factor = float(parts[1] or 1.0) if parts else np.nan
+    except ValueError:
+        factor = np.nan
+    if parts is None or parts[2] not in SIZES or not np.isfinite(factor):
+        likely = f"; did you mean '{parts[1]} d43'?" if parts and parts[2] == "d" else ""
         raise ValueError(
-            f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
+            f"{name}={text!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as "
+            f"'0.75 d43'{likely}"
         )
-    return float(width)
+    return factor, parts[2]

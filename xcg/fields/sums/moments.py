@@ -35,9 +35,9 @@ def of_contacts(name: str, _: Frame, contacts: Contacts) -> NDArray:
     return np.asarray(getattr(contacts, name), float)
 
 
-def bearing_partners(frame: Frame, contacts: Contacts) -> NDArray:
+def load_bearing_partners(frame: Frame, contacts: Contacts) -> NDArray:
     """Return number of partners of each grain that may bear load, else 0; (particles,)."""
-    return np.where(contacts.bearing, contacts.partners, 0.0)
+    return np.where(contacts.load_bearing, contacts.partners, 0.0)
 
 
 def one_a_particle(frame: Frame, contacts: Contacts) -> NDArray:
@@ -61,7 +61,7 @@ def sliding_contacts(friction: float | None, frame: Frame, contacts: Contacts) -
     slides = (contacts.normal_force > 0) & (
         tangential >= AT_LIMIT * friction * contacts.normal_force
     )
-    return (slides & contacts.between_bearing).astype(float)
+    return (slides & contacts.between_load_bearing).astype(float)
 
 
 def branch_length(frame: Frame, contacts: Contacts) -> NDArray:
@@ -113,7 +113,7 @@ def surface_velocities(
 
 
 def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
-    """Velocities (n, 3) of the surfaces that act as walls on the free grains: of grains held in place, or as given."""
+    """Velocities (n, 3) of the surfaces that act as walls on the free grains: of grains fixed in place, or as given."""
     every = Contacts.of(frame, free.lattice, source)
     u_i, u_j = surface_velocities(frame, every, of_images=True)
     return np.where((free.i < 0)[:, None], u_i, u_j)
@@ -136,7 +136,7 @@ def couples(frame: Frame, c: Contacts) -> NDArray:
 
 
 def taken_up(frame: Frame, c: Contacts) -> NDArray:
-    """Power that each contact takes up, -f.(u_i - u_j) (W); (contacts,)."""
+    """Power dissipated or stored by each contact, -f.(u_i - u_j) (W); (contacts,)."""
     u_i, u_j = surface_velocities(frame, c, of_images=True)
     return -_dot(c.force, u_i - u_j)
 
@@ -209,14 +209,14 @@ class Moment:
     shape : tuple of int
         Components of the result at a node.
     level : int
-        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or
+        Kinematic columns that the point deposit must keep for it; 0 where it is a column of constants or
         of contacts.
     first : int
         Its first flow column.
     column : callable, optional
         ``column(frame, contacts) -> (n, ...)``, the q_i, where they do not depend on the node.
         Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of
-        velocity in the flow columns of a separate pass, so that their squares and products are kept
+        velocity in the kinematic columns of a separate pass, so that their squares and products are kept
         relative to each node.
     contacts : bool
         Whether contacts are needed, in whole.
@@ -330,7 +330,7 @@ _power_moment = partial(
 )
 _along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
-    # flow columns, relative to the node: x = r_i - r, u = v_i - U
+    # kinematic columns, relative to the node: x = r_i - r, u = v_i - U
     "count": Moment((), "1, where Psi > 0", (), loops.VELOCITY, loops.COUNT),
     "mass": Moment(("mass",), "m", (), loops.VELOCITY, loops.MASS),
     "momentum": Moment(_MV, "m u", (3,), loops.VELOCITY, loops.MOMENTUM),
@@ -380,11 +380,13 @@ MOMENTS: dict[str, Moment] = {
         column=partial(weighted, *_I_OMEGA), layout=_ABOUT,
     ),
     "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV)),
-    "bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "bearing"), contacts=True),
-    "bearing_partners": Moment((), "z, where z > 1", column=bearing_partners, contacts=True),
+    "load_bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "load_bearing"), contacts=True),
+    "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points
     "contacts": _at_contacts((), "1", one_a_contact),
-    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", partial(of_contacts, "between_bearing")),
+    "load_bearing_contacts": _at_contacts(
+        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing")
+    ),
     "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
     "normals": _at_contacts(
         (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
@@ -421,5 +423,5 @@ MOMENTS: dict[str, Moment] = {
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }  # fmt: skip
 
-# powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
+# powers of the cutoff in the kinematic columns, which the deposit computes with lengths in cutoffs
 CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}

@@ -130,7 +130,7 @@ class Layout:
         Columns that each moment is made of (a symmetric tensor names six of them nine times), with
         a factor, or one for each group.
     level : int
-        How many columns are flow columns; they are the first ones.
+        How many columns are kinematic columns; they are the first ones.
     apart : bool
         Whether it has a reference of its own.
     vector : bool

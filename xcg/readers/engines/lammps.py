@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers import columns
+from xcg.readers import wall_columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps_binary, lammps_netcdf
@@ -30,6 +30,7 @@ from xcg.readers.files.text import (
     uncompressed_size,
 )
 from xcg.readers.paths import index_steps
+from xcg.readers.unread_columns import unread_by_number
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 
@@ -58,7 +59,7 @@ class Dumps(Columnar):
         """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
         if ref.kind == _WALLS:
             return ""
-        return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
+        return unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -86,7 +87,7 @@ class Dumps(Columnar):
                         f"names={{{other!r}: None}}, or take it in place of the first by names={{{name!r}: None, "
                         f"{other!r}: ...}}"
                     )
-        return {name: table[name] for name in wanted}
+        return table
 
     def ignored_columns(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
@@ -124,12 +125,14 @@ class Lammps(Dumps):
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls of a step; each grain may touch each wall once."""
-        return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
+        return replace(
+            ref, kind=_WALLS, rows=ref.rows * len(wall_columns.wall_columns(ref, options))
+        )
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
         return (
-            list(columns.WALL_CONTACTS)
+            list(wall_columns.WALL_CONTACTS)
             if ref.kind == _WALLS
             else super().contact_variables(ref, options)
         )
@@ -137,7 +140,7 @@ class Lammps(Dumps):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
         if ref.kind == _WALLS:
-            return columns.wall_contacts_from(ref, options, self)
+            return wall_columns.wall_contacts_from(ref, options, self.read_columns)
         return super().read_contacts(ref, options)
 
     def ignored_columns(
@@ -146,7 +149,7 @@ class Lammps(Dumps):
         """Columns of a step that are not read."""
         if ref.kind == _WALLS:
             return []
-        walls = set() if contacts else {*chain(*columns.columns_of_walls(options).values())}
+        walls = set() if contacts else {*chain(*wall_columns.columns_of_walls(options).values())}
         return [
             name
             for name in super().ignored_columns(ref, options, contacts=contacts)

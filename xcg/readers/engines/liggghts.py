@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.readers import names
-from xcg.readers.columns import warn_of_unread
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered
 from xcg.readers.files.text import body_of, source_of
+from xcg.readers.unread_columns import warn_of_unread
 from xcg.scene.schema import COMPONENTS, Frame
 
 # Columns of each word, in their order. The history has as many as the contact model needs (0 here).

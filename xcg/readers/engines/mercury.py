@@ -268,10 +268,13 @@ def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) ->
         for k, edges in enumerate(edges_of_data)
     )
     dimensions = (run.dimension, run.particle_dimension)
+    periodic: str | None = run.periodic
+    if not periodic and any("periodic" in doubt.answers for doubt in run.doubts):
+        periodic = None  # a boundary that is not read may be periodic
     ref = replace(
         ref,
         box=box,
-        periodic=run.periodic,
+        periodic=periodic,
         gravity=run.gravity,
         dimension=2 if is_flat or 2 in dimensions else None,
         shape="disc" if run.has_discs else "sphere",

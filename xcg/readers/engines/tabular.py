@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers.columns import Columnar, assign
+from xcg.readers.assigned import assign
+from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv, scan_parquet
 from xcg.readers.files.text import first_lines, plain_name

@@ -13,7 +13,7 @@ import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
-from xcg.readers.columns import unify_sizes, warn_of_resembling
+from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
 from xcg.readers.engines.vtk_steps import LINES, list_steps, read_header
@@ -29,6 +29,7 @@ from xcg.readers.names import (
     canonical_columns,
     components,
 )
+from xcg.readers.unread_columns import warn_of_resembling
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _VECTORS = ("velocity", "angular_velocity", "unwrapped_position", "image")

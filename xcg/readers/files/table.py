@@ -17,16 +17,20 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import chain
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common import memory
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, Scanner, body_of, scanned, source_of, whole_lines
+
+Columns: TypeAlias = dict[Any, NDArray]  # by name, and vectors by the names of their columns
 
 _SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time
@@ -43,11 +47,19 @@ def read_table(
     rows: int | None,
     options: ReadOptions,
     body: Iterable[bytes] | None = None,
-) -> dict[str, NDArray]:
+    separator: str = " ",
+) -> Columns:
     """Read the wanted columns of one step's body, which is that of the file by default; see `parse_table`."""
     threads = THREADS if options.alone and ref.length > _SHARED else 1
     return parse_table(
-        body or body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads
+        body or body_of(ref),
+        ref.columns,
+        sorted(set(wanted)),
+        rows,
+        source_of(ref),
+        threads,
+        options.vectors,
+        separator,
     )
 
 
@@ -58,13 +70,15 @@ def parse_table(
     rows: int | None,
     name: str,
     threads: int = 1,
-) -> dict[str, NDArray]:
+    vectors: Iterable[tuple[str, ...]] = (),
+    separator: str = " ",
+) -> Columns:
     """Parse the wanted columns of a table of numbers.
 
     Parameters
     ----------
     body : bytes or iterable of bytes
-        Rows of numbers between white space, whole or in pieces.
+        Rows of numbers, whole or in pieces.
     columns : sequence of str
         Names of all columns.
     wanted : sequence of str
@@ -75,11 +89,16 @@ def parse_table(
         File and step, for messages.
     threads : int
         Threads that share the blocks of the body.
+    vectors : iterable of tuple of str
+        Wanted columns that are the components of a vector.
+    separator : str
+        What stands between numbers besides white space.
 
     Returns
     -------
-    dict of arrays of float64, (rows,)
-        Each number the nearest to its digits, as of Python's `float`.
+    dict of arrays of float64
+        The columns (rows,) by name, and the vectors (rows, n) by their tuples, of which their
+        columns are views. Each number is the nearest to its digits, as of Python's `float`.
 
     Raises
     ------
@@ -93,30 +112,74 @@ def parse_table(
         if isinstance(body, bytes)
         else body
     )
-    table, filled = np.empty((len(wanted), rows or 0)), 0
-    results = _in_order(whole_lines(pieces, name), partial(_parse, len(columns), places), threads)
+    table = _ColumnBuffer(wanted, vectors, rows or 0)
+    filled = 0
+    parse = partial(_parse, len(columns), places, separator.encode())
+    results = _in_order(whole_lines(pieces, name), parse, threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
-            surplus = _lines(block)[rows - filled]
+            surplus = _lines(block, separator)[rows - filled]
             raise SceneError(
                 f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}"
             )
         if not whole:
-            line, *more = _lines(block)[numbers.shape[1] :]
+            line, *more = _lines(block, separator)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
             raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
-        # it doubles, as copying it for each block would take most of the time
-        if end > table.shape[1]:
-            table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
-        table[:, filled:end] = numbers
+        table.write(filled, numbers)
         filled = end
     if rows is not None and filled < rows:
         raise SceneError(
             f"{name}: {filled} rows, but the header says {rows}: row {filled} is missing, as when writing was stopped; "
             "write the file anew, or leave the step out"
         )
-    return {column: table[place, :filled] for place, column in enumerate(wanted)}
+    return table.columns(filled)
+
+
+class _ColumnBuffer:
+    """Columns and vectors that are filled block by block."""
+
+    def __init__(
+        self, wanted: Sequence[str], vectors: Iterable[tuple[str, ...]], rows: int
+    ) -> None:
+        self._places = {column: place for place, column in enumerate(wanted)}
+        self._vectors = {vector: memory.empty((rows, len(vector))) for vector in vectors}
+        alone = self._places.keys() - set(chain(*self._vectors))
+        self._columns = {column: memory.empty(rows) for column in alone}
+        self._rows = rows
+
+    def write(self, first: int, numbers: NDArray) -> None:
+        """Write a block (wanted, n) from a row on, which follows those that were written before."""
+        end = first + numbers.shape[1]
+        if end > self._rows:  # it doubles, as copying it for each block would take most of the time
+            self._resize(first, self._rows + end)
+        for column, array in self._columns.items():
+            array[first:end] = numbers[self._places[column]]
+        for vector, array in self._vectors.items():
+            for k, column in enumerate(vector):
+                array[first:end, k] = numbers[self._places[column]]
+
+    def columns(self, filled: int) -> Columns:
+        """Return the columns by name and the vectors by their tuples, without rows that were not filled."""
+        if filled < self._rows:
+            self._resize(filled, filled)
+        components = {
+            column: array[:, k]
+            for vector, array in self._vectors.items()
+            for k, column in enumerate(vector)
+        }
+        return {**self._columns, **components, **self._vectors}
+
+    def _resize(self, filled: int, rows: int) -> None:
+        """Copy the filled rows to arrays of another length, one array after the other."""
+        both: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
+        for arrays in both:
+            for name, array in arrays.items():
+                longer = memory.empty((rows, *array.shape[1:]))
+                longer[:filled] = array[:filled]
+                arrays[name] = longer
+        self._rows = rows
 
 
 def _in_order(
@@ -138,7 +201,7 @@ def _in_order(
             yield last, result.result()
 
 
-def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
+def _parse(columns: int, places: NDArray, separator: bytes, block: bytes) -> tuple[NDArray, bool]:
     """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty."""
     text, size = np.frombuffer(block, np.uint8), len(block) - BEYOND
     out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
@@ -149,7 +212,16 @@ def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
         # where nothing is compiled, NumPy warns of bits that products lose
         with np.errstate(over="ignore"):
             rows, passed, count = read_rows(
-                text[done:], size - done + 1, columns, places, out, row, edges, lines, left
+                text[done:],
+                size - done + 1,
+                separator[0],
+                columns,
+                places,
+                out,
+                row,
+                edges,
+                lines,
+                left,
             )
         for at, place, start, stop in left[:count].tolist():
             value = _number(block[done + start : done + stop])
@@ -170,8 +242,10 @@ def _number(word: bytes) -> float:
         return math.nan
 
 
-def _lines(block: bytes) -> list[bytes]:
-    return [line for line in block.split(b"\n") if line.strip()]
+def _lines(block: bytes, separator: str) -> list[bytes]:
+    """Return the lines of a block that hold values, with blanks between these."""
+    blanks = block.replace(separator.encode(), b" ")
+    return [line for line in blanks.split(b"\n") if line.strip()]
 
 
 def _shown(line: bytes) -> str:
@@ -279,9 +353,7 @@ def scan_csv(
         pieces = _pieces(scanner, found)
         wanted = sorted(set(clock_of(names).values()))
         clock = (
-            parse_table(_translated(pieces, separator, []), names, wanted, None, path)
-            if wanted
-            else {}
+            parse_table(pieces, names, wanted, None, path, separator=separator) if wanted else {}
         )
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
@@ -374,27 +446,24 @@ def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
         starts.append(np.array([scanner.offset + 1]))
 
 
-def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> Iterator[bytes]:
-    """Replace separators between values by blanks, and count those that are none in each piece."""
-    if separator.isspace():
-        yield from pieces
-        return
-    blank = bytes.maketrans(separator.encode(), b" ")
+def _counted(pieces: Iterable[bytes], sign: str, found: list[int]) -> Iterator[bytes]:
+    """Yield the pieces of a text, and count a sign in each of them."""
     for piece in pieces:
-        found.append(int((np.frombuffer(piece, np.uint8) == ord(separator)).sum()))
-        yield piece.translate(blank)
+        found.append(int(np.count_nonzero(np.frombuffer(piece, np.uint8) == ord(sign))))
+        yield piece
 
 
-def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
+def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> Columns:
     """Read columns of one step."""
+    if ref.kind.isspace():
+        return read_table(ref, wanted, ref.rows, options)
     separators = list[int]()
-    table = read_table(
-        ref, wanted, ref.rows, options, _translated(body_of(ref), ref.kind, separators)
-    )
+    body = _counted(body_of(ref), ref.kind, separators)
+    table = read_table(ref, wanted, ref.rows, options, body, ref.kind)
     # as many values as columns, but more separators: cells are empty, and values may stand in other
     # columns
     more = sum(separators) - ref.rows * (len(ref.columns) - 1)
-    if separators and more not in (0, ref.rows):
+    if more not in (0, ref.rows):
         raise SceneError(
             f"{source_of(ref)}: {more} more {ref.kind!r} than {len(ref.columns)} columns have between them: some "
             "cells are empty or hold texts with this sign; every cell must hold a number"

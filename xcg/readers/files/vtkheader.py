@@ -1,6 +1,6 @@
 """Headers of VTK files, XML or legacy: pieces of points or lines, and the arrays that belong to them.
 
-Every count in a header is held against the size of the file before anything is made for it.
+Every count in a header is checked against the size of the file before anything is made for it.
 """
 
 from __future__ import annotations

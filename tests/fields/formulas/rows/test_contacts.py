@@ -16,7 +16,7 @@ ANISOTROPIES = [
     "tangential_force_anisotropy",
 ]
 SPLIT = ["strong_contact_stress", "weak_contact_stress"]
-GRAINS = ["bearing_number_density", "mechanical_coordination_number", "redundancy_number"]
+GRAINS = ["load_bearing_number_density", "mechanical_coordination_number", "redundancy_number"]
 DENSITIES = ["contact_number_density", "branch_length_density", "normal_force_density"]
 ALL = [*TENSORS, *ANISOTROPIES, "fabric_stress", *SPLIT, *GRAINS, *DENSITIES]
 
@@ -175,8 +175,8 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
     partners = [{(b, True) if b >= 0 else (n, False) for n, (a, b) in enumerate(zip(i, j, strict=True)) if a == k}
                 | {(a, True) for a, b in zip(i, j, strict=True) if b == k} for k in range(len(position))]  # fmt: skip
     z = np.array([len(p) for p in partners])
-    bearing = z >= 2
-    both = bearing[i] & (bearing[j] | (j < 0))
+    load_bearing = z >= 2
+    both = load_bearing[i] & (load_bearing[j] | (j < 0))
     slides = both & (along > 0) & (np.linalg.norm(across, axis=1) >= 0.999 * friction * along)
     assert slides.any()
     assert (both & ~slides).any()
@@ -224,7 +224,7 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
             x_b = over(total(psi, np.linalg.norm(branch, axis=1), normal, normal), length)
             x_n = over(total(psi, along, normal, normal), push)
             x_t = over(total(psi, across, normal), push)
-            sums = grains @ (one * bearing)
+            sums = grains @ (one * load_bearing)
             per_grain = dimension * (dimension + 1) / 2
             expected = {
                 "contact_number_density": n_c, "branch_length_density": length, "normal_force_density": push,
@@ -233,8 +233,8 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
                 "branch_anisotropy": size(k * dev(x_b - phi)), "normal_force_anisotropy": size(k * dev(x_n - phi)),
                 "tangential_force_anisotropy": size(k_t * dev(x_t)),
                 "fabric_stress": over(push * length, n_c)[:, None, None] * (x_n + x_b - phi + x_t),
-                "bearing_number_density": sums,
-                "mechanical_coordination_number": over(grains @ (one * bearing * z), sums),
+                "load_bearing_number_density": sums,
+                "mechanical_coordination_number": over(grains @ (one * load_bearing * z), sums),
                 "redundancy_number": over(
                     psi @ (both * (dimension - (dimension - 1) * slides)), per_grain * sums
                 ),

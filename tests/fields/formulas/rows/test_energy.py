@@ -462,12 +462,12 @@ def test_grains_held_in_place_are_walls_that_move():
 
 
 def test_the_power_of_moving_walls_closes():
-    """Walls given by velocities, and grains held in place on either side of a contact."""
+    """Walls given by velocities, and grains fixed in place on either side of a contact."""
     given = scene(1, 100)
     held = xcg.datasets.random_scene(100, seed=1, periodic="xy", walls=False)
     held = held.assign(frozen=(held.species == 2).astype("int64"))
     for ds in (given, held):
-        b = ds.cg.balance(of=["torque", "power"], width=1.2, spacing=0.15)
+        b = ds.cg.balance(quantities=["torque", "power"], width=1.2, spacing=0.15)
         assert float(b.torque_residual_norm.max()) < 1e-3
         assert float(b.power_residual_norm.max()) < 1e-3
 
@@ -514,7 +514,9 @@ def test_spin_and_energy_of_contacts_close_in_output_of_codes(name):
 
 def test_residuals_fall_with_the_spacing():
     ds = scene(1, 100).drop_vars("contact_wall_velocity")
-    b = [ds.cg.balance(of=["torque", "power"], width=1.2, spacing=h) for h in (0.4, 0.2, 0.1)]
+    b = [
+        ds.cg.balance(quantities=["torque", "power"], width=1.2, spacing=h) for h in (0.4, 0.2, 0.1)
+    ]
     for name in ("torque_residual_norm", "power_residual_norm"):
         norms = [float(one[name].item()) for one in b]
         assert norms[0] > 7 * norms[1] > 49 * norms[2], (name, norms)
@@ -558,7 +560,8 @@ def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):
 
 def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
     b = [
-        moving(dt).cg.balance(of=["spin", "energy"], width=1.2, spacing=0.15) for dt in (0.1, 0.05)
+        moving(dt).cg.balance(quantities=["spin", "energy"], width=1.2, spacing=0.15)
+        for dt in (0.1, 0.05)
     ]
     for name in ("spin_residual_norm", "energy_residual_norm"):
         first, second = (float(one[name].item()) for one in b)
@@ -569,7 +572,7 @@ def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
 
 def test_a_wrong_force_raises_the_residual():
     ds = moving(0.02)
-    options = {"of": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
+    options = {"quantities": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
     right, wrong = (
         d.cg.balance(**options) for d in (ds, ds.assign(contact_force=1.2 * ds.contact_force))
     )
@@ -580,13 +583,13 @@ def test_a_wrong_force_raises_the_residual():
 def test_wrong_balances_raise():
     ds = scene()
     with pytest.raises(ValueError, match="expected a list of any of force, torque"):
-        ds.cg.balance(of="torque")
+        ds.cg.balance(quantities="torque")
     with pytest.raises(ValueError, match="expected a list of any of force, torque"):
-        ds.cg.balance(of=["heat"])
+        ds.cg.balance(quantities=["heat"])
     with pytest.raises(ValueError, match="holds between steps, and takes the scene's gravity"):
-        ds.cg.balance(of=["energy"])
+        ds.cg.balance(quantities=["energy"])
     with pytest.raises(ValueError, match="leave out by="):
-        ds.cg.balance(of=["power"], by="species")
+        ds.cg.balance(quantities=["power"], by="species")
 
 
 # --- moments of inertia ------------------------------------------------------------------------------------

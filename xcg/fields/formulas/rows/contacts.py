@@ -56,10 +56,10 @@ def _fabric_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _redundancy(f: Any, s: Any, o: Options) -> NDArray:
-    d, constraints = o.dimension, o.dimension * s.bearing_contacts
+    d, constraints = o.dimension, o.dimension * s.load_bearing_contacts
     if o.sliding:
         constraints = constraints - (d - 1) * s.sliding_contacts
-    return ratio(constraints, d * (d + 1) / 2 * s.bearing)
+    return ratio(constraints, d * (d + 1) / 2 * s.load_bearing)
 
 
 def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
@@ -227,28 +227,28 @@ ROWS: dict[str, Field] = {
         additive=True,
         default=False,
     ),
-    "bearing_number_density": sum_of(
-        "bearing",
+    "load_bearing_number_density": sum_of(
+        "load_bearing",
         units="m^-3",
-        long_name="number density of grains that may bear load",
+        long_name="number density of load-bearing grains",
         formula="sum Psi over z_i > 1",
         default=False,
     ),
     "mechanical_coordination_number": mean_of_sums(
-        "bearing_partners",
-        "bearing",
-        long_name="coordination number of grains that may bear load",
+        "load_bearing_partners",
+        "load_bearing",
+        long_name="coordination number of load-bearing grains",
         formula="Z_mech = sum z_i Psi / sum Psi over z_i > 1",
-        weight="bearing_number_density",
+        weight="load_bearing_number_density",
         default=False,
     ),
     "redundancy_number": Field(
-        long_name="constraints of contacts over degrees of freedom of grains that may bear load",
+        long_name="constraints of contacts over degrees of freedom of load-bearing grains",
         formula="sum_c (D - (D - 1) s_c) Psi(r - c) / (D (D + 1) / 2 sum Psi), "
         "s_c = 1 if |f_t| = friction f.n, over z_i > 1",
         compute=_redundancy,
-        moments=("bearing_contacts", "bearing"),
-        weight="bearing_number_density",
+        moments=("load_bearing_contacts", "load_bearing"),
+        weight="load_bearing_number_density",
         default=False,
     ),
     "interphase_force": sum_of(
@@ -291,7 +291,7 @@ WAYS: dict[str, tuple[str, dict[Any, Field]]] = {
         {
             True: replace(
                 ROWS["redundancy_number"],
-                moments=("bearing_contacts", "sliding_contacts", "bearing"),
+                moments=("load_bearing_contacts", "sliding_contacts", "load_bearing"),
             ),
         },
     ),

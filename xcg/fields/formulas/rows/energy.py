@@ -289,7 +289,7 @@ _ROWS: dict[str, Field] = {
     "dissipation_rate": sum_of(
         "taken_up",
         units="W m^-3",
-        long_name="power that contacts take up: dissipated, or stored while they are loaded",
+        long_name="power dissipated in contacts, or stored while they are loaded",
         formula="Gamma = -sum_c f_ij.(u_i - u_j) Psi(r - c)",
     ),
     "wall_power": sum_of(

@@ -1,0 +1,59 @@
+"""Results on the mesh and with the options of another."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+FIELDS = ["velocity", "contact_stress"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"axes": "z", "width": "0.9 d43", "kernel": "gaussian"},
+        {"axes": "xz", "at": {"y": 1.5}, "spacing": 0.3, "bounds": {"x": (0.1, 2.0)}},
+        {"axes": "z", "by": "species", "gradient": "paper", "rtol": 1e-3},
+        {"axes": "z", "sampling": "cell", "spacing": 1.0, "extent": {"x": 2.0}},
+        {"axes": "", "at": {a: xr.DataArray([1.0, 2.0], dims="s") for a in "xyz"}},
+    ],
+)
+def test_results_of_one_scene_are_the_same_bits(options):
+    ds = xcg.datasets.random_scene(200, seed=1)
+    f = ds.cg.coarse_grain(FIELDS, **options)
+    again = ds.cg.coarse_grain(FIELDS, like=f)
+    xr.testing.assert_equal(again, f)
+    differ = {name for name in f.attrs if not np.array_equal(f.attrs[name], again.attrs[name])}
+    assert differ <= {"history"}
+
+
+def test_results_of_other_scenes_have_the_same_nodes():
+    """Other extents and sizes would lay other nodes, and the difference would be empty."""
+    a = xcg.datasets.random_scene(200, seed=1, periodic="")
+    b = xcg.datasets.random_scene(300, seed=2, periodic="")
+    f = a.cg.coarse_grain(FIELDS)
+    g = b.cg.coarse_grain(FIELDS, like=f)
+    assert (f - g).sizes == f.sizes
+    assert (f - b.cg.coarse_grain(FIELDS)).sizes != f.sizes
+    expected = b.cg.coarse_grain(
+        FIELDS,
+        width=f.attrs["width"],
+        at={k: xr.DataArray(f[k].to_numpy(), dims=f"n{k}") for k in "xyz"},
+    )
+    np.testing.assert_allclose(g.contact_stress, expected.contact_stress, atol=1e-9, rtol=1e-9)
+    assert b.cg.explain(FIELDS, like=f).kernel.width == f.attrs["width"]
+
+
+def test_unlike_arguments_are_named():
+    ds = xcg.datasets.random_scene(50)
+    f = ds.cg.coarse_grain("density", axes="z")
+    with pytest.raises(ValueError, match=r"width= and like=: .* leave one out"):
+        ds.cg.coarse_grain("density", like=f, width=1.0)
+    with pytest.raises(ValueError, match="like= is a scene"):
+        ds.cg.coarse_grain("density", like=ds)
+    with pytest.raises(ValueError, match="like=str: expected a result"):
+        ds.cg.coarse_grain("density", like="f.nc")
+    with pytest.raises(xcg.SceneError, match="like="):
+        ds.cg.coarse_grain("density", like=f.drop_attrs().drop_vars("setup"))

@@ -1,0 +1,1 @@
+"""Analyses beside fields: one file a subject."""

@@ -1,0 +1,172 @@
+"""Principal values and directions of symmetric tensor fields."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.messages import unknown
+from xcg.scene.frame import step_at
+from xcg.scene.schema import COMPONENTS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_TENSOR = ("component", "direction")
+
+
+def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
+    """Principal values and directions of a tensor field, of its symmetric part; lazy where it is.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `coarse_grain` with the field, and all components of it.
+    field : str
+        Name of a tensor: "stress", "contact_stress", "fabric", "shear_rate_tensor" ...
+
+    Returns
+    -------
+    xarray.Dataset
+        ``<field>_principal`` (..., principal), in the unit of the field, largest first: of a stress
+        the most compressive, as compression is positive. ``<field>_axes`` (..., principal,
+        component), unit vectors along them, of either sign. NaN where the field is.
+
+    Raises
+    ------
+    ValueError
+        If the result has no such tensor, or not all of its components.
+
+    Notes
+    -----
+    ``(t + t^T) / 2 n_k = t_k n_k``. In a scene of one layer the third direction is that across it.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.simple_cubic(4, force=1.0).cg.coarse_grain("contact_stress", axes="z")
+    >>> f.cg.principal("contact_stress").contact_stress_principal.dims
+    ('time', 'z', 'principal')
+    """
+    tensors = [str(name) for name in f.data_vars if set(_TENSOR) <= set(f[name].dims)]
+    if field not in tensors:
+        raise ValueError(unknown("tensor of this result", field, tensors))
+    tensor = f[field]
+    for dim in _TENSOR:
+        if tensor.sizes[dim] != 3:
+            raise ValueError(
+                f"principal({field!r}): expected all three components, and {dim!r} has "
+                f"{tensor.sizes[dim]}; select components after it"
+            )
+    values, axes = xr.apply_ufunc(
+        _values_and_axes,
+        tensor,
+        input_core_dims=[_TENSOR],
+        output_core_dims=[["principal"], ["principal", "component"]],
+        exclude_dims={"component"},
+        dask="parallelized",
+        output_dtypes=[float, float],
+        dask_gufunc_kwargs={
+            "output_sizes": {"principal": 3, "component": 3},
+            "allow_rechunk": True,
+        },
+    )
+    text = tensor.attrs.get("long_name", field)
+    about: dict[str, Any] = {"units": tensor.attrs.get("units", "1")}
+    about["long_name"] = f"principal values of the {text}, largest first"
+    along = {"units": "1", "long_name": f"principal directions of the {text}"}
+    return xr.Dataset(
+        {
+            f"{field}_principal": values.assign_attrs(about),
+            f"{field}_axes": axes.assign_attrs(along),
+        },
+        {"principal": [1, 2, 3], "component": f["component"]},
+        f.attrs,
+    )
+
+
+def _values_and_axes(tensor: NDArray) -> tuple[NDArray, NDArray]:
+    """Return eigenvalues (..., 3), largest first, and eigenvectors (..., 3, 3) of the symmetric part."""
+    known = np.isfinite(tensor).all(axis=(-1, -2))
+    whole = np.where(known[..., None, None], tensor, 0.0)
+    values, vectors = np.linalg.eigh((whole + whole.swapaxes(-1, -2)) / 2)
+    values = np.where(known[..., None], values[..., ::-1], np.nan)
+    axes = np.where(known[..., None, None], vectors.swapaxes(-1, -2)[..., ::-1, :], np.nan)
+    return values, axes
+
+
+def plot_principal(
+    f: xr.Dataset,
+    field: str = "stress",
+    *,
+    index: int = -1,
+    every: int = 1,
+    ax: Axes | None = None,
+    color: str = "black",
+) -> Axes:
+    """Draw the principal directions of a tensor in the plane of a map, as crosses.
+
+    Bars are as long as the values in the plane, relative to the largest; positive values
+    (compression) are drawn in full, negative ones dotted.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result on two axes, such as ``coarse_grain("stress", axes="xz")``.
+    field : str
+        Name of a tensor.
+    index : int
+        Position of the step in time; the last one by default.
+    every : int
+        Nodes from one cross to the next along both axes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw, such as what `plot` of another field returned; a new figure by default.
+    color : str
+        Colour of the bars.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        With the crosses.
+
+    Raises
+    ------
+    ValueError
+        If the result has no such tensor, or not two axes.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.pyplot import subplots
+
+    f = step_at(f, index)
+    plane = [a for a in COMPONENTS if a in f.dims]
+    if len(plane) != 2:
+        raise ValueError(f"plot_principal: expected two axes, and the result has {plane}")
+    if "phase" in f.dims:
+        f = f.sel(phase="bulk")
+    whole = principal(f, field)  # checks the field
+    names = dict(zip(_TENSOR, (plane, plane), strict=True))
+    tensor = f[field].sel(names).isel({a: slice(None, None, every) for a in plane})
+    tensor = tensor.transpose(*plane, *_TENSOR).compute()
+    values, axes = _values_and_axes(tensor.to_numpy())
+    x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")
+    largest = np.nanmax(np.abs(values))
+    step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
+    if ax is None:
+        _, ax = subplots(layout="constrained")
+        units = whole[plane[0]].attrs.get("units", "")
+        ax.set_xlabel(f"{plane[0]} ({units})")
+        ax.set_ylabel(f"{plane[1]} ({units})")
+        ax.set_aspect("equal")
+    for k in range(2):
+        half = 0.5 * step * (np.abs(values[..., k]) / largest)[..., None] * axes[..., k, :]
+        middle = np.stack([x, y], axis=-1)
+        bars = np.stack([middle - half, middle + half], axis=-2).reshape(-1, 2, 2)
+        for chosen, style in (values[..., k] > 0, "solid"), (values[..., k] < 0, "dotted"):
+            ax.add_collection(
+                LineCollection(list(bars[chosen.ravel()]), colors=color, linestyles=style)
+            )
+    ax.autoscale_view()
+    return ax

@@ -1,0 +1,31 @@
+"""Large arrays whose memory returns to the system when they are freed."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_LARGE = 1 << 20  # bytes; smaller ones are reused by the allocator
+
+
+def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[Any]:
+    """Make an array without values, in a map of its own where it is large.
+
+    The allocator of C keeps freed arrays of tens of megabytes, for each thread apart, so that a
+    series of steps would take more memory than any of its steps.
+    """
+    count = int(np.prod(shape))
+    bytes_needed = count * np.dtype(dtype).itemsize
+    if bytes_needed < _LARGE:
+        return np.empty(shape, dtype)
+    flags = {"flags": mmap.MAP_PRIVATE} if hasattr(mmap, "MAP_PRIVATE") else {}
+    return np.ndarray(shape, dtype, buffer=mmap.mmap(-1, bytes_needed, **flags))
+
+
+def owns_memory(array: NDArray) -> bool:
+    """Return whether an array is no view: its memory goes when it goes."""
+    return array.base is None or type(array.base) is mmap.mmap

@@ -1,0 +1,195 @@
+"""Pictures of the grains of a scene: a layer, or a cut through a volume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common import drawing
+from xcg.common.checks import extra, is_finite
+from xcg.common.messages import plain, unknown
+from xcg.scene.conform import conform, require_scene
+from xcg.scene.frame import frame_at, step_at
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, Frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PLAIN = "0.75"  # colour of grains without a variable
+_RIM = 0.3  # points
+
+
+def draw_grains(
+    ds: xr.Dataset,
+    name: str | None,
+    index: int,
+    component: str | None,
+    at: Mapping[str, float] | None,
+    ax: Axes,
+    colours: Mapping[str, Any],
+    options: Mapping[str, Any],
+) -> xr.Dataset:
+    """Draw the grains of one step as circles: a whole layer, or a cut through a volume.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    name : str or None
+        Variable of the particles that colours show; None for grey grains.
+    index, component, at, ax
+        As in `xcg.plot`.
+    colours : mapping
+        ``cmap``, ``vmin`` and ``vmax`` of `xcg.plot`.
+    options : mapping
+        Keywords for the collection of matplotlib.
+
+    Returns
+    -------
+    xarray.Dataset
+        Coordinates of the picture, for its title.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no diameters.
+    ValueError
+        If it has no such variable or component, or `at` is wrong.
+    """
+    ds = conform(ds)
+    require_scene(ds, ("diameter",), "plot of a scene")
+    if name is not None:
+        _check_variable(ds, name)
+    frame, lattice, _ = frame_at(
+        ds, index, ["particle_id", "position", "diameter", *([name] if name else [])]
+    )
+    step = step_at(ds, index)
+    plane = str(ds.attrs.get("plane", "xyz"))
+    cut = _cut(plane, at, frame, lattice)
+    axes = [axis for axis in plane if axis not in cut]
+    offset, radius, rows = _circles(frame, axes, cut, lattice)
+    circles = _collection(offset, radius, ax, options)
+    if name is None:
+        circles.set(**{"facecolor": _PLAIN, **options})
+    else:
+        label = drawing.label_of(ds[name], name)
+        values = _values(frame[name], ds[name], component)[rows]
+        if frame[name].ndim > 1:
+            part = component or "magnitude"
+            label = drawing.label_of(
+                ds[name].assign_attrs(long_name=f"{drawing.long_name_of(ds[name], name)}, {part}"),
+                name,
+            )
+        known = values[np.isfinite(values)]
+        chosen = drawing.colours_of(known, colours["cmap"], colours["vmin"], colours["vmax"])
+        circles.set_array(values)
+        circles.set_cmap(chosen["cmap"])
+        if "norm" in options:
+            circles.set_norm(options["norm"])
+        else:
+            circles.set_clim(chosen["vmin"], chosen["vmax"])
+        drawing.add_colour_bar(circles, ax, label)
+    for axis, of_axis in zip(axes, (ax.xaxis, ax.yaxis), strict=True):
+        position = ds["position"].assign_attrs(long_name=axis)
+        drawing.set_label(of_axis, drawing.label_of(position, axis))
+    coords = {str(k): step[k] for k in ("time", "step") if k in step.coords}
+    coords |= {axis: xr.DataArray(place, attrs=ds["position"].attrs) for axis, place in cut.items()}
+    return xr.Dataset(coords=coords)
+
+
+def _check_variable(ds: xr.Dataset, name: str) -> None:
+    known = [
+        str(n)
+        for n, v in ds.data_vars.items()
+        if v.dims[:2] == ("time", "particle") and v.ndim <= 3
+    ]
+    if name not in known:
+        way = (
+            "fields are drawn after ds.cg.coarse_grain(...), and particles are coloured by one of "
+        )
+        raise ValueError(
+            f"plot of a scene: {unknown('variable', name, known, way + ', '.join(known))}"
+        )
+
+
+def _cut(
+    plane: str, at: Mapping[str, float] | None, frame: Frame, lattice: Lattice
+) -> dict[str, float]:
+    """Return the axis and place of the plane that cuts a volume, by default in the middle of its shortest axis."""
+    given = dict(at or {})
+    if len(plane) == 2:
+        if given:
+            raise ValueError(
+                f"at={given!r}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
+            )
+        return {}
+    if given:
+        if len(given) != 1 or not {*given} <= {*plane} or not all(map(is_finite, given.values())):
+            raise ValueError(
+                f"at={plain(given)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
+            )
+        return {axis: float(place) for axis, place in given.items()}
+    position = frame["position"]
+    if not len(position):
+        return {plane[1]: 0.0}
+    low, high = position.min(axis=0), position.max(axis=0)
+    k = int(np.argmin(high - low))
+    return {COMPONENTS[k]: float(0.5 * (low[k] + high[k]))}
+
+
+def _circles(
+    frame: Frame, axes: list[str], cut: Mapping[str, float], lattice: Lattice
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Return centres (n, 2) and radii (n,) of the circles, and the rows of their particles."""
+    position, radius = frame["position"], frame["diameter"] / 2
+    offset = position[:, [COMPONENTS.index(axis) for axis in axes]]
+    rows = np.arange(len(position))
+    for axis, place in cut.items():
+        k = COMPONENTS.index(axis)
+        away = position[:, k] - place
+        period = lattice.period[k]
+        if np.isfinite(period):
+            away -= period * np.rint(away / period)
+        rows = np.flatnonzero(np.abs(away) < radius)
+        radius = np.sqrt(radius[rows] ** 2 - away[rows] ** 2)
+    return offset[rows], radius, rows
+
+
+def _collection(offset: NDArray, radius: NDArray, ax: Axes, options: Mapping[str, Any]) -> Any:
+    """Add circles in units of the axes, and make room for them."""
+    collections = extra("matplotlib.collections", "plot", "drawing")
+    others = {key: value for key, value in options.items() if key != "norm"}
+    circles = collections.EllipseCollection(
+        2 * radius,
+        2 * radius,
+        np.zeros(len(radius)),
+        units="xy",
+        offsets=offset,
+        offset_transform=ax.transData,
+        **{"linewidth": _RIM, "edgecolor": "black", **others},
+    )
+    ax.add_collection(circles, autolim=False)
+    if len(offset):
+        rim = radius[:, None]
+        ax.update_datalim(np.concatenate([offset - rim, offset + rim]))
+    ax.autoscale_view()
+    ax.set_aspect("equal")
+    return circles
+
+
+def _values(values: NDArray, variable: xr.DataArray, component: str | None) -> NDArray:
+    """Return the numbers that colours show (n,): a scalar, a component, or the magnitude of a vector."""
+    if values.ndim == 1:
+        if component is not None:
+            raise ValueError(f"component={component!r}: {variable.name} is a scalar")
+        return values.astype(float)
+    if component is None:
+        return np.asarray(np.linalg.norm(values, axis=1))
+    if component not in COMPONENTS:
+        raise ValueError(f"component={component!r}: expected one of {', '.join(COMPONENTS)}")
+    return values[:, COMPONENTS.index(component)]

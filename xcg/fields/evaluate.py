@@ -1,0 +1,321 @@
+"""Evaluation of a plan: the fields of each step, their labels, and warnings about what came out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.messages import SceneError, warn_once
+from xcg.compiled._jit import for_each
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field
+from xcg.fields.formulas.program import program_for
+from xcg.fields.grids.grid import check_mesh
+from xcg.fields.plan import Plan
+from xcg.fields.sums.deposit import sums_of_frame
+from xcg.fields.sums.nodes import Block
+from xcg.scene.description import Description
+from xcg.scene.facts import SETUP, setup_of
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
+from xcg.steps.analysis import FrameAnalysis
+from xcg.steps.labels import ABOUT, phases_of
+
+# means of squared fluctuations
+_TEMPERATURES = (
+    "granular_temperature",
+    "directional_temperature",
+    "d2min",
+    "nonaffine_covariance",
+    "self_diffusion",
+)
+_PAGE = 4096 // 8  # numbers in a page of memory
+
+
+def _take_memory(numbers: NDArray) -> None:
+    """Write to every page, so that the system gives the memory now, which is quick just after other memory was freed.
+
+    See docs/measurements.md.
+    """
+    numbers[::_PAGE] = 0.0
+
+
+# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost
+# more than they gain. What is done once for each grain or contact, or for each node, takes as long
+# as `_ONCE` visits.
+WORTH_SHARING = 1_500_000
+_ONCE = 30
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseGraining(FrameAnalysis):
+    """Fields of a plan, as an analysis of each step."""
+
+    name = "coarse_grain"
+
+    plan: Plan
+
+    def reads(self, scene: Description) -> tuple[str, ...]:
+        """Return the variables of the plan."""
+        return self.plan.variables
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return dimensions and units of the fields."""
+        rows = {}
+        for name in self.plan.fields:
+            field = registry.row(name, self.plan.options)
+            dims = [*self.plan.dims]
+            if field.paired:
+                dims.append("other_phase")
+            dims += ("component", "direction")[: field.rank]
+            rows[name] = Variable(tuple(dims), field.units, field.long_name)
+        return rows
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the nodes, phases and axes, and the options that averages depend on."""
+        return _coordinates(scene, self.plan)
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return the options of the plan."""
+        return _choices(self.plan)
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
+        """Compute the fields of one step (axes, phase, ...)."""
+        plan = self.plan
+        threads = self.threads
+        rows = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
+        if rows * (plan.reached + _ONCE) + plan.deposit.grid.count * _ONCE <= WORTH_SHARING:
+            threads = 1
+        fields = {name: np.empty(plan.shapes[name]) for name in plan.fields}
+        for_each([a.reshape(-1) for a in fields.values() if a.size > _PAGE], _take_memory, threads)
+        nodes = {
+            name: a.reshape(-1, plan.phases, *a.shape[len(plan.dims) :])
+            for name, a in fields.items()
+        }
+        _compute_step(plan, frame, lattice, source, threads, nodes)
+        return fields
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Name the formula and source of each field, and what the scene lacks for it."""
+        system = self.plan.setup.unit_system
+        for name in self.plan.fields:
+            field = registry.row(name, self.plan.options)
+            attrs = about(field, system)
+            moments = registry.moments_of([name], self.plan.options).values()
+            optional = {variable for moment in moments for variable in moment.optional}
+            lacking = [n for n in ROTATION if n in optional and n not in self.plan.variables]
+            if lacking:
+                attrs["comment"] = (
+                    f"without rotation, as the scene holds no {' and no '.join(lacking)}"
+                )
+            result.variables[name].attrs = attrs
+        return result.set_coords([n for n in self.plan.fields if n not in self.plan.asked])
+
+
+def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
+    """1 / (extents of the averaged axes x thickness of the layer) for one step."""
+    given = {**plan.extent, **({plan.depth: None} if isinstance(plan.depth, str) else {})}
+    lengths = [length for length in given.values() if length is not None]
+    of_box = [a in given and given[a] is None for a in COMPONENTS]
+    if any(of_box):
+        lengths.append(lattice.extent(np.array(of_box)))
+        if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
+            lattice.seen(plan.deposit.grid.active, source)  # which may say more
+            axes = " and ".join(
+                repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
+            )
+            raise SceneError(
+                f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
+                "length that the integral is divided by (extent=)"
+            )
+    if isinstance(plan.depth, float):
+        lengths.append(plan.depth)
+    return 1.0 / math.prod(lengths)
+
+
+def _compute_step(
+    plan: Plan,
+    frame: Frame,
+    lattice: Lattice,
+    source: str,
+    threads: int,
+    rows: Mapping[str, NDArray],
+) -> None:
+    """Compute the fields of one step into arrays (nodes, phase, ...)."""
+    grid = plan.deposit.grid
+    check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
+    scale = scale_of(plan, lattice, source)
+    sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
+    program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
+    traced = program.widths if program else ()
+    untraced = tuple(name for name in plan.fields if name not in traced)
+
+    reached: list[int] = []
+
+    def fill(part: Block) -> None:
+        found, place = sums.over(part), part.places
+        reached.append(int(np.count_nonzero(~np.isnan(found.velocity[:, 0]))))
+        if program:
+            program.run(found, place, rows, part.order)
+        if untraced:  # with NumPy
+            # the box may change
+            options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))
+            for name, values in registry.evaluate(untraced, found.moments, options).items():
+                rows[name][place] = values.swapaxes(0, 1)
+
+    whole = plan.options.gradient == "finite_difference"
+    for_each(
+        grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads),
+        fill,
+        threads,
+    )
+    if grid.undirected.size:
+        for name, values in rows.items():
+            if registry.row(name, plan.options).rank:
+                values[grid.undirected] = np.nan
+    if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
+        _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
+    # extent=1 m asks for an integral in place of an average: no warning
+    if (
+        "volume_fraction" in rows
+        and 1.0 not in plan.extent.values()
+        and rows["volume_fraction"].max(initial=0.0) > 1.0
+    ):
+        _warn_of_fraction(
+            plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source
+        )
+
+
+def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
+    """Warn of a volume fraction (nodes, phases) above 1, where the volume of the `largest` grain may be the cause."""
+    node = int(fraction.max(axis=1).argmax())
+    grid, kernel = plan.deposit.grid, plan.kernel
+    index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
+    coords = {
+        name: coord.isel({dim: index[str(dim)] for dim in coord.dims})
+        for name, coord in grid.coords.items()
+    }
+    place = (
+        ", ".join(f"{name} = {float(coord):.4g}" for name, coord in coords.items())
+        or "the only node"
+    )
+    alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
+    cause = "grains overlap, or their sizes, or the length of an average (extent=, thickness=), are not right"
+    if alone > 0.5:
+        cause = (
+            f"the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g}: increase "
+            f"width= (it is {kernel.width:.3g}), or give each group its own with by= and width={{group: width}}"
+        )
+    warn_once(
+        "volume fraction",
+        f"{source}: the volume fraction is {fraction.max():.3g} at {place}: {cause}",
+    )
+
+
+def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
+    """Warn where most of the nodes that grains reach have no temperature."""
+    for name in (name for name in _TEMPERATURES if name in rows):
+        known = np.count_nonzero(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]))
+        if 2 * known < reached:
+            warn_once(
+                "temperature",
+                f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. "
+                f"Increase width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
+            )
+
+
+_CYLINDRICAL: dict[str, dict[str, str]] = {
+    "r": {"long_name": "distance from the axis"},
+    "theta": {"units": "rad", "long_name": "angle about the axis"},
+    "z": {"long_name": "position along the axis", "axis": "Z"},
+}
+_AXES = {*COMPONENTS, *_CYLINDRICAL}
+
+
+def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
+    """Return the coordinates of a result beside time."""
+    options, grid = plan.options, plan.deposit.grid
+    length = units_in("m", plan.setup.unit_system)
+    facts = {name: scene.attrs[name] for name in ABOUT if name in scene.attrs}
+    coords = {SETUP: setup_of(facts | _choices(plan))}
+    wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
+    for name, coord in grid.coords.items():
+        attrs: dict[str, Any] = {}
+        if name in _AXES and scene.cylindrical:
+            attrs = {"units": length} | _CYLINDRICAL[name]
+        elif name in _AXES:
+            attrs = {
+                "units": length,
+                "long_name": f"position along {name}",
+                "axis": name.upper(),
+            }
+            if name in wrapped:
+                attrs["period"] = wrapped[name]  # also of a part of the nodes
+        coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
+    if plan.deposit.by:
+        coords["phase"] = phases_of(plan.deposit.by, plan.deposit.groups)
+    fields = [registry.row(name, options) for name in plan.fields]
+    axes = list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)
+    for dim in ("component", "direction")[: max(field.rank for field in fields)]:
+        coords[dim] = xr.Variable(dim, axes)
+    if any(field.paired for field in fields):
+        others = [*map(str, plan.deposit.groups), "wall"]
+        coords["other_phase"] = xr.Variable("other_phase", others)
+    return coords
+
+
+def _choices(plan: Plan) -> dict[str, Any]:
+    """Return the options of a plan as attributes of its result."""
+    options, grid = plan.options, plan.deposit.grid
+    choices: dict[str, Any] = {
+        **grid.attrs,
+        "kernel": plan.kernel.name,
+        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
+        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
+        "kernel_dimension": plan.kernel.dimension,
+        "rtol": plan.rtol,
+        "gradient": options.gradient,
+        "pressure_dims": "".join(COMPONENTS[k] for k in options.pressure_axes or options.plane),
+        "deviatoric": options.deviatoric,
+        "size": options.size,
+        "temperature": options.temperature,
+        "sampling": "cell" if grid.half.any() else "node",
+        "averaged_axes": grid.averaged,
+        "wrapped_axes": "".join(
+            a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
+        ),
+    }
+    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
+    given: dict[str, Any] = {
+        "shear_dims": None
+        if options.shear_axes is None
+        else "".join(COMPONENTS[k] for k in options.shear_axes),
+        "fluid_viscosity": options.fluid_viscosity,
+        "friction": options.friction,
+        "size_diameter": options.diameter,
+        "lag": options.lag,
+        "extent": json.dumps(lengths) if lengths else None,
+    }
+    return choices | {name: value for name, value in given.items() if value is not None}
+
+
+def about(row: Field, system: str) -> dict[str, str]:
+    """Attributes of a field in a result."""
+    # a scene's own variables may have any unit
+    units = row.units if row.source else units_in(row.units, system)
+    found = {
+        "units": units,
+        "long_name": row.long_name,
+        "formula": row.formula,
+        "source": row.source,
+    }
+    # what averages of fields without a row need
+    found |= {"weight": row.weight} if row.source else {}
+    return {key: text for key, text in found.items() if text}

@@ -1,0 +1,198 @@
+"""Columns of files and the variables they are taken for, by ``names=`` and by their own names."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from xcg.common.messages import SceneError
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.files.text import source_of
+from xcg.readers.names import (
+    CLOCK_SLOTS,
+    CONTACT_SLOTS,
+    PARTICLE_SLOTS,
+    Slots,
+    canonical,
+    columns_by_name,
+)
+from xcg.scene.schema import COMPONENTS, variable
+
+# positions and what they follow from where fractions of the box are given
+PLACES = (("position", "scaled"), ("unwrapped_position", "unwrapped_scaled"))
+PARTICLE_VECTORS = (*PLACES[0], *PLACES[1], "image", "velocity", "angular_velocity")
+_FORCES = ("contact_force", "normal_force", "tangential_force")
+CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
+
+# What the caller maps to the first displaces what fills the second by itself.
+_RIVALS = (
+    ("radius", "diameter"),
+    ("scaled", "position"),
+    ("normal_force", "contact_force"),
+    ("tangential_force", "contact_force"),
+)
+
+RAW = re.compile(r"[cf]_\w+(\[\d+\])?")  # columns of LAMMPS without names of their own
+_WORDS_OF_COMPUTES = (
+    ("patom1 patom2", ("contact_i", "contact_j")),
+    ("dx dy dz", tuple(f"contact_branch_{axis}" for axis in COMPONENTS)),
+    ("fx fy fz", tuple(f"normal_force_{axis}" for axis in COMPONENTS)),
+    ("p1 p2 p3", (*(f"tangential_force_{axis}" for axis in COMPONENTS), "of granular styles")),
+)
+_KINDS_WITH_WORDS = ("contacts", "walls")
+_KINDS = ("particles", "contacts")
+_ALL_SLOTS = (PARTICLE_SLOTS, CONTACT_SLOTS, CLOCK_SLOTS)
+
+
+def split_names(
+    names: Mapping[str, Any] | Sequence[str | None] | str | None,
+) -> tuple[dict[str, str | None], dict[str, tuple[str, ...]]]:
+    """Return ``names=`` as a mapping from columns, and as words of the computes that wrote the contacts.
+
+    Words are a text or a list, for files of contacts and of walls, or one of each in a mapping,
+    ``{"contacts": "pos id force", "walls": "pos id force delta"}``, beside columns.
+    """
+    if names is None:
+        return {}, {}
+    if not isinstance(names, Mapping):
+        names = dict.fromkeys(_KINDS_WITH_WORDS, names)
+    words = {}
+    for kind in _KINDS_WITH_WORDS:
+        given = names.get(kind)
+        if isinstance(given, str) and len(given.split()) > 1:
+            words[kind] = tuple(given.split())
+        elif isinstance(given, list | tuple):
+            words[kind] = tuple(map(str, given))
+    return {name: slot for name, slot in names.items() if name not in words}, words
+
+
+def read_names(
+    names: Mapping[str, Any] | Sequence[str | None] | None,
+) -> tuple[dict[str, str | None], dict[str, Sequence[str | None]]]:
+    """Return ``names=`` as a mapping from columns, and as the columns of each kind of file in their order.
+
+    Raises
+    ------
+    SceneError
+        If names in their order are not texts or None, or one occurs twice.
+    """
+    if names is None:
+        return {}, {}
+    in_order: dict[str, Sequence[str | None]]
+    if isinstance(names, Mapping):
+        in_order = {kind: given for kind, given in names.items() if isinstance(given, list | tuple)}
+        if not in_order:
+            return dict(names), {}
+        if set(names) != set(in_order) or not set(names) <= set(_KINDS):
+            raise SceneError(
+                f"names={dict(names)!r}: expected a mapping from columns to variables, or lists of all "
+                "columns in their order, names={'particles': [...], 'contacts': [...]}"
+            )
+    elif isinstance(names, list | tuple):
+        in_order = dict.fromkeys(_KINDS, names)
+    else:
+        raise SceneError(f"names={names!r}: expected a mapping or a list of names")
+    aliases = {alias for slots in _ALL_SLOTS for found in slots.values() for alias in found}
+    mapping: dict[str, str | None] = {}
+    for given in in_order.values():
+        for name, count in Counter(given).items():
+            if name is None:
+                continue
+            if not isinstance(name, str) or count > 1:
+                raise SceneError(
+                    f"names={list(given)!r}: {name!r} stands there {count} times; expected the name of each column "
+                    "once, in the order of the file, and None for a column to skip"
+                )
+            if canonical(name) not in aliases:  # a slot, or a variable of the caller's own
+                mapping[name] = name
+    return mapping, in_order
+
+
+def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
+    """Find the column of each slot that a file fills.
+
+    Raises
+    ------
+    SceneError
+        If `names` maps a column of this file to something that is almost, but not quite, a slot, or
+        two columns to the same.
+    """
+    mapped = {column: slot for column, slot in options.names.items() if column in ref.columns}
+    _check_names(ref, mapped, slots)
+    by_caller = {
+        slot: column for column, slot in mapped.items() if slot is not None and slot in slots
+    }
+    displaced = tuple(
+        rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in by_caller)
+    )
+    free = [column for column in ref.columns if column not in mapped]
+    by_name = {
+        slot: column
+        for slot, column in columns_by_name(free, slots).items()
+        if not slot.startswith(displaced)
+    }
+    filled = by_name | by_caller
+    return {slot: filled[slot] for slot in slots if slot in filled}
+
+
+def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -> None:
+    """Raise SceneError if `names` maps two columns to one slot, or one to a misspelt slot."""
+    counts = Counter(slot for slot in mapped.values() if slot is not None)
+    twice = [slot for slot, count in counts.items() if count > 1]
+    if twice:
+        columns = " and ".join(repr(column) for column in mapped if mapped[column] == twice[0])
+        raise SceneError(
+            f"{source_of(ref)}: names maps {columns} to {twice[0]!r}, and only one of them can be; "
+            "map the others to None"
+        )
+    for column, slot in mapped.items():
+        if slot is None or slot in PARTICLE_SLOTS or slot in CONTACT_SLOTS:
+            continue
+        pair = f"names={{{column!r}: {slot!r}}}"
+        # all slots of contacts begin with one word
+        prefix = "contact_" if slot.startswith("contact_") else ""
+        endings = [name.removeprefix(prefix) for name in slots if name.startswith(prefix)]
+        close = difflib.get_close_matches(slot.removeprefix(prefix), endings, 3, 0.8)
+        if close:
+            likely = " or ".join(repr(prefix + ending) for ending in close)
+            raise SceneError(f"{pair}: did you mean {likely}?")
+        meant = [name for name, aliases in slots.items() if canonical(slot) in aliases]
+        if meant:
+            raise SceneError(f"{pair}: that is a column; its variable is {meant[0]!r}")
+
+
+def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
+    """Make the error of a file that lacks a column, with the mapping that names it."""
+    word = re.compile(rf"(?<![a-z]){slot.rpartition('_')[2]}(?![a-z])", re.IGNORECASE)
+    likely = next(filter(word.search, ref.columns), "its column")
+    msg = (
+        f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
+        f"for example names={{{likely!r}: {slot!r}}}"
+    )
+    if slot in CONTACT_SLOTS and any(map(RAW.fullmatch, ref.columns)):
+        rows = "".join(
+            f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
+        )
+        msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
+    return SceneError(msg)
+
+
+def axes_of(filled: Iterable[str], slot: str) -> list[str]:
+    """Return the axes of the components of a vector that are filled."""
+    return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
+
+
+def own_variables(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
+    """Columns that `names` maps to variables of the caller's own, of particles or of contacts."""
+    known = {*PARTICLE_SLOTS, *CONTACT_SLOTS, "time", "step"}
+    return {
+        slot: column
+        for column, slot in options.names.items()
+        if slot is not None
+        and column in ref.columns
+        and slot not in known
+        and variable(slot).dims == (dim,)
+    }

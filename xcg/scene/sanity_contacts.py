@@ -1,0 +1,142 @@
+"""Warnings about implausible contacts: attractive ones, distant contact points, ends that are not the particles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import warn_once
+from xcg.scene.lattice import Lattice
+from xcg.scene.rows import rows_of
+from xcg.scene.sanity import FEW, sample_of
+from xcg.scene.schema import Frame
+
+_FAR = 3.0  # diameters from a centre to a contact point; rods 18 times as long as wide reach as far
+_MOST = 0.9  # share of contacts that pull
+_CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions of six digits
+_OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
+
+
+def check_contacts(
+    frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str
+) -> None:
+    """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
+
+    Parameters
+    ----------
+    frame : Frame
+        Particles and contacts of one step.
+    row_i, row_j : array (contacts,)
+        Rows of the partners among the particles, negative where they are not there.
+    lattice : Lattice
+        Periodic images.
+    source : str
+        Names the step.
+    """
+    if not len(frame["position"]) or not len(row_i):
+        return
+    some = sample_of(len(row_i))
+    row_i, row_j, point = row_i[some], row_j[some], frame["contact_point"][some]
+    side_i = _side(frame["position"], row_i, point, lattice)
+    side_j = _side(frame["position"], row_j, point, lattice)
+    if "diameter" in frame:
+        larger = np.maximum(_diameter(frame, row_i), _diameter(frame, row_j))
+        length_i, length_j = (np.sqrt(np.einsum("nk,nk->n", s, s)) for s in (side_i, side_j))
+        away = np.maximum(length_i, length_j)
+        distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
+        far = np.flatnonzero(distance > _FAR)
+        if far.size:
+            _warn_of_far(frame, some, far, distance, source)
+            return
+    if "contact_force" in frame:
+        side_i[row_i < 0] = -side_j[row_i < 0]
+        _check_tension(np.einsum("nk,nk->n", frame["contact_force"][some], side_i), source)
+
+
+def _side(position: NDArray, row: NDArray, point: NDArray, lattice: Lattice) -> NDArray:
+    """Return the vectors (n, 3) from contact points to a particle of each contact, zero where it is not there."""
+    side = lattice.shortest(position[row] - point)
+    side[row < 0] = 0.0
+    return side
+
+
+def _diameter(frame: Frame, row: NDArray) -> NDArray:
+    """Return the diameters (n,) of particles, zero where they are not there."""
+    return np.where(row < 0, 0.0, frame["diameter"][row])
+
+
+def _warn_of_far(frame: Frame, some: slice, far: NDArray, distance: NDArray, source: str) -> None:
+    """Warn of contact points at a `distance` (n,) in diameters from a centre."""
+    first = far[0]
+    i, j = (frame[name][some][first] for name in ("contact_i", "contact_j"))
+    warn_once(
+        "far contacts",
+        f"{source}: {far.size} of {len(distance)} contacts looked at lie more than {_FAR:g} diameters from the "
+        f"centre of a particle of theirs ({distance[first]:.3g} diameters for contact_i={i}, contact_j={j}): "
+        "they are of another step or box, ids are mixed up, positions were changed without contact_point, or "
+        "periodic= lacks an axis",
+    )
+
+
+def _check_tension(along: NDArray, source: str) -> None:
+    """Warn if nearly all forces on a particle point to the contact, by their component `along` (n,) away from it."""
+    pulling, pushing = int((along < 0.0).sum()), int((along > 0.0).sum())
+    if pulling + pushing >= FEW and pulling > _MOST * (pulling + pushing):
+        warn_once(
+            "tension",
+            f"{source}: {pulling} of {pulling + pushing} contacts looked at pull their particles together, so that "
+            "pressure is negative nearly everywhere: contact_force is the force on contact_i, and where the data have "
+            "that on the other, exchange the two (names=), or change the sign",
+        )
+
+
+def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
+    """Return whether all forces between particles lie along the line of their centres; False for few contacts."""
+    some = sample_of(len(contacts["contact_i"]))
+    i, j = (
+        rows_of(particles["particle_id"], contacts[name][some])
+        for name in ("contact_i", "contact_j")
+    )
+    pairs = (i >= 0) & (j >= 0)
+    branch = lattice.shortest(particles["position"][i[pairs]] - particles["position"][j[pairs]])
+    force = contacts["contact_force"][some][pairs]
+    across, along, pull = (
+        np.linalg.norm(vectors, axis=1) for vectors in (np.cross(branch, force), branch, force)
+    )
+    return len(force) >= FEW and bool((across <= _CENTRAL * along * pull).all())
+
+
+def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> None:
+    """Warn if the ends that a file of contacts holds are not the positions of the particles.
+
+    Parameters
+    ----------
+    raw : Frame
+        Contacts with ``wrapped_branch``, from j to i by the ends in the file (m), of any image.
+    particles : Frame
+        The particles of the same step.
+    lattice : Lattice
+        Periodic images.
+    source : str
+        Names the step.
+    """
+    some = sample_of(len(raw["contact_i"]))
+    row_i, row_j = (
+        rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
+        for name in ("contact_i", "contact_j")
+    )
+    pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
+    ends = lattice.shortest(raw["wrapped_branch"][some][pairs])
+    centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
+    away = np.linalg.norm(lattice.shortest(ends - centres), axis=1)
+    off = np.flatnonzero(away > _OFF * np.linalg.norm(ends, axis=1))
+    if off.size:
+        first = off[0]
+        i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
+        warn_once(
+            "ends",
+            f"{source}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "
+            f"particles (contact_i={i}, contact_j={j}: {ends[first]} from end to end, "
+            f"{lattice.shortest(centres)[first]} from centre to centre): particles and contacts are of different "
+            "steps or runs, columns are not in the order expected, or the box is another",
+        )

@@ -1,0 +1,378 @@
+"""Analyses: a result for each step of a scene, eager, lazy or distributed, with labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self, TypeAlias
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.compiled._jit import THREADS
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import Description, describe
+from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import OF_STEP, PADDING, Frame, Variable
+from xcg.steps.faults import OnError
+from xcg.steps.labels import AXES, format_call, label
+from xcg.steps.mapping import map_over_time, threads_a_chunk
+
+# a frame, its periodic images, and its name in messages
+Step: TypeAlias = tuple[Frame, Lattice, str]
+_ROWS = ("particle", "contact")
+
+
+@dataclass(frozen=True)
+class FrameAnalysis:
+    """Base class of analyses of the steps of a scene.
+
+    A subclass is a frozen dataclass whose fields are its options. It says which variables a step is
+    computed from (`reads`), what comes out (`rows`, `coords`), and computes one step from plain
+    arrays (`frame`); `run` does the rest: it checks the scene, maps the steps over chunks of time,
+    lazily where the scene is, and labels the results.
+
+    Parameters
+    ----------
+    threads : int
+        Threads that may share a step. `run` sets it: all of the machine's where steps follow each
+        other, one where they run side by side.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import xcg
+    >>> @dataclass(frozen=True)
+    ... class MeanSpeed(xcg.FrameAnalysis):
+    ...     power: float = 1.0
+    ...
+    ...     def reads(self, scene):
+    ...         return ["velocity"]
+    ...
+    ...     def rows(self, scene):
+    ...         return {"mean_speed": xcg.Variable((), "m s^-1", "mean speed of the particles")}
+    ...
+    ...     def frame(self, frame, lattice, source):
+    ...         speed = np.linalg.norm(frame["velocity"], axis=1)
+    ...         return {"mean_speed": (speed**self.power).mean() ** (1 / self.power)}
+    >>> MeanSpeed(power=2).run(xcg.datasets.random_scene(200)).mean_speed.dims
+    ('time',)
+    """
+
+    # name in messages, in the history and of dask's tasks; by default that of the class
+    name: ClassVar[str] = ""
+
+    threads: int = field(default=1, kw_only=True, repr=False, compare=False)
+
+    # --- what a subclass defines -------------------------------------------------------------------
+
+    def prepare(self, scene: Description) -> Self:
+        """Check the options against a scene, and return the analysis with defaults filled in.
+
+        By default itself. A scene is described by `columns` (variables by name), `setup` (periodic
+        axes, dimension, units), `sizes` (diameters), `edges` of the box and `corners` of the
+        particles' extent; none of its arrays are read.
+        """
+        return self
+
+    def reads(self, scene: Description) -> Iterable[str]:
+        """Return the variables of the scene that a step is computed from.
+
+        All are required. Those that a step takes only where they are there are listed if they are
+        in ``scene.columns``. Particle ids and the box need not be listed.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.reads is missing")
+
+    def rows(self, scene: Description) -> Mapping[str, Variable]:
+        """Return dimensions, units (SI), and name in words of each result."""
+        raise NotImplementedError(f"{type(self).__name__}.rows is missing")
+
+    def coords(self, scene: Description) -> Mapping[str, xr.Variable]:
+        """Return the coordinates of the result beside time; they give dimensions their lengths."""
+        return {}
+
+    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int | None]:
+        """Return the lengths of dimensions that have no coordinate.
+
+        By default those of the scene. None is the largest number of rows that a step turns out to
+        have; lazy scenes need a number.
+        """
+        return {}
+
+    def attrs(self, scene: Description) -> Mapping[str, Any]:
+        """Return attributes of the result."""
+        return {}
+
+    @property
+    def lags(self) -> tuple[int, ...]:
+        """Other steps that a step is computed with, as offsets: ``(1,)`` for the next."""
+        return ()
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> Mapping[str, ArrayLike]:
+        """Compute the results of one step.
+
+        Parameters
+        ----------
+        frame : dict of numpy.ndarray
+            Variables by name: particles sorted by id, contacts, both without padding. A variable
+            of the step alone, such as time, is a number.
+        lattice : Lattice
+            Box and periodic images of the step.
+        source : str
+            Name of the step, for messages.
+
+        Returns
+        -------
+        dict
+            Array or number by the names of `rows`. Rows of particles or contacts are those of
+            `frame`.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.frame is missing")
+
+    def frames(self, now: Step, *others: Step | None) -> Mapping[str, ArrayLike]:
+        """Compute the results of a step with others, in the order of `lags`; None for no such step.
+
+        By default `frame` of the step.
+        """
+        return self.frame(*now)
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Return the result as users see it: by default as it is labelled."""
+        return result
+
+    # --- what it has by that -----------------------------------------------------------------------
+
+    def run(self, ds: xr.Dataset, *, on_error: OnError = "raise") -> xr.Dataset:
+        """Compute the analysis for each step of a scene, lazily where the scene is.
+
+        Parameters
+        ----------
+        ds : xarray.Dataset
+            A scene, or a selection of one.
+        on_error : {"raise", "skip"}
+            "skip" leaves out steps that cannot be read or computed: they are NaN, and marked in the
+            coordinate ``skipped``.
+
+        Returns
+        -------
+        xarray.Dataset
+            The results, time first.
+
+        Raises
+        ------
+        SceneError
+            If the scene lacks variables.
+        TypeError
+            When it is computed, if a result is missing or has another shape than `rows` says.
+        """
+        return _run_selection(ds, self, on_error=on_error)
+
+    def call(self) -> str:
+        """Return the call for the history: the name and all options that are not None."""
+        options = {
+            option.name: getattr(self, option.name) for option in fields(self) if option.repr
+        }
+        return format_call(
+            self.name or type(self).__name__,
+            {name: value for name, value in options.items() if value is not None},
+        )
+
+
+@takes_scene
+def _run_selection(ds: xr.Dataset, analysis: FrameAnalysis, *, on_error: OnError) -> xr.Dataset:
+    return run(ds, analysis, on_error=on_error)
+
+
+def run(
+    ds: xr.Dataset,
+    analysis: FrameAnalysis,
+    *,
+    call: str = "",
+    scene: Description | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    """Run an analysis of a scene that was brought to its form by `xcg.scene.conform`.
+
+    `call` replaces the call in the history, and `scene` is the description of `ds` where there is
+    one.
+    """
+    call = call or analysis.call()
+    name = analysis.name or type(analysis).__name__
+    require_scene(ds, (), name)
+    if scene is None:
+        # an option of analyses of groups of particles
+        scene = describe(ds, getattr(analysis, "by", None))
+    analysis = analysis.prepare(scene)
+    required = list(analysis.reads(scene))
+    require_scene(ds, [n for n in required if n not in ds.coords], name)
+    rows = analysis.rows(scene)
+    coords = analysis.coords(scene)
+    sizes = _lengths(analysis, scene, ds, coords)
+    read = _names(ds, required)
+    task = _Task(
+        replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
+        name,
+        rows,
+        sizes,
+        frozenset(coords),
+        scene.setup.periodic,
+        {n: _rows_along(ds.variables[n]) for n in read},
+    )
+    series, beside = _with_others(ds, read, analysis.lags)
+    results = {n: (tuple(sizes[d] or 0 for d in row.dims), row.dtype) for n, row in rows.items()}
+    arrays: dict[str, Any] = {}
+    if rows:
+        tasks = name.replace("_", "-")
+        arrays = map_over_time(series, [*read, *beside], task, results, tasks, on_error)
+    result = label(ds, rows, arrays, call, coords=coords, **analysis.attrs(scene))
+    return analysis.after(result, ds)
+
+
+def _lengths(
+    analysis: FrameAnalysis, scene: Description, ds: xr.Dataset, coords: Mapping[str, xr.Variable]
+) -> dict[str, int | None]:
+    """Return the length of each dimension of a step."""
+    of_scene = {str(dim): length for dim, length in ds.sizes.items()}
+    of_coords = {
+        str(dim): length
+        for coord in coords.values()
+        for dim, length in zip(coord.dims, coord.shape, strict=True)
+    }
+    return {**of_scene, **dict.fromkeys(AXES, 3), **of_coords, **analysis.sizes(scene, ds)}
+
+
+def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:
+    """Return the variables of a task: what is required, the keys of its rows, and the box."""
+    keys = ["particle_id"]
+    if any("contact" in ds[name].dims for name in required):
+        keys.append("contact_i")
+    return list(dict.fromkeys([*keys, *required, *(name for name in OF_STEP if name in ds)]))
+
+
+def _rows_along(values: xr.Variable) -> str:
+    """Return the dimension of the rows of a variable; "" for one value a step."""
+    dims = [str(dim) for dim in values.dims if dim != "time" and dim not in AXES]
+    return dims[0] if dims else ""
+
+
+# --- one chunk of time ----------------------------------------------------------------------------
+
+
+def _with_others(
+    ds: xr.Dataset, read: Sequence[str], lags: Sequence[int]
+) -> tuple[xr.Dataset, list[str]]:
+    """Add the variables of other steps to each step, as ``name@lag``, and whether there is one."""
+    beside: dict[str, xr.Variable] = {}
+    steps = np.arange(ds.sizes["time"])
+    for lag in lags:
+        other = steps + lag
+        exists = (other >= 0) & (other < len(steps))
+        beside[f"exists@{lag}"] = xr.Variable("time", exists)
+        for name in read:
+            row = ds.variables[name].isel(time=np.clip(other, 0, len(steps) - 1))
+            beside[f"{name}@{lag}"] = row.to_base_variable()
+    return ds.assign(beside) if beside else ds, list(beside)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Analysis of a chunk of time, from padded arrays."""
+
+    analysis: FrameAnalysis
+    name: str
+    rows: Mapping[str, Variable]
+    sizes: Mapping[str, int | None]
+    labelled: frozenset[str]
+    periodic: str
+    dims: Mapping[str, str]
+
+    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+        """Return the results of all steps, padded to the declared lengths."""
+        steps = len(arrays["particle_id"])
+        found: Iterable[Mapping[str, ArrayLike]] = (
+            self.analysis.frames(now, *others) for now, *others in self._steps(arrays)
+        )
+        sizes = dict(self.sizes)
+        unknown = {dim for row in self.rows.values() for dim in row.dims if sizes[dim] is None}
+        if unknown:
+            found = list(found)
+            for dim in unknown:
+                sizes[dim] = self._most_rows(dim, found)
+        out: dict[str, NDArray] = {}
+        for t, results in enumerate(found):
+            places = self._places(arrays, t)
+            for name, row in self.rows.items():
+                shape = tuple(sizes[dim] or 0 for dim in row.dims)
+                values = self._checked(name, results, row, shape)
+                if steps == 1 and values.shape == shape and values.dtype == row.dtype:
+                    out[name] = values[None]
+                    continue
+                if name not in out:
+                    out[name] = np.empty((steps, *shape), row.dtype)
+                if not self._is_ragged(row):
+                    out[name][t] = values
+                    continue
+                out[name][t] = row.fill
+                out[name][t][places.get(row.dims[0], slice(len(values)))] = values
+        return out
+
+    def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
+        """Yield each step with the others that it is computed with."""
+        own = {name: a for name, a in arrays.items() if "@" not in name}
+        series = [self._series(own)]
+        for lag in self.analysis.lags:
+            end = f"@{lag}"
+            others = {n.removesuffix(end): a for n, a in arrays.items() if n.endswith(end)}
+            series.append(self._series(others))
+        return zip(*series, strict=True)
+
+    def _series(self, arrays: Mapping[str, NDArray]) -> Iterator[Step | None]:
+        """Yield the steps of arrays, None where there is none."""
+        exists = arrays.get("exists")
+        of_step = {n: a for n, a in arrays.items() if a.ndim == 1 and n not in ("step", "exists")}
+        rows = {n: a for n, a in arrays.items() if n not in of_step and n != "exists"}
+        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic, self.dims)):
+            if exists is not None and not exists[t]:
+                yield None
+                continue
+            frame.update({name: values[t] for name, values in of_step.items()})
+            yield frame, lattice, source
+
+    def _is_ragged(self, row: Variable) -> bool:
+        """Return whether steps may have fewer rows than the result."""
+        return bool(row.dims) and row.dims[0] not in self.labelled and row.dims[0] not in AXES
+
+    def _most_rows(self, dim: str, found: Sequence[Mapping[str, ArrayLike]]) -> int:
+        """Return the number of rows along a dimension of the step that has most."""
+        names = [name for name, row in self.rows.items() if row.dims[:1] == (dim,)]
+        return max((len(np.asarray(one[name])) for one in found for name in names), default=0)
+
+    def _places(self, arrays: Mapping[str, NDArray], t: int) -> dict[str, Any]:
+        """Return the rows of particles and contacts in padded arrays."""
+        places: dict[str, Any] = {"particle": particle_rows(arrays["particle_id"][t])}
+        if "contact_i" in arrays:
+            places["contact"] = arrays["contact_i"][t] != PADDING
+        return places
+
+    def _checked(
+        self, name: str, results: Mapping[str, ArrayLike], row: Variable, shape: tuple[int, ...]
+    ) -> NDArray:
+        """Return a result as an array; raise TypeError unless it has the shape of its row."""
+        # an error of the program, which on_error="skip" passes on
+        if name not in results:
+            raise TypeError(
+                f"{self.name}: the result {name!r} is missing; frame() returned {sorted(results)}"
+            )
+        values = np.asarray(results[name])
+        fits = values.shape == shape
+        if self._is_ragged(row):
+            fits = values.shape[1:] == shape[1:] and values.ndim > 0 and len(values) <= shape[0]
+        if not fits:
+            raise TypeError(
+                f"{self.name}: the result {name!r} has the shape {values.shape}, expected {shape} "
+                f"for the dimensions {row.dims}"
+            )
+        return values
