@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent
 PYPROJECT = nox.project.load_toml("pyproject.toml")
 # readers, fields, averages, packings, chains and writers; none of them needs an optional package
 CORE = [
-    "chains/test_search", "fields/formulas/test_averages", "fields/test_coarse_grain", "packing/test_find_contacts",
+    "analysis/test_force_chains", "fields/formulas/test_averages", "fields/test_coarse_grain", "analysis/test_find_contacts",
     "readers/engines/test_lammps", "readers/engines/test_mercury", "test_datasets", "writers/test_vtkhdf",
 ]  # fmt: skip
 RUNNER = ["pytest>=8.0", "pytest-benchmark>=5.0", "pytest-xdist>=3.6", "hypothesis>=6.100"]
@@ -25,6 +25,7 @@ OPTIONAL = [
     "sklearn",
     "distributed",
     "bokeh",
+    "panel",
     "networkx",
     "pyvista",
     "pyarrow",
@@ -130,6 +131,13 @@ def bare(session):
     absent = f"from importlib.util import find_spec; assert not [name for name in {OPTIONAL} if find_spec(name)]"
     session.run("python", "-c", absent)
     run_core(session)
+
+
+@nox.session
+def explore(session):
+    """Run the tests of the explorer in Chromium, which has to be installed."""
+    session.install("--editable", ".", *group("explore"), *RUNNER)
+    session.run("pytest", "tests/explore", *session.posargs)
 
 
 @nox.session

@@ -5,31 +5,39 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload, type_chec
 
 import xarray as xr
 
+from xcg.analysis.balance import balance
+from xcg.analysis.bond_order import bond_order
+from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from xcg.analysis.chain_selection import select_chains
+from xcg.analysis.contact_history import contact_history
+from xcg.analysis.contact_value import contact_value
+from xcg.analysis.correlations import spatial_correlation, time_correlation
+from xcg.analysis.derived import derive_director, derive_superquadric, derive_velocity
+from xcg.analysis.diffusion import mean_squared_displacement
+from xcg.analysis.displacement import displacement
+from xcg.analysis.find_contacts import find_contacts
+from xcg.analysis.fit_law import fit_law
+from xcg.analysis.force_chains import force_chains, track_chains
+from xcg.analysis.microstructure import microstructure
+from xcg.analysis.network import adjacency, contact_graph
+from xcg.analysis.particle_stress import particle_stress
+from xcg.analysis.plots import movie, plot
 from xcg.analysis.principal import plot_principal, principal
-from xcg.chains.particle_stress import particle_stress
-from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
-from xcg.chains.search import force_chains, track_chains
-from xcg.chains.selection import select_chains
-from xcg.fields.analysis.balance import balance
-from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
-from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
-from xcg.fields.analysis.diffusion import mean_squared_displacement
-from xcg.fields.analysis.displacement import displacement
-from xcg.fields.analysis.plots import movie, plot
-from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
-from xcg.fields.analysis.surfaces import flow_rate, wall_stress
-from xcg.fields.analysis.widths import choose_width, plot_width, width_sweep
-from xcg.fields.analysis.without_kernel import cell_volumes, slice_temperature
+from xcg.analysis.radial_distribution import radial_distribution
+from xcg.analysis.shallow import depth_average, fit_slope, free_surface
+from xcg.analysis.structure_factor import structure_factor
+from xcg.analysis.surfaces import flow_rate, wall_stress
+from xcg.analysis.voronoi import voronoi
+from xcg.analysis.widths import choose_width, plot_width, width_sweep
+from xcg.analysis.without_kernel import cell_volumes, slice_temperature
+from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
-from xcg.packing.find_contacts import find_contacts
-from xcg.packing.microstructure import microstructure
-from xcg.packing.network import adjacency, contact_graph
 from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.selection import select
+from xcg.scene.selected import select
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
@@ -61,24 +69,28 @@ class CoarseGrainAccessor:
     def _repr_html_(self) -> str: ...
     coarse_grain = _Bound(coarse_grain)
     explain = _Bound(explain)
-    principal = _Bound(principal)
-    plot_principal = _Bound(plot_principal)
     displacement = _Bound(displacement)
     mean_squared_displacement = _Bound(mean_squared_displacement)
     width_sweep = _Bound(width_sweep)
     choose_width = _Bound(choose_width)
     balance = _Bound(balance)
     slice_temperature = _Bound(slice_temperature)
-    flow_rate = _Bound(flow_rate)
-    depth_average = _Bound(depth_average)
     cell_volumes = _Bound(cell_volumes)
+    depth_average = _Bound(depth_average)
+    flow_rate = _Bound(flow_rate)
     wall_stress = _Bound(wall_stress)
     find_contacts = _Bound(find_contacts)
     microstructure = _Bound(microstructure)
     adjacency = _Bound(adjacency)
     contact_graph = _Bound(contact_graph)
+    contact_history = _Bound(contact_history)
+    voronoi = _Bound(voronoi)
     particle_stress = _Bound(particle_stress)
     force_chains = _Bound(force_chains)
+    radial_distribution = _Bound(radial_distribution)
+    contact_value = _Bound(contact_value)
+    structure_factor = _Bound(structure_factor)
+    bond_order = _Bound(bond_order)
     measure = _Bound(measure)
     size_statistics = _Bound(size_statistics)
     group_bodies = _Bound(group_bodies)
@@ -87,14 +99,17 @@ class CoarseGrainAccessor:
     plot_phases = _Bound(plot_phases)
     select = _Bound(select)
     select_walls = _Bound(select_walls)
-    derive_velocity = _Bound(derive_velocity)
     derive_director = _Bound(derive_director)
     derive_superquadric = _Bound(derive_superquadric)
+    derive_velocity = _Bound(derive_velocity)
+    principal = _Bound(principal)
+    plot_principal = _Bound(plot_principal)
     profile = _Bound(profile)
     time_average = _Bound(time_average)
     spatial_correlation = _Bound(spatial_correlation)
     time_correlation = _Bound(time_correlation)
     free_surface = _Bound(free_surface)
+    fit_law = _Bound(fit_law)
     fit_slope = _Bound(fit_slope)
     plot = _Bound(plot)
     plot_width = _Bound(plot_width)
@@ -113,3 +128,4 @@ class CoarseGrainAccessor:
     to_pyvista = _Bound(to_pyvista)
     view = _Bound(view)
     save = _Bound(save)
+    explore = _Bound(explore)

@@ -26,7 +26,7 @@ import click
 if TYPE_CHECKING:
     import xarray as xr
 
-    from xcg.chains.search import Algorithm
+    from xcg.analysis.force_chains import Algorithm
     from xcg.jobs.config import Job
     from xcg.steps.faults import OnError
 
@@ -55,7 +55,7 @@ def stop(*_: object) -> None:
     os._exit(128 + signal.SIGINT)
 
 
-# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares
+# what xcg.steps.faults and xcg.analysis.force_chains take, which are not imported for help; a test compares
 # them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
@@ -248,7 +248,7 @@ def chains(
     For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv
     "chains_{step}.csv" --vtp "chains_{step}.vtp"
     """
-    from xcg.chains.search import force_chains
+    from xcg.analysis.force_chains import force_chains
     from xcg.readers.open import open_scene
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped
@@ -377,6 +377,29 @@ def info(files: tuple[str, ...], **options: Any) -> None:
 
     with plain_messages(quiet=False):
         click.echo(repr(open_scene(list(files), **said(options)).cg))
+
+
+@click.command()
+@takes_files
+@click.option("--port", default=0, help="Port at 127.0.0.1; a free one by default.")
+@click.option(
+    "--no-browser", is_flag=True, help="Print the address, without opening it in the browser."
+)
+def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any) -> None:
+    """Explore FILES in the browser: pictures of fields with sliders.
+
+    FILES are those of a DEM code, or one with a scene or a result that xcg saved. The page is for
+    this machine alone; closing it ends the command. For example: xcg explore "particles.*.dump" -c
+    "contacts.*.dump"
+    """
+    from xcg.explore.app import serve
+    from xcg.readers.open import open_scene
+    from xcg.steps.labels import format_call
+
+    with plain_messages(quiet=False):
+        arguments = {"particles": list(files), **said(options)}
+        opened = f"import xcg\n\nds = {format_call('xcg.open_scene', arguments)}\n"
+        serve(open_scene(**arguments), opened, port=port, show=not no_browser)
 
 
 @contextmanager
@@ -516,7 +539,7 @@ def run(
 
 
 @click.group(
-    commands=[chains, convert, fields, info, run],
+    commands=[chains, convert, explore, fields, info, run],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="xcg")

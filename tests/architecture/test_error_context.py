@@ -18,7 +18,7 @@ from xcg.accessor import CoarseGrainAccessor, Method
 plt = pytest.importorskip("matplotlib.pyplot")
 WRONG = ["nonsense", -3.5, {"nonsense": 1}, ["nonsense"]]
 # passed on to other packages, or free text
-FREE = {"args", "kwargs", "options", "ax", "title", "mapping", "scheme", "progress", "fps"}
+FREE = {"args", "kwargs", "options", "ax", "title", "mapping", "scheme", "progress", "fps", "name"}
 
 
 def scene():
@@ -45,9 +45,12 @@ NEEDED = {
     "width_sweep": {"widths": [1.0, 2.0]},
     "choose_width": {"fields": "density"},
     "flow_rate": {"surface": PLANE},
+    "free_surface": {"field": "density"},
     "wall_stress": {"surface": PLANE},
-    "spatial_correlation": {"name": "density"},
-    "time_correlation": {"name": "density"},
+    "spatial_correlation": {"field": "density"},
+    "time_correlation": {"field": "density"},
+    "radial_distribution": {"r_max": 1.0},
+    "structure_factor": {"k_max": 5.0},
     "assign_phases": {"edges": [1.0]},
     "plot": {"field": "density"},
     "movie": {"field": "density", "path": "f.gif"},
@@ -81,7 +84,6 @@ NEEDED = {
 }
 # one of the values means something, or is looked at only when a scene is there
 ACCEPTED = {
-    ("Mean", "name"),
     ("Mean", "variable"),
     ("force_chains", "min_stress"),
     ("microstructure", "strain_rate"),
@@ -138,7 +140,11 @@ def parsers():
         for parameter in parameters if kind is None else parameters[1:]:
             variadic = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
             # any value is true or false
-            if variadic or parameter.name in FREE or parameter.annotation in ("bool", bool):
+            if (
+                variadic
+                or parameter.name in FREE
+                or parameter.annotation in ("bool", "bool | None")
+            ):
                 continue
             key = parameter.name, str(parameter.annotation)
             first.setdefault(key, Parser(kind, name, parameter.name))

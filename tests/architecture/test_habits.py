@@ -8,9 +8,9 @@ import xarray as xr
 
 import xcg
 from tests import ROOT
-from xcg.chains.results import RESULTS
+from xcg.analysis.chain_results import RESULTS
+from xcg.analysis.quantities import QUANTITIES
 from xcg.fields.formulas import registry
-from xcg.packing.quantities import QUANTITIES
 from xcg.scene.schema import BOX, VARIABLES, powers_of, units_in, units_of
 
 
@@ -54,6 +54,14 @@ RESULTS_OF = {
     "size_statistics": lambda ds: ds.cg.size_statistics(),
     "microstructure": lambda ds: ds.cg.microstructure(),
     "particle_stress": lambda ds: ds.cg.particle_stress(),
+    "radial_distribution": lambda ds: ds.cg.radial_distribution(
+        1.0, axis="z", by="species", bounds={"z": (0, 5)}
+    ),
+    "contact_value": lambda ds: ds.cg.contact_value(bounds={"z": (0, 5)}),
+    "structure_factor": lambda ds: (
+        ds.assign_attrs(periodic="xyz").drop_vars("setup").cg.structure_factor(k_max=5.0)
+    ),
+    "bond_order": lambda ds: ds.cg.bond_order(neighbours=4),
     "force_chains": lambda ds: ds.cg.force_chains(),
     "find_contacts": lambda ds: ds.cg.find_contacts(k_n=1.0),
     "derive_velocity": lambda ds: ds.drop_vars("velocity").cg.derive_velocity(),

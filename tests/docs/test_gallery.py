@@ -20,6 +20,7 @@ CHECKS = {
     "dense_suspension": ("jammed", "measured", 0.03),
     "drum_mixing": ("down", "up", 0.2),
     "fluid_cells": ("found", "solid", 1e-6),
+    "gas_structure": ("measured", "expected", 0.05),
     "glued_spheres": ("carried", "load", 0.001),
     "heat_conduction": ("carried", "given", 1e-7),
     "impact": ("contact", "expected", 0.01),
@@ -32,11 +33,19 @@ CHECKS = {
     "heap": ("angle", "of_grains", 0.05),
     "silo_discharge": ("C", "published", 0.15),
     "silo_pressure": ("measured", "expected", 0.05),
+    "voronoi_cells": ("measured", "expected", 0.01),
 }
 
 
 # building the site runs all scripts; these take seconds
-QUICK = {"glued_spheres", "heap", "heat_conduction", "photoelastic", "rods_in_shear"}
+QUICK = {
+    "glued_spheres",
+    "heap",
+    "heat_conduction",
+    "photoelastic",
+    "rods_in_shear",
+    "voronoi_cells",
+}
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,11 @@ PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
 SETTING, *ANSWERS = re.split(r"^### ", PAGE, flags=re.MULTILINE)
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 OPTIONAL = {
+    "explore": "panel",
     "contact_graph(": "networkx",
     "pyvista(": "pyvista",
     "view(": "pyvista",
+    "voronoi(": "pyvoro2",
 }  # packages that answers need besides matplotlib
 LIGGGHTS = """ITEM: TIMESTEP
 10

@@ -453,6 +453,8 @@ def test_plan_pickles_and_explains():
     text = str(plan)
     assert "averaged  x (box), y (box)" in text
     assert "Gauss points by branch length" in text
+    assert "<td" in plan._repr_html_()
+    assert "Gauss points by branch length" in plan._repr_html_()
     assert "contact_i" not in str(ds.cg.explain("density"))
 
 

@@ -64,7 +64,8 @@ def test_fields_under_a_cluster_have_equal_bits(client, scene):
 
 
 @pytest.mark.parametrize(
-    "work", ["force_chains", "microstructure", "particle_stress", "find_contacts"]
+    "work",
+    ["force_chains", "microstructure", "particle_stress", "find_contacts", "bond_order"],
 )
 def test_other_functions_under_a_cluster_have_equal_bits(client, scene, work):
     result = getattr(scene.cg, work)()

@@ -37,6 +37,13 @@ def unit_text(units: str) -> str:
     return _POWER.sub(lambda found: f"$^{{{found[1] or found[2]}}}$", units)
 
 
+def unit_in_unicode(units: str) -> str:
+    """Return a unit with raised powers, as plain text: "m s^-1" as "m s⁻¹"; empty for numbers without a unit."""
+    raised = str.maketrans("0123456789-.+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻·⁺")
+    units = units.strip().removeprefix("1")
+    return _POWER.sub(lambda found: (found[1] or found[2]).translate(raised), units)
+
+
 def with_unit(text: str, units: str) -> str:
     """Return a label: a text with its unit in brackets."""
     unit = unit_text(units)

@@ -40,7 +40,7 @@ from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
 from xcg.scene.conform import require_scene
-from xcg.scene.description import Description
+from xcg.scene.description import Description, Summary
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
@@ -126,6 +126,13 @@ class Plan:
         self.block_nodes = BLOCK_NODES if self.reached <= FINE else fewer
 
     def __str__(self) -> str:
+        return "\n".join(f"{key:9s} {text}" for key, text in self._lines().items())
+
+    def _repr_html_(self) -> str:
+        return Summary.of("plan of a call of coarse_grain", self._lines().items()).html()
+
+    def _lines(self) -> dict[str, str]:
+        """Return the text of the plan by headings."""
         grid, moments = self.deposit.grid, self.deposit.rows
         loops = {over: len(columns) for over, columns in self._columns.items()}
         outputs = sum(map(math.prod, self.shapes.values()))
@@ -176,7 +183,7 @@ class Plan:
             )
         if self.walls is not None:
             lines["walls"] = self.walls
-        return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
+        return lines
 
 
 def effective_count(scene: Description, plan: Plan) -> float | None:

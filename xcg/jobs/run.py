@@ -20,8 +20,8 @@ import dask
 import numpy as np
 import xarray as xr
 
+from xcg.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.common.messages import SceneError, unknown
-from xcg.fields.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.jobs.config import PATHS, Job

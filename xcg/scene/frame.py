@@ -334,16 +334,15 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
         scaled = values - values.min()
         scaled *= per_value
         place = scaled.astype("int16")
-        del scaled
         sums = np.cumsum(np.bincount(place, weights, _BINS))
         total = sums[-1]
         middle = int(np.searchsorted(sums, 0.5 * total))
         near = np.flatnonzero(place == middle)
         below = sums[middle - 1] if middle else 0.0
     near = near[np.argsort(values[near])]
-    sums = below + np.cumsum(weights[near])
+    up_to = below + np.cumsum(weights[near])
     # the last one where rounding keeps the sum below its half
-    return float(values[near[min(np.searchsorted(sums, 0.5 * total), len(near) - 1)]])
+    return float(values[near[min(np.searchsorted(up_to, 0.5 * total), len(near) - 1)]])
 
 
 def measured_variables(frame: Frame) -> Frame:

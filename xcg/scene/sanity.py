@@ -62,7 +62,7 @@ def sample_of(rows: int) -> slice:
 
 
 @dataclass(frozen=True, eq=False)
-class Grains:
+class Particles:
     """Particles of one step, as the checks take them.
 
     Attributes
@@ -172,7 +172,7 @@ def check_scene(frame: Frame, setup: Setup, lattice: Lattice, *, is_volume: bool
     is_volume : bool
         Whether the scene was named three-dimensional, or found to be so.
     """
-    grains = Grains(frame, setup, lattice, is_volume)
+    grains = Particles(frame, setup, lattice, is_volume)
     if not grains.count:
         return
     for checks in (_OF_LENGTHS, _OF_MASSES, _OF_ARGUMENTS):
@@ -186,7 +186,7 @@ def check_scene(frame: Frame, setup: Setup, lattice: Lattice, *, is_volume: bool
 # --- lengths -------------------------------------------------------------------------------------
 
 
-def _overfilled_space(grains: Grains) -> str | None:
+def _overfilled_space(grains: Particles) -> str | None:
     """Check that the grains fit into the space that their centres take."""
     if not grains.diameter > 0:
         return None
@@ -200,7 +200,7 @@ def _overfilled_space(grains: Grains) -> str | None:
     )
 
 
-def _factor_of_sizes(grains: Grains) -> str | None:
+def _factor_of_sizes(grains: Particles) -> str | None:
     """Check that nearest distances pile up at the sum of radii, if they pile up at a factor of it."""
     distances = grains.neighbours
     if len(distances) < FEW:
@@ -238,7 +238,7 @@ def _factor_of_sizes(grains: Grains) -> str | None:
     return None
 
 
-def _order_of_axes(grains: Grains) -> str | None:
+def _order_of_axes(grains: Particles) -> str | None:
     """Check that no other order of the components of positions is that of the box."""
     if len(grains.edges) < 3 or grains.count < FEW:
         return None
@@ -262,7 +262,7 @@ def _order_of_axes(grains: Grains) -> str | None:
     return None
 
 
-def _grains_outside(grains: Grains) -> str | None:
+def _grains_outside(grains: Particles) -> str | None:
     """Check that grains lie in the box along axes that are not periodic."""
     for k, (low, high) in grains.edges.items():
         if COMPONENTS[k] in grains.setup.periodic:
@@ -281,7 +281,7 @@ def _grains_outside(grains: Grains) -> str | None:
     return None
 
 
-def _overfilled_box(grains: Grains) -> str | None:
+def _overfilled_box(grains: Particles) -> str | None:
     """Check that the volume of the grains, or the area of discs in a layer, fits into a finite box."""
     if "diameter" not in grains.frame or len(grains.edges) < len(grains.plane):
         return None
@@ -303,7 +303,7 @@ def _overfilled_box(grains: Grains) -> str | None:
 # --- masses and densities ------------------------------------------------------------------------
 
 
-def _contradiction(grains: Grains) -> str | None:
+def _contradiction(grains: Particles) -> str | None:
     """Check that masses are densities times volumes."""
     if not {"mass", "diameter", "volume", "density"} <= set(grains.frame):
         return None
@@ -338,7 +338,7 @@ def _with_dimension(setup: Setup) -> str:
     return " and dimension=2" if setup.dimension == 3 else ""
 
 
-def _large_volumes(grains: Grains) -> str | None:
+def _large_volumes(grains: Particles) -> str | None:
     """Check that volumes do not exceed pi d^3 / 6."""
     named = {"diameter", "volume", "mass"} <= set(grains.frame)
     if not named or grains.setup.shape != "sphere" or "half_axis_x" in grains.frame:
@@ -354,7 +354,7 @@ def _large_volumes(grains: Grains) -> str | None:
     )
 
 
-def _discs(grains: Grains) -> str | None:
+def _discs(grains: Particles) -> str | None:
     """Check that masses of spheres do not go with the square of the diameter."""
     if not {"mass", "diameter", "volume"} <= set(grains.frame) or grains.setup.shape != "sphere":
         return None
@@ -370,7 +370,7 @@ def _discs(grains: Grains) -> str | None:
     )
 
 
-def _layer(grains: Grains) -> str | None:
+def _layer(grains: Particles) -> str | None:
     """Check that grains of a volume do not all lie in a plane.
 
     A box of at most three diameters across the plane is the layer's thickness.
@@ -393,7 +393,7 @@ def _layer(grains: Grains) -> str | None:
     )
 
 
-def _density_in_si(grains: Grains) -> str | None:
+def _density_in_si(grains: Particles) -> str | None:
     """Check that small grains of a scene in SI units have a density of a solid."""
     if grains.setup.unit_system != "SI" or "density" not in grains.frame:
         return None
@@ -413,7 +413,7 @@ def _density_in_si(grains: Grains) -> str | None:
     )
 
 
-def _unused_density(grains: Grains) -> str | None:
+def _unused_density(grains: Particles) -> str | None:
     """Check that the data hold no masses or densities other than density=."""
     given = grains.setup.density
     if given is None:
@@ -435,7 +435,7 @@ def _unused_density(grains: Grains) -> str | None:
     )
 
 
-def _unused_size(grains: Grains) -> str | None:
+def _unused_size(grains: Particles) -> str | None:
     """Check that the data hold no diameters or masses other than diameter= and mass=."""
     for name in ("diameter", "mass"):
         given = getattr(grains.setup, name)
@@ -450,7 +450,7 @@ def _unused_size(grains: Grains) -> str | None:
     return None
 
 
-Check = Callable[[Grains], str | None]
+Check = Callable[[Particles], str | None]
 _OF_LENGTHS: tuple[Check, ...] = (
     _overfilled_space,
     _factor_of_sizes,

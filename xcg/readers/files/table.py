@@ -173,12 +173,12 @@ class _ColumnBuffer:
 
     def _resize(self, filled: int, rows: int) -> None:
         """Copy the filled rows to arrays of another length, one array after the other."""
-        both: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
-        for arrays in both:
+        kinds: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
+        for arrays in kinds:
             for name, array in arrays.items():
-                longer = memory.empty((rows, *array.shape[1:]))
-                longer[:filled] = array[:filled]
-                arrays[name] = longer
+                resized = memory.empty((rows, *array.shape[1:]))
+                resized[:filled] = array[:filled]
+                arrays[name] = resized
         self._rows = rows
 
 

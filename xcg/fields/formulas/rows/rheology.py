@@ -77,6 +77,13 @@ ROWS: dict[str, Field] = {
         compute=_inertial_number,
         fields=("shear_rate", "pressure", "particle_density", "_size"),
     ),
+    "fluidity": Field(
+        units="s^-1",
+        long_name="granular fluidity",
+        formula="g = |Gamma| / mu, where p > 0",
+        compute=lambda f, s, o: ratio(f.shear_rate, f.friction_coefficient),
+        fields=("shear_rate", "friction_coefficient"),
+    ),
     "viscous_number": Field(
         long_name="viscous number",
         formula="J = eta_f |Gamma| / p, where p > 0",

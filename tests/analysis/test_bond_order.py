@@ -1,0 +1,156 @@
+"""Bond order: crystals, definitions by brute force, freud."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests import raise_if_dask_computes
+from tests.analysis.test_radial_distribution import gas, pair_vectors
+
+
+def order_of(degree, bonds):
+    """Steinhardt's order of vectors (n, 3) by the addition theorem: the mean of P_l over all pairs of them."""
+    unit = bonds / np.linalg.norm(bonds, axis=1, keepdims=True)
+    legendre = np.polynomial.legendre.Legendre.basis(degree)
+    return np.sqrt(max(legendre(unit @ unit.T).mean(), 0.0))
+
+
+LATTICES = {
+    "box": ("xyz", {}),
+    "open": ("", {}),
+    "tilted": ("xyz", {"lattice": {"xy": 1.0, "xz": 0.5, "yz": -1.0}}),
+}
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
+@pytest.mark.parametrize("arguments", [{"neighbours": 9}, {"r_max": 2.0}])
+def test_order_is_that_of_brute_force(lattice, arguments):
+    periodic, options = LATTICES[lattice]
+    ds = gas(1, 120, periodic, **options)
+    found = ds.cg.bond_order([2, 4, 5, 6], **arguments)
+    d, _ = pair_vectors(ds, {})
+    r = np.linalg.norm(d, axis=-1)
+    np.fill_diagonal(r, np.inf)
+    chosen = [
+        np.argsort(row)[:9] if "neighbours" in arguments else np.flatnonzero(row < 2.0) for row in r
+    ]
+    for degree in (2, 4, 5, 6):
+        expected = [
+            order_of(degree, d[i, near]) if len(near) else np.nan for i, near in enumerate(chosen)
+        ]
+        np.testing.assert_allclose(found[f"q{degree}"][0], expected, rtol=1e-10)
+        bonds = np.concatenate([d[i, near] for i, near in enumerate(chosen)])
+        assert float(found[f"global_q{degree}"][0]) == pytest.approx(
+            order_of(degree, bonds), rel=1e-9, abs=1e-9
+        )
+
+
+def test_harmonics_are_those_of_scipy():
+    special = pytest.importorskip("scipy.special")
+    if not hasattr(special, "sph_harm_y"):
+        pytest.skip("needs SciPy 1.15")
+    from xcg.analysis.bond_order import _waves
+
+    rng = np.random.default_rng(1)
+    bond = rng.normal(size=(50, 3))
+    polar = np.arccos(bond[:, 2] / np.linalg.norm(bond, axis=1))
+    turn = np.arctan2(bond[:, 1], bond[:, 0])
+    for degree in (1, 4, 6, 30):
+        for m, wave in enumerate(_waves(degree, bond)):
+            scale = np.sqrt(4 * np.pi / (2 * degree + 1) * (2 if m else 1))
+            expected = scale * special.sph_harm_y(degree, m, polar, turn)
+            np.testing.assert_allclose(wave, expected, rtol=0, atol=1e-11)
+
+
+def test_crystals_have_the_values_of_the_literature():
+    """Mickel et al. (2013), J. Chem. Phys. 138, 044501, table I."""
+    fcc = xcg.datasets.face_centred_cubic(4).cg.bond_order()
+    np.testing.assert_allclose(fcc.q4, 0.19094, atol=5e-6)
+    np.testing.assert_allclose(fcc.q6, 0.57452, atol=5e-6)
+    assert float(fcc.global_q6[0]) == pytest.approx(0.57452, abs=5e-6)
+    cubic = xcg.datasets.simple_cubic(4).cg.bond_order(neighbours=6)
+    np.testing.assert_allclose(cubic.q4, 0.76376, atol=5e-6)
+    np.testing.assert_allclose(cubic.q6, 0.35355, atol=5e-6)
+
+
+def test_a_triangular_lattice_has_one_direction():
+    rows, columns = 6, 8
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    places = np.stack([x + 0.5 * (y % 2), y * np.sqrt(0.75), 0 * x], axis=-1).reshape(-1, 3)
+    ds = xcg.scene_from_arrays(
+        places,
+        diameter=np.ones(len(places)),
+        density=1.0,
+        box=[(0, columns), (0, rows * np.sqrt(0.75)), (0, 1)],
+        periodic="xy",
+        dimension=2,
+    )
+    order = ds.cg.bond_order()
+    np.testing.assert_allclose(order.psi6, 1, atol=1e-12)
+    np.testing.assert_allclose(order.psi6_angle, 0, atol=1e-12)
+    np.testing.assert_allclose(order.global_psi6, 1, atol=1e-12)
+
+
+def test_the_angle_turns_with_the_neighbours():
+    turn = 0.1 + np.arange(6) * np.pi / 3
+    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    ds = xcg.scene_from_arrays(
+        np.concatenate([np.zeros((1, 3)), ring]),
+        diameter=np.ones(7),
+        density=1.0,
+        dimension=2,
+        box=[(-2, 2), (-2, 2), (0, 1)],
+    )
+    order = ds.cg.bond_order()
+    assert float(order.psi6[0, 0]) == pytest.approx(1, abs=1e-12)
+    assert float(order.psi6_angle[0, 0]) == pytest.approx(0.1, abs=1e-12)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_freud_agrees_within_its_single_precision(dimension):
+    freud = pytest.importorskip("freud")
+    ds = xcg.datasets.random_scene(400, dimension=dimension, seed=2)
+    position = ds.position.to_numpy()[0] - 2.5
+    if dimension == 2:
+        position[:, 2] = 0.0
+    box = freud.box.Box.cube(5.0) if dimension == 3 else freud.box.Box.square(5.0)
+    number = 12 if dimension == 3 else 6
+    found = ds.cg.bond_order()
+    system = (box, position)
+    for degree in (4, 6) if dimension == 3 else (6,):
+        kind = freud.order.Steinhardt(degree) if dimension == 3 else freud.order.Hexatic(degree)
+        kind.compute(system, {"num_neighbors": number})
+        name = f"q{degree}" if dimension == 3 else f"psi{degree}"
+        np.testing.assert_allclose(found[name][0], np.abs(kind.particle_order), atol=1e-4)
+
+
+def test_particles_without_neighbours_are_nan():
+    position = [[0.0, 0, 0], [1, 0, 0], [9, 0, 0]]
+    ds = xcg.scene_from_arrays(position, diameter=[1.0] * 3, density=1.0)
+    order = ds.cg.bond_order(r_max=2.0)
+    np.testing.assert_array_equal(np.isnan(order.q6[0]), [False, False, True])
+
+
+def test_lazy_results_have_the_bits_of_those_in_memory():
+    ds = gas(3, 60, "xyz")
+    with raise_if_dask_computes():
+        lazy = ds.chunk(time=1).cg.bond_order(neighbours=4)
+    xr.testing.assert_equal(lazy.compute(), ds.cg.bond_order(neighbours=4))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"r_max": 2.6}, r"r_max=2.6.*nearest image; take r_max=2.5 or less"),
+        ({"neighbours": 40}, "nearest 40 particles, and the step holds 40"),
+        ({"neighbours": 39}, "nearest 39 particles are beyond half"),
+        ({"neighbours": 0}, "neighbours=0"),
+        ({"neighbours": 3, "r_max": 1.0}, "one of neighbours= .* and r_max="),
+        ({"degrees": [0]}, "degrees="),
+        ({"r_max": -1.0}, "r_max=-1.0"),
+    ],
+)
+def test_wrong_input_is_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gas(1, 40, "xyz").cg.bond_order(**arguments)

@@ -1,0 +1,216 @@
+"""Contacts over time: hand-made histories, images, gaps, and the collisions of an elastic gas."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial import cKDTree
+
+import xcg
+
+
+def _scene(position, time=None, diameter=1.0, box=None, periodic="", **options):
+    position = np.asarray(position, float)
+    return xcg.scene_from_arrays(
+        position,
+        diameter=np.full(position.shape[:2], diameter),
+        time=np.arange(float(len(position))) if time is None else np.asarray(time, float),
+        box=box,
+        periodic=periodic,
+        **options,
+    ).cg.find_contacts()
+
+
+def _pair(distance, **options):
+    """Two spheres at a distance along x in each step."""
+    position = np.zeros((len(distance), 2, 3))
+    position[:, 1, 0] = distance
+    return _scene(position, **options)
+
+
+TOUCH, APART = 0.9, 1.5
+
+
+def test_ages_births_losses_and_lifetimes_of_one_contact():
+    h = _pair(
+        [APART, TOUCH, TOUCH, TOUCH, APART, TOUCH], time=[0, 2, 4, 6, 8, 10]
+    ).cg.contact_history([1, 2])
+    np.testing.assert_array_equal(h.contact_age[:, 0], [np.nan, 0, 2, 4, np.nan, 0])
+    np.testing.assert_array_equal(h.births, [0, 1, 0, 0, 0, 1])
+    np.testing.assert_array_equal(h.losses, [0, 0, 0, 0, 1, 0])
+    np.testing.assert_array_equal(h.contact_count, [0, 1, 1, 1, 0, 1])
+    np.testing.assert_array_equal(h.lifetime, [6.0])  # from 1 to 7
+    # starts at 2, 4, 6 (lag 1), and at 2, 4, 6 (lag 2)
+    np.testing.assert_allclose(h.persistence, [2 / 3, 1 / 3])
+    np.testing.assert_array_equal(h.lag, [2.0, 4.0])
+
+
+def test_contacts_of_the_first_step_have_no_lifetime():
+    h = _pair([TOUCH, TOUCH, APART]).cg.contact_history()
+    assert h.sizes["lost"] == 0
+    assert h.losses.values.tolist() == [0, 0, 1]
+    assert int(h.births.sum()) == 0
+
+
+def test_a_contact_stays_where_a_particle_crosses_the_edge():
+    x = np.array([9.2, 9.6, 10.0, 10.4])
+    position = np.zeros((4, 2, 3))
+    position[:, 0, 0] = x % 10
+    position[:, 1, 0] = (x + 0.9) % 10
+    h = _scene(position, box={"x": (0, 10)}, periodic="x").cg.contact_history()
+    assert (h.contact_count == 1).all()
+    np.testing.assert_array_equal(h.contact_age[:, 0], [0, 1, 2, 3])
+    np.testing.assert_allclose(h.contact_turned[:, 0], 0, atol=1e-12)
+
+
+def test_another_image_is_another_contact():
+    """A sphere leaves its neighbour at one side, and touches it at the other."""
+    h = _pair([0.9, 1.6], box={"x": (0, 2.5)}, periodic="x").cg.contact_history()
+    assert h.births.values.tolist() == [0, 1]
+    assert h.losses.values.tolist() == [0, 1]
+    both = _pair([0.9, 0.9, 0.98], box={"x": (0, 1.88)}, periodic="x").cg.contact_history()
+    assert both.contact_count.values.tolist() == [2, 2, 2]
+    assert int(both.births.sum()) == int(both.losses.sum()) == 0
+
+
+def test_images_of_a_sheared_box_move():
+    """Across the edge of a box with a tilt that grows, the pair shears with its images."""
+    steps = 4
+    tilt = 0.05 * np.arange(steps)
+    position = np.tile([[0.5, 0.1, 1.0], [0.5, 3.2, 1.0]], (steps, 1, 1))
+    position[:, 1, 0] += tilt  # below, by the image at y - 4, it stays at its place
+    lattice = np.tile(4.0 * np.eye(3), (steps, 1, 1))
+    lattice[:, 1, 0] = tilt
+    box = dict.fromkeys("xyz", (0, 4))
+    h = _scene(position, box=box, periodic="xyz", lattice=lattice).cg.contact_history()
+    assert (h.contact_count == 1).all()
+    assert int(h.births.sum()) == int(h.losses.sum()) == 0
+    np.testing.assert_allclose(h.contact_turned[:, 0], 0, atol=1e-12)
+
+
+def test_normals_turn_by_the_angle_of_the_pair():
+    angle = np.array([0.0, 1e-9, 0.2, 0.5, 1.4])
+    time = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    position = np.zeros((5, 2, 3))
+    position[:, 1] = 0.9 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    h = _scene(position, time=time).cg.contact_history()
+    np.testing.assert_allclose(h.contact_turned[:, 0], angle, rtol=1e-9, atol=1e-16)
+    np.testing.assert_allclose(h.contact_turning_rate[1:, 0], np.diff(angle) / 0.5, rtol=1e-7)
+    assert np.isnan(h.contact_turning_rate[0, 0])
+
+
+def test_order_of_ids_and_of_contacts_makes_no_difference():
+    r = np.random.default_rng(1)
+    walk = r.uniform(0, 3, (30, 3)) + 0.05 * r.normal(size=(6, 30, 3)).cumsum(axis=0)
+    ds = _scene(walk, diameter=0.8)
+    expected = ds.cg.contact_history()
+    mixed = ds.isel(contact=r.permutation(ds.sizes["contact"]))
+    swapped = mixed.assign(contact_i=mixed.contact_j, contact_j=mixed.contact_i)
+    swapped["contact_normal"] = -mixed.contact_normal
+    for other in (mixed, swapped):
+        h = other.cg.contact_history()
+        for name in ("births", "losses", "contact_count", "persistence", "persistence_error"):
+            xr.testing.assert_equal(h[name], expected[name])
+        np.testing.assert_array_equal(np.sort(h.lifetime), np.sort(expected.lifetime))
+    assert int(expected.births.sum()) > 5
+    # what is there is what was, and was born, less what was lost
+    count = expected.contact_count.to_numpy()
+    np.testing.assert_array_equal(np.diff(count), (expected.births - expected.losses)[1:])
+
+
+def test_lazy_scenes_give_the_same():
+    r = np.random.default_rng(2)
+    ds = _scene(r.uniform(0, 3, (30, 3)) + 0.05 * r.normal(size=(6, 30, 3)).cumsum(axis=0))
+    xr.testing.assert_equal(ds.chunk(time=2).cg.contact_history(), ds.cg.contact_history())
+
+
+def test_gaps_are_named_and_persistence_leaves_them_out():
+    ds = _pair([TOUCH, TOUCH, TOUCH, APART, APART], time=[0, 1, 2, 5, 6])
+    with pytest.warns(xcg.SceneWarning, match=r"1 intervals are longer .* from 2 to 5 s"):
+        h = ds.cg.contact_history([1])
+    assert float(h.persistence[0]) == 1.0
+
+
+def test_ages_are_variables_of_contacts_with_fields():
+    ds = _pair([TOUCH, TOUCH, TOUCH])
+    ds = ds.assign(contact_age=ds.cg.contact_history().contact_age)
+    f = ds.cg.coarse_grain(xcg.Mean("contact_age"), at={"x": 0.45, "y": 0.0, "z": 0.0}, width=1.0)
+    np.testing.assert_allclose(f.contact_age.squeeze(), [0, 1, 2], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: _pair([TOUCH]).cg.contact_history(), ValueError, "needs two steps or more"),
+        (lambda: _pair([TOUCH] * 3).cg.contact_history([3]), ValueError, "from 1 to 2"),
+        (
+            lambda: _pair([TOUCH] * 3).drop_vars(["contact_i", "contact_j"]).cg.contact_history(),
+            xcg.SceneError,
+            "contact_i",
+        ),
+        (
+            lambda: _pair([TOUCH] * 3).isel(time=[1, 0, 2]).cg.contact_history(),
+            xcg.SceneError,
+            "sortby",
+        ),
+    ],
+)
+def test_bad_input_is_named(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+def _elastic_gas(particles, fraction, contact_time, duration, seed):
+    """Positions of elastic spheres (d = m = T = 1) every half of a contact time, by velocity Verlet."""
+    r = np.random.default_rng(seed)
+    length = (particles * np.pi / 6 / fraction) ** (1 / 3)
+    side = int(np.ceil(particles ** (1 / 3)))
+    grid = np.stack(np.meshgrid(*[np.arange(side)] * 3), axis=-1).reshape(-1, 3)
+    place = grid[r.permutation(side**3)[:particles]] * (length / side)
+    velocity = r.normal(size=(particles, 3))
+    velocity -= velocity.mean(axis=0)
+    velocity *= np.sqrt(3 * particles / (velocity**2).sum())
+    stiffness = np.pi**2 / (2 * contact_time**2)  # half a period of the reduced mass 1/2
+
+    def force(place):
+        pairs = cKDTree(place, boxsize=length).query_pairs(1.0, output_type="ndarray")
+        away = place[pairs[:, 0]] - place[pairs[:, 1]]
+        away -= length * np.rint(away / length)
+        distance = np.linalg.norm(away, axis=1, keepdims=True)
+        push = stiffness * (1 - distance) * away / distance
+        total = np.zeros_like(place)
+        np.add.at(total, pairs[:, 0], push)
+        np.add.at(total, pairs[:, 1], -push)
+        return total
+
+    step = contact_time / 10
+    recorded = []
+    push = force(place)
+    for k in range(int(duration / step)):
+        velocity += push * step / 2
+        place = (place + velocity * step) % length
+        push = force(place)
+        velocity += push * step / 2
+        # the lattice at the start has forgotten itself after some free paths
+        if k * step > 1.0 and k % 5 == 0:
+            recorded.append(place)
+    time = contact_time / 2 * np.arange(len(recorded))
+    return _scene(recorded, time=time, box=dict.fromkeys("xyz", (0, length)), periodic="xyz")
+
+
+def test_an_elastic_gas_collides_at_the_rate_of_kinetic_theory():
+    """Enskog's rate, 4 n d^2 chi sqrt(pi T) of each sphere, and contacts as long as half a period."""
+    particles, fraction, contact_time = 400, 0.1, 0.03
+    ds = _elastic_gas(particles, fraction, contact_time, duration=4.0, seed=3)
+    h = ds.cg.contact_history([1])
+    density = 6 * fraction / np.pi
+    chi = (1 - fraction / 2) / (1 - fraction) ** 3
+    rate = particles / 2 * 4 * density * chi * np.sqrt(np.pi)
+    expected = rate * float(ds.time[-1])
+    births = int(h.births.sum())
+    assert abs(births - expected) < 3 * np.sqrt(expected), (births, expected)
+    # of births and losses in the middle of intervals the mean is right, its error that of rounding
+    error = contact_time / 2 / np.sqrt(6 * h.sizes["lost"])
+    assert abs(float(h.lifetime.mean()) - contact_time) < 3 * error + 0.02 * contact_time
+    # contacts in the mean: births a time times their length
+    count = float(h.contact_count.mean())
+    assert count == pytest.approx(rate * contact_time, abs=3 * np.sqrt(expected) * count / expected)

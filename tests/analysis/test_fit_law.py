@@ -1,0 +1,173 @@
+"""Fits of laws: known parameters come back within their errors, and bad input is named."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats import t as student_t
+
+import xcg
+from xcg.analysis.laws import LAWS
+
+_I = np.geomspace(1e-3, 0.6, 24)
+_HEIGHT = np.linspace(0.5, 9.5, 24)
+# x, parameters, constants, and the noise as a share of y
+CASES = {
+    "mu_of_I": (_I, {"mu_s": 0.38, "mu_2": 0.64, "I_0": 0.28}, {}, 0.005),
+    "mu_of_I_line": (_I, {"mu_s": 0.25, "slope": 1.1}, {}, 0.03),
+    "phi_of_I": (_I, {"phi_c": 0.6, "slope": 0.2}, {}, 0.01),
+    "fluidity": (_HEIGHT, {"g_first": 2.0, "length": 1.7}, {}, 0.05),
+    "bagnold": (_HEIGHT, {"V_s": 8.0, "V_first": 1.0, "h": 10.0}, {}, 0.005),
+    "haff": (np.linspace(3, 40, 24), {"T_first": 2.0, "tau": 7.0}, {}, 0.05),
+    "beverloo": (
+        np.linspace(0.02, 0.06, 12),
+        {"C": 0.58, "k": 1.4},
+        {"density": 1500.0, "diameter": 0.003},
+        0.02,
+    ),
+}
+
+
+def _result(law, x, y, **errors):
+    row = LAWS[law]
+    data = {row.y: ("node", y)} | {f"{n}_error": ("node", e) for n, e in errors.items()}
+    return xr.Dataset(data, {row.x: ("node", x)})
+
+
+def _exact(law):
+    x, parameters, constants, _ = CASES[law]
+    keywords = constants | ({"first": x.min()} if law in ("fluidity", "bagnold", "haff") else {})
+    return x, LAWS[law].function(x, *parameters.values(), **keywords)
+
+
+@pytest.mark.parametrize("law", CASES)
+def test_exact_points_give_the_parameters_back(law):
+    x, y = _exact(law)
+    _, parameters, constants, _ = CASES[law]
+    fit = xcg.fit_law(_result(law, x, y), law, constants=constants)
+    for name, value in parameters.items():
+        assert float(fit[name]) == pytest.approx(value, rel=1e-6)
+    np.testing.assert_allclose(fit.fitted, y, rtol=1e-6)
+    assert fit.attrs["law"] == law
+    assert np.isnan(fit.chi_squared)
+
+
+@pytest.mark.parametrize(
+    ("law", "weighted"), [*((law, True) for law in CASES), ("mu_of_I", False), ("haff", False)]
+)
+def test_parameters_are_within_two_errors_in_95_of_100_draws(law, weighted):
+    """Without errors of the points, estimates over their errors have Student's distribution."""
+    x, y = _exact(law)
+    _, parameters, constants, noise = CASES[law]
+    r = np.random.default_rng(7)
+    spread = r.uniform(0.5, 1.5, len(x)) if weighted else np.ones(len(x))
+    sigma = noise * np.abs(y).max() * spread
+    draws = 200
+    inside = np.zeros(len(parameters))
+    chi_squared = []
+    for _ in range(draws):
+        measured = y + sigma * r.normal(size=len(x))
+        errors = {LAWS[law].y: sigma} if weighted else {}
+        fit = xcg.fit_law(_result(law, x, measured, **errors), law, constants=constants)
+        away = [abs(float(fit[n]) - v) / float(fit[f"{n}_error"]) for n, v in parameters.items()]
+        inside += np.array(away) < 2
+        chi_squared.append(float(fit.chi_squared))
+    freedom = int(fit.degrees_of_freedom)
+    share = 1 - 2 * student_t.sf(2, np.inf if weighted else freedom)
+    noise_of_share = np.sqrt(share * (1 - share) / draws)
+    assert (np.abs(inside / draws - share) < 3 * noise_of_share).all(), inside / draws
+    if weighted:
+        assert np.mean(chi_squared) == pytest.approx(freedom, abs=3 * np.sqrt(2 * freedom / draws))
+
+
+def test_errors_of_x_count_by_the_slope_of_the_law():
+    """A line y = a + b x with errors of x alone has those of y = b s_x."""
+    x, y = _exact("mu_of_I_line")
+    sigma = np.full(len(x), 0.02)
+    both = {"inertial_number": 0.03 * np.ones(len(x)), "friction_coefficient": sigma}
+    fit = xcg.fit_law(_result("mu_of_I_line", x, y, **both), "mu_of_I_line")
+    effective = np.hypot(0.02, 1.1 * 0.03)
+    matrix = np.stack([np.ones(len(x)), x], axis=1) / effective
+    np.testing.assert_allclose(fit.covariance, np.linalg.inv(matrix.T @ matrix), rtol=1e-4)
+
+
+@pytest.mark.parametrize("points", [3, 8])
+def test_a_line_where_the_points_hold_no_more_says_so(points):
+    x = np.linspace(0.001, 0.02, points)
+    y = 0.3 + 0.9 * x + 0.002 * np.random.default_rng(2).normal(size=points)
+    f = _result("mu_of_I", x, y, friction_coefficient=np.full(points, 0.002))
+    with pytest.warns(xcg.SceneWarning, match="hold no more than a line"):
+        fit = xcg.fit_law(f)
+    assert fit.attrs["law"] == "mu_of_I_line"
+    line = xcg.fit_law(f, "mu_of_I_line")
+    xr.testing.assert_identical(fit.drop_attrs(), line.drop_attrs())
+    assert abs(float(fit.slope) - 0.9) < 3 * float(fit.slope_error)
+
+
+def test_custom_laws_take_names_and_constants_from_their_arguments():
+    x = np.linspace(1, 3, 9)
+    f = xr.Dataset({"load": ("node", 2 * x**1.5 + 4)}, {"depth": ("node", x)})
+    with pytest.raises(ValueError, match="needs x= and y="):
+        xcg.fit_law(f, lambda x, a: a * x)
+    fit = f.cg.fit_law(
+        lambda x, a, b, *, start: a * x**b + start,
+        x="depth",
+        y="load",
+        constants={"start": 4.0},
+        guess=(1.0, 1.0),
+    )
+    assert float(fit.a) == pytest.approx(2, rel=1e-8)
+    assert float(fit.b) == pytest.approx(1.5, rel=1e-8)
+    assert fit.attrs["law"] == "custom"
+
+
+def test_nodes_closer_than_a_support_are_fewer_points():
+    z = np.linspace(0, 4, 21)
+    f = xr.Dataset({"fluidity": ("z", np.exp(-z)), "fluidity_error": ("z", 0.1 + 0 * z)}, {"z": z})
+    apart = f.cg.fit_law("fluidity")
+    shared = f.assign_attrs(cutoff=1.0).cg.fit_law("fluidity")
+    np.testing.assert_allclose(shared.covariance, 10 * apart.covariance, rtol=1e-12)
+
+
+def test_fields_of_a_scene_are_fitted_with_units():
+    f = xcg.datasets.open("cooling").isel(time=slice(0, 8))
+    f = f.cg.coarse_grain("granular_temperature", errors=True, axes="", at={})
+    fit = f.chunk(time=2).cg.fit_law("haff")
+    assert 0 < float(fit.tau_error) < 0.2 * float(fit.tau)
+    assert fit.fitted.dims == ("time",)
+    assert set(fit.tau.attrs) == {"units", "long_name"}
+    assert "fit_law(law='haff')" in fit.attrs["history"]
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({}, {"law": "mu_of_j"}, "unknown law 'mu_of_j'; did you mean 'mu_of_I'"),
+        ({}, {"x": "inertia_number"}, "did you mean 'inertial_number'"),
+        ({}, {"constants": {"d": 1.0}}, "unknown constant 'd'"),
+        ({}, {"guess": (1.0, np.nan, 1.0)}, "a finite number for each of mu_s, mu_2, I_0"),
+        ({}, {"law": "beverloo", "x": "inertial_number", "y": "friction_coefficient"},
+         "needs the constants density, diameter"),
+        ({"friction_coefficient": np.nan}, {"law": "mu_of_I_line"}, "0 points with finite"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_named(change, options, message):
+    x, y = _exact("mu_of_I")
+    f = _result("mu_of_I", x, y)
+    f = f.assign({name: f[name] * value for name, value in change.items()})
+    with pytest.raises(ValueError, match=message):
+        xcg.fit_law(f, **options)
+
+
+def test_vectors_need_a_component():
+    f = xr.Dataset({"velocity": (("z", "component"), np.ones((5, 3)))}, {"z": np.arange(5.0)})
+    with pytest.raises(ValueError, match="select a component first"):
+        f.cg.fit_law("bagnold")
+
+
+def test_points_without_an_error_among_others_are_left_out_with_a_warning():
+    x, y = _exact("phi_of_I")
+    sigma = np.full(len(x), 0.01)
+    sigma[3] = np.nan
+    with pytest.warns(xcg.SceneWarning, match="1 of 24 points have no standard error"):
+        fit = xcg.fit_law(_result("phi_of_I", x, y, volume_fraction=sigma), "phi_of_I")
+    assert int(fit.point_count) == 23

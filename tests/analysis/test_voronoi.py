@@ -1,0 +1,173 @@
+"""Radical Voronoi cells: they fill the box, and are those of half spaces."""
+
+import builtins
+from itertools import product
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+import xcg
+from tests import raise_if_dask_computes
+
+pytest.importorskip("pyvoro2")
+
+
+def _scene(seed=1, periodic="xyz", ends="xyz", count=60, **options):
+    """Random spheres of two sizes in a box of a centimetre, without large overlaps."""
+    r = np.random.default_rng(seed)
+    length = 1e-2
+    cells = np.array(list(product(range(4), repeat=3)))[r.permutation(64)[:count]]
+    position = (cells + 0.5 + r.uniform(-0.25, 0.25, (count, 3))) * length / 4
+    diameter = length / 8 * np.where(r.uniform(size=count) < 0.3, 1.0, 1 / 3)
+    box = dict.fromkeys(ends, (0.0, length))
+    return xcg.scene_from_arrays(
+        position, diameter=diameter, density=2500.0, box=box, periodic=periodic, **options
+    )
+
+
+def _volume_of_half_spaces(ds, k):
+    """Volume of cell k: nearer to its particle than to each image of all, within the open ends."""
+    place = ds.position[0].to_numpy()
+    radius = ds.diameter[0].to_numpy() / 2
+    length = 1e-2
+    vectors = length * np.eye(3) if "lattice" not in ds else ds.lattice[0].to_numpy()
+    numbers = [(-1, 0, 1) if a in ds.attrs["periodic"] else (0,) for a in "xyz"]
+    rows = []
+    for shift in product(*numbers):
+        for j, image in enumerate(place + np.array(shift) @ vectors):
+            if j == k and not any(shift):
+                continue
+            away = (image - place[k]) / length
+            size = (radius[j] ** 2 - radius[k] ** 2) / length**2
+            rows.append([*(2 * away), size - away @ away])
+    for axis, name in enumerate("xyz"):
+        if name not in ds.attrs["periodic"]:
+            x = place[k, axis] / length
+            rows += [[*np.eye(3)[axis], x - 1], [*-np.eye(3)[axis], -x]]
+    cell = HalfspaceIntersection(np.array(rows), np.zeros(3))
+    return ConvexHull(cell.intersections).volume * length**3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"periodic": "xy"}, {"periodic": ""}, {"lattice": {"xy": 3e-3, "yz": -2e-3}}],
+    ids=["periodic", "walls", "open", "tilted"],
+)
+def test_sizes_one_to_three_are_half_spaces_and_fill_the_box(options):
+    ds = _scene(**options)
+    v = xcg.voronoi(ds)
+    np.testing.assert_allclose(v.voronoi_volume.sum(), 1e-6, rtol=1e-12)
+    for k in range(0, 60, 7):
+        expected = _volume_of_half_spaces(ds, k)
+        np.testing.assert_allclose(v.voronoi_volume[0, k], expected, rtol=1e-10)
+    np.testing.assert_allclose(v.voronoi_fraction * v.voronoi_volume, ds.volume, rtol=1e-13)
+
+
+def test_face_centred_cubic_has_twelve_neighbours_and_kepler_s_fraction():
+    ds = xcg.datasets.face_centred_cubic(3, diameter=1e-3)
+    v = xcg.voronoi(ds, faces=True)
+    np.testing.assert_allclose(v.voronoi_fraction, np.pi / np.sqrt(18), rtol=1e-12)
+    assert (v.voronoi_neighbours == 12).all()
+    # rhombic dodecahedron of a sphere of radius one: 12 rhombi of sqrt(2) / 2
+    np.testing.assert_allclose(v.voronoi_area, 6 * np.sqrt(2) * 1e-6 / 2, rtol=1e-9)
+    assert v.sizes["face"] == 6 * ds.sizes["particle"]
+
+
+def test_faces_are_those_of_both_cells():
+    """The area vectors of a closed cell add up to zero, and radical planes are at known distances."""
+    ds = _scene(seed=4)
+    v = xcg.voronoi(ds, faces=True).isel(time=0)
+    ids = ds.particle_id[0].to_numpy()
+    i, j = (np.searchsorted(ids, v[name]) for name in ("face_i", "face_j"))
+    vector = (v.face_area * v.face_normal).to_numpy()
+    total = np.zeros((60, 3))
+    np.add.at(total, i, vector)
+    np.add.at(total, j, -vector)
+    assert np.abs(total).max() < 1e-11 * float(v.voronoi_area.max())
+    area = np.bincount(i, v.face_area, 60) + np.bincount(j, v.face_area, 60)
+    np.testing.assert_allclose(v.voronoi_area, area, rtol=1e-9)
+    number = np.bincount(i, minlength=60) + np.bincount(j, minlength=60)
+    np.testing.assert_array_equal(v.voronoi_neighbours, number)
+
+
+def test_a_layer_has_cells_of_its_thickness():
+    r = np.random.default_rng(2)
+    position = np.array(list(product(range(5), range(5)))) + r.uniform(0.3, 0.7, (25, 2))
+    ds = xcg.scene_from_arrays(
+        np.column_stack([position, np.zeros(25)]),
+        diameter=r.uniform(0.3, 0.6, 25),
+        density=1.0,
+        dimension=2,
+        thickness=0.6,
+        box={"x": (0, 5), "y": (0, 5)},
+        periodic="xy",
+    )
+    v = xcg.voronoi(ds)
+    np.testing.assert_allclose(v.voronoi_volume.sum(), 25 * 0.6, rtol=1e-12)
+    assert float(v.voronoi_neighbours.mean()) == 6  # Euler: of a periodic plane
+
+
+def test_results_are_variables_of_particles_with_fields():
+    ds = _scene()
+    cells = xcg.voronoi(ds)
+    ds = ds.assign(voronoi_volume=cells.voronoi_volume)
+    f = ds.cg.coarse_grain([xcg.Mean("voronoi_volume", "number")], axes="", at={})
+    # the mean cell is the box over the number of particles
+    np.testing.assert_allclose(f.voronoi_volume.squeeze(), 1e-6 / 60, rtol=1e-12)
+
+
+def test_lazy_results_are_those_in_memory():
+    ds = xr.concat([_scene(seed) for seed in (1, 2, 3)], "time", data_vars="all")
+    eager = ds.cg.voronoi(faces=True)
+    with raise_if_dask_computes():
+        lazy = ds.chunk(time=1).cg.voronoi(faces=True)
+    lazy = lazy.compute()
+    xr.testing.assert_equal(lazy.isel(face=slice(0, eager.sizes["face"])), eager)
+    assert (lazy.face_i.isel(face=slice(eager.sizes["face"], None)) == -1).all()
+
+
+def test_bounds_are_the_ends_of_open_axes():
+    ds = _scene(periodic="xy", ends="xy")
+    with pytest.raises(xcg.SceneError, match="cells need ends along z"):
+        ds.cg.voronoi()
+    v = ds.cg.voronoi(bounds={"z": (0, 0.03)})
+    np.testing.assert_allclose(v.voronoi_volume.sum(), 3e-6, rtol=1e-12)
+    with pytest.raises(xcg.SceneError, match=r"are outside of the ends of the cells, such as id"):
+        ds.cg.voronoi(bounds={"z": (0, 0.005)})
+    with pytest.raises(ValueError, match=r"'x' is not an axis with ends; expected one of \['z'\]"):
+        ds.cg.voronoi(bounds={"x": (0, 1)})
+
+
+def test_one_particle_has_the_box():
+    v = xcg.voronoi(_scene(count=1))
+    np.testing.assert_allclose(v.voronoi_volume[0, 0], 1e-6, rtol=1e-12)
+    assert int(v.voronoi_neighbours[0, 0]) == 0
+
+
+def test_coinciding_centres_are_named():
+    ds = _scene()
+    ds["position"][0, 1] = ds.position[0, 0]
+    with pytest.raises(xcg.SceneError, match=r"no Voronoi cells of these particles"):
+        xcg.voronoi(ds)
+
+
+def test_a_tilted_box_that_is_open_is_refused():
+    ds = _scene(periodic="xy", lattice={"xy": 3e-3})
+    with pytest.raises(xcg.SceneError, match="it is open along z"):
+        xcg.voronoi(ds)
+
+
+def test_without_pyvoro2_the_extra_is_named(monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **options):
+        if name == "pyvoro2":
+            raise ImportError(name=name)
+        return real(name, *args, **options)
+
+    monkeypatch.setitem(__import__("sys").modules, "pyvoro2", None)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ImportError, match=r"pip install 'xcg\[voronoi\]'"):
+        xcg.voronoi(_scene())

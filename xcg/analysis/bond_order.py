@@ -1,0 +1,258 @@
+"""Bond order of each particle: directions of its neighbours, compared with those of crystals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.pairs import pairs_of
+from xcg.common.checks import floats, is_positive, is_whole
+from xcg.common.messages import SceneError, plain
+from xcg.scene.conform import takes_scene
+from xcg.scene.description import Description
+from xcg.scene.frame import check_finite
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.faults import OnError
+
+NEAREST = {3: 12, 2: 6}
+DEGREES = {3: (4, 6), 2: (6,)}
+
+
+@takes_scene
+def bond_order(
+    ds: xr.Dataset,
+    degrees: Sequence[int] | None = None,
+    *,
+    neighbours: int | None = None,
+    r_max: float | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    r"""Compute the bond order of each particle: Steinhardt's q_l, or psi_l in one layer.
+
+    Lazy where the scene is.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    degrees : list of int, optional
+        Degrees l from 1 to 30; by default 4 and 6, in a one-layer scene 6.
+    neighbours : int, optional
+        Number of nearest particles that are neighbours; by default 12, in a one-layer scene 6.
+    r_max : float, optional
+        All particles closer than this are neighbours (m), in place of a number of them.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN), warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``q4``, ``q6`` (time, particle), and ``global_q4``, ``global_q6`` (time), from means over
+        all neighbours of all particles. In a one-layer scene ``psi6`` and ``global_psi6``, and
+        ``psi6_angle``, the angle in radians from the first axis of the plane to the nearest of the
+        six directions of a particle. NaN for particles without neighbours.
+
+    Raises
+    ------
+    SceneError
+        If a step holds too few particles, or the box is too small for so distant neighbours.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    Over the :math:`n_i` neighbours j of particle i, in the directions :math:`\theta_{ij},
+    \varphi_{ij}`,
+
+    .. math::
+
+        q_{lm}(i) = \frac{1}{n_i} \sum_j Y_{lm}(\theta_{ij}, \varphi_{ij}), \quad
+        q_l(i) = \sqrt{\frac{4\pi}{2l + 1} \sum_{m=-l}^{l} |q_{lm}(i)|^2}, \quad
+        \psi_l(i) = \left| \frac{1}{n_i} \sum_j e^{i l \varphi_{ij}} \right|
+
+    q_4, q_6 are 0.191, 0.575 in a face-centred cubic crystal, 0.097, 0.485 in a hexagonal
+    close-packed one; psi_6 is 1 in a triangular lattice.
+
+    References
+    ----------
+    Steinhardt, P. J., Nelson, D. R., Ronchetti, M. (1983). Bond-orientational order in liquids and
+    glasses. Phys. Rev. B 28.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> order = xcg.datasets.face_centred_cubic(4).cg.bond_order()
+    >>> order.q6[0, 0].round(4).item()
+    0.5745
+    """
+    analysis = BondOrder(degrees=degrees, neighbours=neighbours, r_max=r_max)
+    return run(ds, analysis, on_error=on_error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BondOrder(FrameAnalysis):
+    """Bond order of the particles of a step, see `bond_order`."""
+
+    name = "bond_order"
+
+    degrees: Sequence[int] | None = None
+    neighbours: int | None = None
+    r_max: float | None = None
+    plane: str = field(default="xyz", repr=False)
+
+    def prepare(self, scene: Description) -> Self:
+        """Check the options, and fill in defaults."""
+        dimension = scene.setup.dimension
+        degrees = floats(DEGREES[dimension] if self.degrees is None else self.degrees)
+        if degrees.ndim != 1 or not degrees.size or not all(is_whole(n, 1, 30) for n in degrees):
+            raise ValueError(
+                f"degrees={plain(self.degrees)}: expected whole numbers from 1 to 30, such as [4, 6]"
+            )
+        if self.neighbours is not None and self.r_max is not None:
+            raise ValueError("bond_order takes one of neighbours= (a number) and r_max= (m)")
+        if self.neighbours is not None and not is_whole(self.neighbours, 1, 1e4):
+            given = plain(self.neighbours)
+            raise ValueError(f"neighbours={given}: expected a whole number of at least 1")
+        if self.r_max is not None and not is_positive(self.r_max):
+            raise ValueError(f"r_max={plain(self.r_max)}: expected a positive distance (m)")
+        return replace(
+            self,
+            degrees=tuple(dict.fromkeys(degrees.astype(int).tolist())),
+            neighbours=int(self.neighbours or NEAREST[dimension]),
+            plane=scene.setup.plane,
+        )
+
+    def reads(self, scene: Description) -> tuple[str, ...]:
+        """Return the positions."""
+        return ("position",)
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the order of each degree, of particles and of all of them."""
+        rows = {"particle_id": VARIABLES["particle_id"]}
+        letter = self._letter
+        for n in self.degrees or ():
+            text = f"bond order of degree {n}"
+            rows[f"{letter}{n}"] = Variable(("particle",), "1", f"{text} of the particle")
+            rows[f"global_{letter}{n}"] = Variable((), "1", f"{text} of all particles")
+            if letter == "psi":
+                text = f"angle to the nearest of the {n} directions of the particle"
+                rows[f"psi{n}_angle"] = Variable(("particle",), "1", text)
+        return rows
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Compute the bond order of a step."""
+        check_finite("position", frame, source)
+        axes = [COMPONENTS.index(a) for a in self.plane]
+        position = np.where(np.isin(np.arange(3), axes), frame["position"], 0.0)
+        row, bond = self._bonds(position, lattice, source)
+        bond = bond[:, axes]
+        count = len(position)
+        numbers = np.bincount(row, minlength=count)
+        results: Frame = {"particle_id": frame["particle_id"]}
+        letter = self._letter
+        for n in self.degrees or ():
+            sums = np.array(
+                [
+                    np.bincount(row, wave.real, count) + 1j * np.bincount(row, wave.imag, count)
+                    for wave in _waves(n, bond)
+                ]
+            )
+            means = np.full(sums.shape, np.nan, complex)
+            np.divide(sums, numbers, out=means, where=numbers > 0)
+            whole = sums.sum(axis=1) / (len(row) or np.nan)
+            results[f"{letter}{n}"] = _length(means)
+            results[f"global_{letter}{n}"] = _length(whole)
+            if letter == "psi":
+                results[f"psi{n}_angle"] = np.angle(means[0]) / n
+        return results
+
+    @property
+    def _letter(self) -> str:
+        return "psi" if len(self.plane) == 2 else "q"
+
+    def _bonds(self, position: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
+        """Return vectors (bonds, 3) to all neighbours, and the row (bonds,) of their particle."""
+        half = lattice.closest[0] / 2
+        if self.r_max is not None:
+            if self.r_max > half * (1 + 1e-12):
+                raise SceneError(
+                    f"{source}: r_max={self.r_max:g} is beyond half the distance to the nearest "
+                    f"image; take r_max={half:.6g} or less"
+                )
+            pairs = pairs_of(
+                position,
+                np.zeros(len(position)),
+                lattice,
+                skin=self.r_max,
+                method="hierarchical",
+                levels=None,
+                threads=self.threads,
+                max_pairs=2**62,
+                source=source,
+            )
+            bond = lattice.shortest(position[pairs[:, 1]] - position[pairs[:, 0]])
+            return pairs.T.ravel(), np.concatenate([bond, -bond])
+        from scipy.spatial import cKDTree
+
+        count = self.neighbours or 0
+        if len(position) <= count:
+            raise SceneError(
+                f"{source}: bond_order takes the nearest {count} particles, and the step holds "
+                f"{len(position)}; take fewer neighbours, or leave the step out by on_error='skip'"
+            )
+        itself = np.arange(len(position))
+        corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
+        position = lattice.wrapped(position, np.where(np.isfinite(corner), corner, 0.0), source)
+        low, high = position.min(axis=0), position.max(axis=0)
+        # without images, the farthest neighbour is at least as far away as with them
+        alone: Any = cKDTree(position).query(position, count + 1)[0]
+        reach = float(alone.max())
+        reach = min(reach, half) if len(lattice.basis) else 0.0
+        rows, shift, _ = lattice.images(position, low - reach, high + reach, source)
+        images = position[rows] + shift
+        found: Any = cKDTree(images).query(position, count + 1)
+        distance, near = found
+        if len(lattice.basis) and distance.max() > reach:
+            raise SceneError(
+                f"{source}: some of the nearest {count} particles are beyond half the distance to "
+                f"the nearest image ({half:g} m); take fewer neighbours"
+            )
+        original = np.flatnonzero(~shift.any(axis=1))
+        is_itself = near == original[np.argsort(rows[original])][:, None]
+        # particles at the same place may push the particle itself out of the list
+        is_itself[~is_itself.any(axis=1), -1] = True
+        bond = images[near] - position[:, None]
+        return np.repeat(itself, count), bond[~is_itself]
+
+
+def _waves(degree: int, bond: NDArray) -> list[NDArray]:
+    """Return exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
+
+    They are scaled so that `_length` is the bond order: those of -m have the same length, and count
+    by a factor of sqrt(2).
+    """
+    if bond.shape[1] == 2:
+        return [np.exp(1j * degree * np.arctan2(bond[:, 1], bond[:, 0]))]
+    from scipy.special import lpmv
+
+    length = np.linalg.norm(bond, axis=1)
+    cosine = np.divide(bond[:, 2], length, out=np.zeros(len(bond)), where=length > 0)
+    turn = np.arctan2(bond[:, 1], bond[:, 0])
+    waves = []
+    for m in range(degree + 1):
+        scale = math.factorial(degree - m) / math.factorial(degree + m) * (2 if m else 1)
+        waves.append(math.sqrt(scale) * lpmv(m, degree, cosine) * np.exp(1j * m * turn))
+    return waves
+
+
+def _length(means: NDArray) -> NDArray:
+    return np.sqrt((np.abs(means) ** 2).sum(axis=0))

@@ -1,0 +1,487 @@
+"""Results of a search for chains: labels, steps, tables and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.particle_stress import RESULTS as STRESSES
+from xcg.common.checks import check_choice, extra
+from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
+from xcg.common.messages import SceneError
+from xcg.scene.conform import with_components
+from xcg.scene.description import Summary, rows_of_origin
+from xcg.scene.facts import require_facts
+from xcg.scene.frame import particle_rows, step_at, with_time
+from xcg.scene.lattice import Lattice
+from xcg.scene.rows import rows_of
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
+from xcg.steps.mapping import each_step
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Color: TypeAlias = Literal["stress", "chain"]
+COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
+
+
+# from the lengths of the chains of one step, an array (chains,) of at least one
+_OF_LENGTHS: dict[str, tuple[str, Callable[[NDArray], Any]]] = {
+    "length_mean": ("mean length of the chains (particles)", np.mean),
+    "length_median": ("median length of the chains (particles)", np.median),
+    "length_min": ("shortest chain (particles)", np.min),
+    "length_max": ("longest chain (particles)", np.max),
+}
+STATISTICS: dict[str, Variable] = {
+    "chain_count": Variable((), "1", "number of chains", "int64"),
+    **{name: Variable((), "1", long_name) for name, (long_name, _) in _OF_LENGTHS.items()},
+    "length_share": Variable(("length",), "1", "share of the chains that have this length, P(c)"),
+}
+CHAINS: dict[str, Variable] = {
+    "chain_particles": Variable(("chain",), "1", "length of the chain: its particles", "int64"),
+    "chain_links": Variable(("chain",), "1", "links of the chain", "int64"),
+    "chain_branchings": Variable(("chain",), "1", "branching points of the chain", "int64"),
+    "chain_stress": Variable(("chain",), "Pa", "mean major stress of the chain's particles"),
+    "chain_orientation": Variable(
+        ("chain", "component"), "1", "axis of the chain's largest extent"
+    ),
+    "chain_normal": Variable(("chain", "component"), "1", "normal of the chain's best-fit plane"),
+}
+MEMBERS: dict[str, Variable] = {
+    "chain_id": Variable(("particle",), "1", "chain of the particle, -1 for none", "int64"),
+    "parent_id": Variable(
+        ("particle",), "1", "id of the particle it was reached from, -1 for a seed", "int64"
+    ),
+    "links": Variable(("particle",), "1", "links of the particle", "int64"),
+    "branching": Variable(
+        ("particle",), "1", "1 where the particle has more than two links", "int64"
+    ),
+    "link_chain": Variable(
+        ("contact",), "1", "chain that the contact is a link of, -1 for none", "int64"
+    ),
+}
+RESULTS: dict[str, Variable] = (
+    {name: VARIABLES[name] for name in COPIED}
+    | MEMBERS
+    | {name: row for name, row in STRESSES.items() if name not in ("particle_id", "stress")}
+    | CHAINS
+    | STATISTICS
+)
+
+
+def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, int]:
+    """Sizes of the dimensions of a result: as many chains, and as long ones, as there could be, but at least one."""
+    chains, lengths = max(1, particles // min_length), max(1, particles - min_length + 1)
+    return {"particle": particles, "contact": contacts, "chain": chains, "length": lengths}
+
+
+def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDArray | float]:
+    """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
+    count = len(lengths)
+    found: dict[str, NDArray | float] = {"chain_count": count}
+    found |= {
+        name: compute(lengths) if count else np.nan for name, (_, compute) in _OF_LENGTHS.items()
+    }
+    found["length_share"] = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
+    return found
+
+
+def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -> None:
+    """Raise SceneError unless a Dataset is a result of `force_chains`, whole along some dimensions.
+
+    Raises
+    ------
+    SceneError
+        If it lacks ``chain_id`` or ``link_chain``, parts of it, or its attributes; the message says
+        what to do.
+    """
+    missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
+    if missing:
+        raise SceneError(
+            f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
+        )
+    require_facts(
+        fc,
+        ("periodic", "dimension", "min_length"),
+        "this result of force_chains",
+        "or call force_chains again",
+    )
+    full = result_sizes(fc.sizes.get("particle", 1), 0, int(fc.attrs["min_length"]))
+    given = {dim: fc.sizes.get(dim, full[dim]) for dim in full}
+    part = {"chain": given["chain"] < full["chain"], "length": given["length"] != full["length"]}
+    if any(part[dim] for dim in whole):
+        raise SceneError(
+            f"{purpose} needs all particles and chains of a step, and this Dataset holds a part of them: select chains "
+            "by fc.cg.select_chains(...), steps by fc.isel(time=...)"
+        )
+
+
+def summary_of_chains(fc: xr.Dataset) -> Summary:
+    """Return a summary of a result of `force_chains`, without computing it."""
+    fc = with_time(fc)
+    words = {"time": "steps", "particle": "particles", "contact": "contacts"}
+    sizes = ", ".join(f"{fc.sizes[dim]} {word}" for dim, word in words.items() if dim in fc.sizes)
+    rule = ", ".join(
+        f"{name} = {fc.attrs[name]}"
+        for name in ("alpha", "min_length", "algorithm")
+        if name in fc.attrs
+    )
+    kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
+    held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
+    return Summary.of(
+        f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ChainStep:
+    """Single step of a result, in memory.
+
+    Attributes
+    ----------
+    arrays : Frame
+        Variables by name, without padding (by chain: row k is chain k).
+    time : float
+        Time (s).
+    number : int
+        Number of the time step.
+    lattice : Lattice
+        Periodic images.
+    """
+
+    arrays: Frame
+    time: float
+    number: int
+    lattice: Lattice
+
+    def links(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Contact rows of the links, and the rows of the two particles of each."""
+        contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
+        ids = self.arrays["particle_id"]
+        i, j = (rows_of(ids, self.arrays[name][contact]) for name in ("contact_i", "contact_j"))
+        return contact, i, j
+
+
+def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[ChainStep]:
+    """Yield the steps of a result one after the other, each chunk of time computed once."""
+    fc = with_time(with_components(fc))
+    if "time" not in fc.dims:
+        fc = fc.expand_dims("time")
+    names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
+    for t, one in enumerate(each_step(fc[[*names, *(BOX.keys() & set(fc.data_vars))]])):
+        step = one.isel(time=0)
+        valid = step.contact_i.to_numpy() != PADDING
+        rows: dict[str, Any] = {
+            "particle": particle_rows(step.particle_id.to_numpy()),
+            "contact": valid,
+        }
+        arrays = {}
+        for name in names:
+            dims = RESULTS[name].dims
+            values = step[name].transpose(*dims).to_numpy()
+            arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
+        number = int(step["step"]) if "step" in step.coords else t
+        box = {
+            name: step[name].transpose(*row.dims).to_numpy()
+            for name, row in BOX.items()
+            if name in step
+        }
+        lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
+        yield ChainStep(
+            arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice
+        )
+
+
+def chain_table(fc: xr.Dataset) -> pd.DataFrame:
+    """Table of all chains (computes, one step at a time).
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a chain and step: ``time``, ``step``, ``chain``, ``particles``, ``links``,
+        ``branchings``, ``stress`` (Pa), ``orientation_x`` ... and ``normal_x`` ....
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or has no step.
+    """
+
+    def columns(step: ChainStep) -> dict[str, NDArray]:
+        chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
+        found = {"chain": chain}
+        for name, row in CHAINS.items():
+            values, short = step.arrays[name][chain], name.removeprefix("chain_")
+            if "component" in row.dims:
+                found |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
+            else:
+                found[short] = values
+        return found
+
+    return _table(fc, "chain_table", list(CHAINS), columns)
+
+
+def link_table(fc: xr.Dataset) -> pd.DataFrame:
+    """Table of all links (computes, one step at a time).
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a link and step: ``time``, ``step``, ``chain``, ``contact`` (its row among the
+        contacts of the step), ``particle_i`` and ``particle_j`` (ids), ``force`` (magnitude, N) and
+        ``stress`` (mean major stress of the two particles, Pa).
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or has no step.
+    """
+
+    def columns(step: ChainStep) -> dict[str, NDArray]:
+        contact, i, j = step.links()
+        arrays = step.arrays
+        return {
+            "chain": arrays["link_chain"][contact],
+            "contact": contact,
+            "particle_i": arrays["contact_i"][contact],
+            "particle_j": arrays["contact_j"][contact],
+            "force": np.linalg.norm(arrays["contact_force"][contact], axis=1),
+            "stress": 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]),
+        }
+
+    return _table(
+        fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns
+    )
+
+
+def _table(
+    fc: xr.Dataset,
+    purpose: str,
+    names: Sequence[str],
+    columns: Callable[[ChainStep], dict[str, NDArray]],
+) -> pd.DataFrame:
+    """Join the columns of all steps below each other, with time and number of the step."""
+    require_chains(fc, purpose)
+    if not fc.sizes.get("time", 1):
+        raise SceneError(
+            f"{purpose} needs one step or more, and these chains have none: check how steps were selected"
+        )
+    steps = steps_of(fc, names)
+    tables = [
+        pd.DataFrame({"time": step.time, "step": step.number, **columns(step)}) for step in steps
+    ]
+    return pd.concat(tables, ignore_index=True)
+
+
+# --- pictures --------------------------------------------------------------------------------------------
+
+
+def plot_chains(
+    fc: xr.Dataset,
+    *,
+    index: int = -1,
+    color: Color = "stress",
+    grains: bool = True,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`; its scene has ``dimension=2``.
+    index : int
+        Position of the step in time; the last one by default.
+    color : {"stress", "chain"}
+        Of the links: the mean major stress of the two particles of a link, or one colour a chain.
+    grains : bool
+        Draw the particles; particles of chains are darker.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    ValueError
+        If the scene is not of one layer, or an argument is wrong.
+    """
+    require_chains(fc, "plot_chains")
+    if int(fc.attrs.get("dimension", 3)) != 2:
+        raise ValueError(
+            "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
+        )
+    check_choice("color", color, Color)
+    collections = extra("matplotlib.collections", "plot", "drawing")
+    plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
+    names = [
+        "position",
+        "diameter",
+        "chain_id",
+        "link_chain",
+        "contact_j",
+        "contact_force",
+        "major_stress",
+    ]
+    (step,) = steps_of(step_at(fc, index), names)
+    arrays = step.arrays
+    ax = new_axes() if ax is None else ax
+    position, diameter = arrays["position"][:, plane], arrays["diameter"]
+    if grains:
+        shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
+        ax.add_collection(
+            collections.EllipseCollection(
+                diameter,
+                diameter,
+                np.zeros(len(diameter)),
+                units="xy",
+                offsets=position,
+                offset_transform=ax.transData,
+                facecolors=shade,
+                edgecolors="none",
+            )
+        )
+    contact, i, j, branch = _links(step)
+    force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
+    ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
+    width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
+    lines = collections.LineCollection(
+        list(ends),
+        linewidths=width,
+        capstyle="round",
+        cmap="tab20" if color == "chain" else "inferno_r",
+    )
+    if color == "chain":
+        lines.set_array(arrays["link_chain"][contact] % 20)
+    else:
+        lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
+        add_colour_bar(lines, ax, label_of(fc["major_stress"], "major_stress"), shrink=0.8)
+    ax.add_collection(lines)
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    for axis, k in ((ax.xaxis, plane[0]), (ax.yaxis, plane[1])):
+        set_label(axis, with_unit(f"${COMPONENTS[k]}$", fc["position"].attrs.get("units", "")))
+    return ax
+
+
+def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
+    """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    """
+    require_chains(fc, "plot_lengths")
+    ax = new_axes() if ax is None else ax
+    steps = with_time(fc[["length_share", "chain_count"]]).compute()
+    steps = steps if "time" in steps.dims else steps.expand_dims("time")
+    share, count = (
+        steps["length_share"].transpose("time", "length").to_numpy(),
+        steps["chain_count"].to_numpy(),
+    )
+    length = fc["length"].to_numpy()
+    for row in share:
+        ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
+    total = count @ share / max(count.sum(), 1)
+    ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
+    ax.set_yscale("log")
+    set_label(ax.xaxis, "length $c$ [particles]")
+    set_label(ax.yaxis, "share of chains $P(c)$")
+    return ax
+
+
+def plot_rose(
+    fc: xr.Dataset,
+    *,
+    index: int = -1,
+    bins: int = 36,
+    plane: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw how the links of one step are directed: a rose, both ways, weighted by force.
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    index : int
+        Position of the step in time; the last one by default.
+    bins : int
+        Petals, an even number.
+    plane : str, optional
+        The two axes that directions are projected on; the axes of the layer by default, or "xz" in
+        3D.
+    ax : matplotlib.axes.Axes, optional
+        Polar axes; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    ValueError
+        If an argument is wrong.
+    """
+    require_chains(fc, "plot_rose")
+    if bins < 2 or bins % 2:
+        raise ValueError(
+            f"bins={bins!r}: expected an even number of petals, as every link points both ways"
+        )
+    flat = int(fc.attrs.get("dimension", 3)) == 2
+    plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
+    if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
+        raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
+    (step,) = steps_of(step_at(fc, index), ["position", "link_chain", "contact_j", "contact_force"])
+    ax = new_axes("polar") if ax is None else ax
+    contact, _, _, branch = _links(step)
+    along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
+    angle = np.arctan2(up, along) % np.pi
+    force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
+    half, edges = np.histogram(angle, bins // 2, (0, np.pi), weights=force)
+    petals = np.tile(half / max(2 * half.sum(), np.finfo(float).tiny), 2)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    ax.bar(
+        np.concatenate([middle, middle + np.pi]),
+        petals,
+        width=2 * np.pi / bins,
+        color="C3",
+        edgecolor="white",
+        lw=0.5,
+    )
+    ax.set_yticklabels([])
+    ax.set_xticks(
+        np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane]
+    )
+    return ax
+
+
+def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Contacts of the links, rows of their two particles, and nearest image of the vector between these (m)."""
+    contact, i, j = step.links()
+    position = step.arrays["position"]
+    return contact, i, j, step.lattice.shortest(position[j] - position[i])

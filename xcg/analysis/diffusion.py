@@ -1,0 +1,285 @@
+"""Mean squared displacement and self-diffusion, with errors."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.checks import floats
+from xcg.common.messages import plain
+from xcg.fields.formulas.averages import block_errors
+from xcg.scene.box import BoxMotion, partners
+from xcg.scene.conform import require_ids, require_scene, takes_scene
+from xcg.scene.description import describe
+from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
+from xcg.scene.rows import rows_of
+from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
+from xcg.steps.labels import format_call, provenance, with_phase_labels
+from xcg.steps.mapping import each_step
+
+_TENSOR = ("component", "direction")
+
+
+@takes_scene
+def mean_squared_displacement(
+    ds: xr.Dataset,
+    lags: int | Sequence[int] | None = None,
+    *,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    remove_drift: bool = True,
+    fit: Sequence[float] | None = None,
+) -> xr.Dataset:
+    """Mean squared displacement of the grains over several lags, and their self-diffusion (computes, step by step).
+
+    Grains are followed by their ids from step to step, across periodic edges by ``image`` of the
+    scene, else by the image that moves least relative to the box, and each step and the one `lag`
+    steps later are a pair. As many steps as the longest lag are in memory.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene of several steps at equal distances.
+    lags : int or list of int, optional
+        Numbers of steps; one number for all up to it. By default 1, 2, 4, ... up to half of the
+        steps.
+    by : str, optional
+        An integer variable of the particles: adds the dimension ``phase`` with "bulk" first. A
+        grain is of the phase that it has at the first step of a pair.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    remove_drift : bool
+        Subtract, at each step, the mean displacement of all grains (default).
+    fit : (float, float), optional
+        First and last lag (s) of the range where the mean squared displacement is linear in the
+        lag: asks for self-diffusion.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``mean_squared_displacement`` (lag, phase), the sum over the axes of the scene,
+        ``displacement_products`` (.., component, direction), the mean of u_a u_b, and
+        ``pair_count``, how many displacements are in them; with `fit` ``self_diffusion`` (phase,
+        component, direction), half of the slope of ``displacement_products`` in a straight line by
+        least squares, and ``diffusion_coefficient``, its trace over the number of dimensions.
+        Standard errors are ``<name>_error``, from blocks of the first steps of pairs as in
+        `time_average`.
+
+    Raises
+    ------
+    SceneError
+        If times are not known, the steps are not at equal distances, or one has no grain of the
+        step before.
+    ValueError
+        If a lag or the range of the fit does not fit the series.
+
+    Notes
+    -----
+    ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside
+    the motion of the box; in a flow that differs from place to place, those of the flow are in
+    them: take ``d2min`` and ``self_diffusion`` of `displacement`, which leave out its linear part.
+    Grains that leave and come back are new ones; frozen ones do not count.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xcg
+    >>> kicks = 0.1 * np.random.default_rng(1).normal(size=(65, 500, 3))
+    >>> ds = xcg.scene_from_arrays(list(kicks.cumsum(axis=0)), diameter=np.ones((65, 500)), time=np.arange(65.0))
+    >>> m = ds.cg.mean_squared_displacement(4, fit=(1, 4))
+    >>> round(float(m.diffusion_coefficient), 3)  # 0.1^2 / 2
+    0.005
+    """
+    require_scene(ds, (), "mean_squared_displacement")
+    require_ids(ds, "mean_squared_displacement")
+    steps = ds.sizes["time"]
+    chosen = chosen_lags(lags, steps, "mean_squared_displacement")
+    require_known_times(ds, "mean_squared_displacement")
+    interval = evenly_spaced(ds["time"].to_numpy(), "times")
+    at = interval * np.array(chosen)
+    used = _range(fit, at)
+    scene = describe(ds, by)
+    known = scene.groups(by, groups)
+    sums, counts = _sums(ds, chosen, by, known, remove_drift)
+    dims = ("first", "lag", "phase")
+    samples = xr.Dataset(
+        {"sum": ((*dims, *_TENSOR), sums), "count": (dims, counts)},
+        {"lag": at} | {dim: list(COMPONENTS) for dim in _TENSOR},
+    )
+    samples = samples.isel(phase=0) if by is None else samples
+    plane = [a for a in COMPONENTS if a in scene.setup.plane]
+
+    def means(sums: xr.Dataset) -> xr.Dataset:
+        tensor = sums["sum"] / sums["count"].where(sums["count"] > 0)
+        return xr.Dataset(
+            {"displacement_products": tensor, "mean_squared_displacement": _trace(tensor, plane)}
+        )
+
+    def slope(sums: xr.Dataset) -> xr.Dataset:
+        away = xr.DataArray(at[used] - at[used].mean(), dims="lag")
+        tensor = means(sums)["displacement_products"].isel(lag=used).drop_vars("lag")
+        tensor = (tensor * away).sum("lag") / (2 * (away**2).sum())
+        return xr.Dataset(
+            {"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)}
+        )
+
+    found = means(samples.sum("first"))
+    errors = [
+        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
+        for k, lag in enumerate(chosen)
+    ]
+    parts = [(found, xr.concat(errors, "lag"))]
+    if used.size:
+        common = samples.isel(first=slice(0, steps - max(chosen[k] for k in used)))
+        parts.append((slope(samples.sum("first")), block_errors(common, "first", slope)))
+    data = {}
+    for values, error in parts:
+        for name in map(str, values.data_vars):
+            data[name], data[f"{name}_error"] = values[name], error[name]
+    result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
+    given = {"lags": list(chosen), "by": by, "remove_drift": remove_drift, "fit": fit}
+    call = format_call(
+        "mean_squared_displacement", {k: v for k, v in given.items() if v is not None}
+    )
+    return _label(result.assign_attrs(provenance(ds, call)), chosen, by, known)
+
+
+def _label(
+    result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]
+) -> xr.Dataset:
+    system = result.attrs.get("unit_system", "SI")
+    about = {
+        "mean_squared_displacement": ("m^2", "mean squared displacement"),
+        "displacement_products": ("m^2", "mean product of components of the displacement"),
+        "self_diffusion": ("m^2 s^-1", "self-diffusion"),
+        "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
+    }
+    for name in map(str, result.data_vars):
+        units, long_name = about.get(name.removesuffix("_error"), ("1", "number of displacements"))
+        error = "standard error of the " if name.endswith("_error") else ""
+        result[name].attrs = {"units": units_in(units, system), "long_name": error + long_name}
+    second = {"units": units_in("s", system), "long_name": "time between the steps of a pair"}
+    coords: dict[str, Any] = {
+        "lag": ("lag", result["lag"].to_numpy(), second),
+        "steps": ("lag", list(lags), {"units": "1", "long_name": "steps between"}),
+    }
+    if by:
+        coords["phase"] = ("phase", ["bulk", *map(str, known)], {"long_name": f"phase by {by}"})
+    return with_phase_labels(result.assign_coords(coords))
+
+
+def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
+    parts = [tensor.sel(component=a, direction=a, drop=True) for a in plane]
+    return sum(parts[1:], start=parts[0])
+
+
+def chosen_lags(lags: int | Sequence[int] | None, steps: int, purpose: str) -> list[int]:
+    """Return numbers of steps between two, sorted; None is powers of two up to half of the steps."""
+    if steps < 2:
+        raise ValueError(f"{purpose} needs two steps or more, and the scene has {steps}")
+    if lags is None:
+        lags = [2**k for k in range(64) if 2**k <= steps // 2]
+    given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
+    if not given or not all(
+        isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given
+    ):
+        raise ValueError(
+            f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}"
+        )
+    return sorted({int(lag) for lag in given})
+
+
+def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
+    """Return indices of the lags (n,) in the range of the fit."""
+    if fit is None:
+        return np.zeros(0, int)
+    ends, hair = floats(fit), 1e-9 * at[-1]
+    used = (
+        np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair))
+        if ends.shape == (2,)
+        else np.zeros(0, int)
+    )
+    if used.size < 2:
+        raise ValueError(
+            f"fit={plain(fit)}: expected a range with two or more of the lags {at.tolist()} (s)"
+        )
+    return used
+
+
+# --- grains on their way ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Displacements (n, 3) of the grains of one step since each was first seen, with ids and phases."""
+
+    ids: NDArray
+    place: NDArray
+    first_seen: NDArray
+    phase: NDArray
+
+
+def _ways(
+    ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool
+) -> Iterator[_Places]:
+    """Follow the grains from step to step."""
+    names = [
+        n
+        for n in ("particle_id", "position", *MOTION, "frozen", by, *OF_STEP)
+        if n is not None and n in ds
+    ]
+    periodic, before = str(ds.attrs.get("periodic", "")), None
+    for t, step in enumerate(each_step(ds[names])):
+        frame, lattice, source = next(
+            steps_in({name: step[name].to_numpy() for name in names}, periodic)
+        )
+        frame = without_frozen(frame)
+        ids, position = frame["particle_id"], frame["position"]
+        place, seen = np.zeros_like(position), np.full(len(ids), t)
+        if before is not None:
+            old, old_frame, old_lattice, old_source = before
+            rows = partners(old_frame, frame, (old_source, source))
+            stay = rows >= 0
+            motion = BoxMotion.between(old_lattice, lattice)
+            moved = motion.relative(old_frame, frame, np.flatnonzero(stay), rows[stay])
+            if remove_drift and len(moved):
+                moved -= moved.mean(axis=0)
+            place[rows[stay]], seen[rows[stay]] = old.place[stay] + moved, old.first_seen[stay]
+        found = _Places(ids, place, seen, phase_of(frame, by, known, source))
+        yield found
+        before = found, frame, lattice, source
+
+
+def _sums(
+    ds: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int], remove_drift: bool
+) -> tuple[NDArray, NDArray]:
+    """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
+    steps, phases = ds.sizes["time"], max(1, len(known))
+    sums, counts = np.zeros((steps, len(lags), phases, 3, 3)), np.zeros((steps, len(lags), phases))
+    recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
+    for t, now in enumerate(_ways(ds, by, known, remove_drift)):
+        recent.append(now)
+        for k, lag in enumerate(lags):
+            if lag > t:
+                continue
+            then = recent[-1 - lag]
+            rows = rows_of(now.ids, then.ids)
+            stay = rows >= 0
+            stay[stay] = now.first_seen[rows[stay]] <= t - lag
+            moved = now.place[rows[stay]] - then.place[stay]
+            for phase in range(phases):
+                of_phase = moved[then.phase[stay] == phase]
+                sums[t - lag, k, phase], counts[t - lag, k, phase] = (
+                    of_phase.T @ of_phase,
+                    len(of_phase),
+                )
+    sums, counts = (
+        np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts)
+    )
+    return sums, counts

@@ -1,0 +1,315 @@
+"""Fits of laws of rheology to fields, with standard errors from those of the fields."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.laws import LAWS, Law
+from xcg.analysis.shallow import nodes_a_support
+from xcg.common.checks import floats
+from xcg.common.messages import SceneWarning, plain, unknown, warn_user
+from xcg.scene.facts import with_facts
+from xcg.scene.schema import COMPONENTS, units_in
+from xcg.steps.labels import format_call, provenance
+
+# rounds of the effective variance: each takes the slope of the law from the fit before
+_ROUNDS = 4
+
+
+def fit_law(
+    f: xr.Dataset,
+    law: str | Callable[..., Any] = "mu_of_I",
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    constants: Mapping[str, float] | None = None,
+    guess: Sequence[float] | None = None,
+) -> xr.Dataset:
+    """Fit a law to two variables of a result, by least squares (computes).
+
+    All values of `y` over `x` that are finite are fitted together; select steps and nodes first. A
+    standard error of `y` or `x`, the variable ``<name>_error``, weights the points: `time_average`
+    has them of all fields, and ``coarse_grain(errors=True)`` of some fields of each step.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        Fields, or any Dataset that has the two variables, coordinates included.
+    law : str or callable
+        One of the table below, or a function of the values of `x` and of the parameters,
+        ``lambda x, a, b: a * x**b``. Arguments by keyword alone are constants; ``first`` is the
+        least `x`.
+    x, y : str, optional
+        Names of the variables; the table has the defaults. Vectors need a component:
+        ``f.sel(component="x")``.
+    constants : mapping, optional
+        Constants of the law by name, for example ``{"density": 1500.0}``.
+    guess : sequence of float, optional
+        Start of the search, one number for each parameter. Custom laws start at 1.
+
+    Returns
+    -------
+    xarray.Dataset
+        Each parameter and its standard error by name (``mu_s``, ``mu_s_error``, ...),
+        ``covariance`` (parameter, other_parameter), ``chi_squared``, the sum of squared residuals
+        over squared errors (NaN without errors), ``degrees_of_freedom``, ``point_count``, and
+        ``fitted``, the law at each `x`. The attribute ``law`` names the law that was fitted and
+        ``formula`` has its formula.
+
+    Raises
+    ------
+    ValueError
+        If the law or a variable is unknown, a variable is a vector, there are not more points than
+        parameters, a constant is missing, or the search does not converge.
+
+    Warns
+    -----
+    SceneWarning
+        If ``mu_of_I`` falls back to a line, or points without a standard error are left out.
+
+    Notes
+    -----
+    ======================  =====================================================  ==============
+    law                     formula                                                x
+    ======================  =====================================================  ==============
+    ``mu_of_I``             mu = mu_s + (mu_2 - mu_s) / (1 + I_0 / I)              inertial number
+    ``mu_of_I_line``        mu = mu_s + slope I                                    inertial number
+    ``phi_of_I``            phi = phi_c - slope I                                  inertial number
+    ``fluidity``            g = g_first exp(-(z - first) / length)                 z
+    ``bagnold``             V = V_s - (V_s - V_first) ((h - z)/(h - first))^(3/2)  z
+    ``haff``                T = T_first / (1 + (t - first) / tau)^2                time
+    ``beverloo``            Q = C density sqrt(gravity) (D - k diameter)^exponent  opening
+    ======================  =====================================================  ==============
+
+    Sources, in this order: Jop, Forterre & Pouliquen (2006); da Cruz et al. (2005), for both lines;
+    Kamrin & Koval (2012), of the decay beside a sheared zone, where ``length`` is their xi;
+    Silbert et al. (2001); Haff (1983); Beverloo, Leniger & van de Velde (1961), whose exponent is
+    5/2, and 3/2 for a slot (flow rate per length).
+
+    ``mu_of_I`` needs rates at which mu bends. Where ``I_0`` is less than two of its standard errors,
+    or there are no more than three points, it is a line, with a warning.
+
+    With errors, weights are ``1 / (s_y^2 + (dy/dx)^2 s_x^2)`` (effective variance), and standard
+    errors are those of the data: ``chi_squared`` far above ``degrees_of_freedom`` means that the law
+    does not hold or that they are too small. Without, standard errors follow from the scatter about
+    the law. Errors of `x` and `y` count as independent. Nodes closer than the kernel's support share
+    grains: the covariance is multiplied by the number of nodes in a support.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> I = np.geomspace(1e-3, 0.5, 20)
+    >>> mu = 0.38 + (0.64 - 0.38) / (1 + 0.28 / I)
+    >>> f = xr.Dataset({"inertial_number": ("z", I), "friction_coefficient": ("z", mu)})
+    >>> fit = fit_law(f, "mu_of_I")
+    >>> [round(float(fit[name]), 6) for name in ("mu_s", "mu_2", "I_0")]
+    [0.38, 0.64, 0.28]
+    """
+    given = {"law": law, "x": x, "y": y, "constants": constants, "guess": guess}
+    call = format_call("fit_law", {k: v for k, v in given.items() if v is not None})
+    f = with_facts(f)
+    row = _law_of(law, x, y)
+    table = _table(f, row)
+    points = _Points.of(table)
+    fit = None
+    if law != "mu_of_I" or len(points.x) > 3:
+        try:
+            fit = points.fit(row, constants or {}, guess)
+        except RuntimeError as error:
+            if law != "mu_of_I":
+                raise ValueError(
+                    f"fit_law: the search did not converge ({error}); pass guess= near the "
+                    "expected values, or select the range where the law holds"
+                ) from None
+    if law == "mu_of_I" and (fit is None or not 2 * fit.errors[2] < fit.values[2]):
+        warn_user(
+            SceneWarning(
+                "fit_law: the points hold no more than a line, as I_0 is not above two of its "
+                "standard errors; fitted mu = mu_s + slope I. Points at larger I show the bend"
+            )
+        )
+        law = "mu_of_I_line"
+        row = _law_of(law, x, y)
+        fit = points.fit(row, {}, None)
+    assert fit is not None
+    system = f.attrs.get("unit_system", "SI")
+    units = row.units or [None] * len(fit.names)
+    data: dict[str, Any] = {}
+    for name, value, deviation, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
+        about = {"units": units_in(unit, system)} if unit else {}
+        data[name] = ((), value, {"long_name": f"{name} of the law"} | about)
+        data[f"{name}_error"] = ((), deviation, {"long_name": f"standard error of {name}"} | about)
+    of_parameters = ("parameter", "other_parameter")
+    numbers = {
+        "chi_squared": (fit.chi_squared, "squared residuals over squared standard errors"),
+        "degrees_of_freedom": (len(points.x) - len(fit.names), "points less parameters"),
+        "point_count": (len(points.x), "number of points"),
+    }
+    for name, (number, text) in numbers.items():
+        data[name] = ((), number, {"units": "1", "long_name": text})
+    # each of its elements has a unit of its own
+    data["covariance"] = (of_parameters, fit.covariance, {"long_name": "covariance"})
+    curve = table["y"].copy(data=fit.function(table["x"].to_numpy(), *fit.values))
+    about = {n: table["y"].attrs[n] for n in ("units",) if n in table["y"].attrs}
+    data["fitted"] = curve.drop_attrs().assign_attrs(about, long_name=f"{row.y} by the law")
+    result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
+    named = {"law": law if isinstance(law, str) else "custom", "formula": row.formula}
+    return result.assign_attrs(provenance(f, call) | named)
+
+
+def _law_of(law: str | Callable[..., Any], x: str | None, y: str | None) -> Law:
+    """Return a law with the names of its variables."""
+    if isinstance(law, str) and law in LAWS:
+        row = LAWS[law]
+    elif callable(law):
+        row = Law(law)
+    else:
+        raise ValueError(unknown("law", law, LAWS))
+    row = replace(row, x=x or row.x, y=y or row.y)
+    if row.x is None or row.y is None:
+        raise ValueError("fit_law: a custom law needs x= and y=, names of variables of the Dataset")
+    return row
+
+
+def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
+    """Return x, y and their standard errors (NaN if there are none) on the same nodes."""
+    columns = {}
+    for name, of in (("x", row.x), ("y", row.y)):
+        if of not in f.variables:
+            raise ValueError(unknown("variable", of, f.variables))
+        columns[name] = f[of].astype(float)
+        columns[f"{name}_error"] = f.get(f"{of}_error", xr.DataArray(np.nan))
+    if vectors := {"component", "direction"} & {*columns["x"].dims, *columns["y"].dims}:
+        raise ValueError(
+            f"fit_law fits {row.y!r} over {row.x!r}, and one has {sorted(vectors)}: select a "
+            "component first, f.sel(component='x')"
+        )
+    arrays = xr.broadcast(*(column.drop_vars(list(column.coords)) for column in columns.values()))
+    table = xr.Dataset(dict(zip(columns, arrays, strict=True))).compute()
+    table = table.assign_coords({d: f[d] for d in table.dims if d in f.coords})
+    table["y"].attrs = f[row.y].attrs
+    along = [a for a in (*COMPONENTS, "r") if a in table.dims and a in f.coords]
+    support = 2 * float(np.max(f.attrs.get("cutoff", 0.0)))
+    return table.assign_attrs(shared=nodes_a_support(table, along, support))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Parameters of a law, their covariance, and the law with its constants."""
+
+    function: Callable[..., Any]
+    names: tuple[str, ...]
+    values: NDArray
+    covariance: NDArray
+    chi_squared: float
+
+    @property
+    def errors(self) -> NDArray:
+        """Standard errors of the parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points (n,) of a fit, their standard errors, and how many nodes share their grains."""
+
+    x: NDArray
+    y: NDArray
+    x_error: NDArray
+    y_error: NDArray
+    shared: float
+
+    @classmethod
+    def of(cls, table: xr.Dataset) -> _Points:
+        """Select the points that are finite, and that have an error where others have."""
+        x, y, x_error, y_error = (
+            table[name].to_numpy().ravel() for name in ("x", "y", "x_error", "y_error")
+        )
+        is_known = np.isfinite(x) & np.isfinite(y)
+        has_error = is_known & (y_error > 0) & np.isfinite(y_error)
+        if has_error.any():
+            if without := int((is_known & ~has_error).sum()):
+                warn_user(
+                    SceneWarning(
+                        f"fit_law: {without} of {is_known.sum()} points have no standard error "
+                        "above zero and are left out"
+                    )
+                )
+            is_known = has_error
+        x_error = np.nan_to_num(x_error[is_known])
+        return cls(x[is_known], y[is_known], x_error, y_error[is_known], table.attrs["shared"])
+
+    @property
+    def are_weighted(self) -> bool:
+        """Return whether the points have standard errors."""
+        return bool(len(self.y)) and bool(np.isfinite(self.y_error).all())
+
+    def fit(self, row: Law, constants: Mapping[str, float], guess: Sequence[float] | None) -> _Fit:
+        """Fit a law by least squares."""
+        from scipy.optimize import OptimizeWarning, curve_fit
+
+        names, function = self._with_constants(row, constants)
+        if len(self.x) <= len(names):
+            raise ValueError(
+                f"fit_law: {len(self.x)} points with finite {row.x!r} and {row.y!r}, expected more "
+                f"than the {len(names)} parameters {', '.join(names)}"
+            )
+        if guess is None and row.guess is not None:
+            with np.errstate(all="ignore"):
+                guess = row.guess(self.x, self.y)
+        values = np.ones(len(names)) if guess is None else floats(guess)
+        if values.shape != (len(names),) or not np.isfinite(values).all():
+            raise ValueError(
+                f"guess={plain(guess)}: expected a finite number for each of {', '.join(names)}"
+            )
+        sigma = self.y_error if self.are_weighted else None
+        for _ in range(_ROUNDS if self.x_error.any() else 1):
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore", OptimizeWarning)
+                values, covariance = curve_fit(
+                    function,
+                    self.x,
+                    self.y,
+                    values,
+                    sigma,
+                    absolute_sigma=self.are_weighted,
+                    maxfev=10_000,
+                )
+            if sigma is not None:
+                sigma = np.hypot(self.y_error, _slope(function, self.x, values) * self.x_error)
+        residual = self.y - function(self.x, *values)
+        chi_squared = np.nan if sigma is None else float(((residual / sigma) ** 2).sum())
+        return _Fit(function, names, values, self.shared * covariance, chi_squared)
+
+    def _with_constants(
+        self, row: Law, constants: Mapping[str, float]
+    ) -> tuple[tuple[str, ...], Callable[..., Any]]:
+        """Return the names of the parameters of a law, and the law with its constants."""
+        arguments = inspect.signature(row.function).parameters.values()
+        fixed = {a.name: a.default for a in arguments if a.kind is inspect.Parameter.KEYWORD_ONLY}
+        names = tuple(a.name for a in arguments if a.name not in fixed)[1:]
+        values = fixed | {"first": self.x.min(initial=np.inf)} if "first" in fixed else dict(fixed)
+        if strange := [name for name in constants if name not in fixed]:
+            raise ValueError(unknown("constant", strange[0], fixed))
+        values |= constants
+        if missing := [n for n, value in values.items() if value is inspect.Parameter.empty]:
+            raise ValueError(
+                f"fit_law: the law needs the constants {', '.join(missing)}, for example "
+                f"constants={dict.fromkeys(missing, 1.0)}"
+            )
+        return names, partial(row.function, **values)
+
+
+def _slope(function: Callable[..., Any], x: NDArray, values: NDArray) -> NDArray:
+    """Return dy/dx of a law at x (n,), by central differences."""
+    step = 1e-6 * np.maximum(np.abs(x), 1e-3 * np.ptp(x))
+    return (function(x + step, *values) - function(x - step, *values)) / (2 * step)

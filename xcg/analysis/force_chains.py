@@ -1,0 +1,447 @@
+"""Force chains of a scene: the search in each step, a description of each chain, and chains followed over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.chain_results import (
+    CHAINS,
+    COPIED,
+    RESULTS,
+    require_chains,
+    result_sizes,
+    statistics_of,
+    steps_of,
+)
+from xcg.analysis.chain_selection import Region, check_region
+from xcg.analysis.particle_stress import StressRule, Volumes, carries
+from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
+from xcg.common.messages import warn_user
+from xcg.compiled import chains as loops
+from xcg.compiled._jit import for_parts
+from xcg.scene.conform import require_ids, require_scene, takes_scene
+from xcg.scene.description import Description
+from xcg.scene.frame import require_rising_times, unit_of_times, with_time
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import BOX, Frame, Variable
+from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call, provenance
+
+Algorithm: TypeAlias = Literal["branching", "peters2005"]
+# Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
+# `min_stress` by less than this share of it likewise: both are known to rounding only.
+_ANGLE = 1e-9
+_SHARE = 1e-12
+# what a loop finds of each chain, in the order of its arguments
+_DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "normal")
+
+
+@dataclass(frozen=True)
+class SearchRule:
+    """Criteria of a chain.
+
+    Attributes
+    ----------
+    stress : StressRule
+        How the stress of a particle is made.
+    cosine : float
+        Of the largest angle between the major stress and the branch.
+    min_stress : float or "mean" or None
+        Least major stress (Pa).
+    min_length : int
+        Least number of particles.
+    linear : bool
+        Search without branches (Peters et al. 2005).
+    one_sided : bool
+        Go on only along the direction of travel.
+    region : Region or None
+        Where particles must be.
+    """
+
+    stress: StressRule
+    cosine: float
+    min_stress: float | Literal["mean"] | None
+    min_length: int
+    linear: bool
+    one_sided: bool
+    region: Region | None
+
+    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
+        """Return a mask of the particles that may be part of a chain."""
+        chosen = carries(stress)
+        if "frozen" in frame:
+            chosen &= frame["frozen"] != 1
+        if self.min_stress is not None and len(chosen):
+            major = stress["major_stress"]
+            least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
+            chosen &= major >= least - _SHARE * abs(least)
+        if self.region is not None:
+            time = float(frame.get("time", 0.0))
+            chosen &= self.region.contains(frame, time, lattice)
+        return chosen
+
+
+@takes_scene
+def force_chains(
+    ds: xr.Dataset,
+    alpha: float = 45.0,
+    min_stress: float | Literal["mean"] | None = None,
+    min_length: int = 3,
+    *,
+    algorithm: Algorithm = "branching",
+    one_sided: bool = False,
+    region: Region | None = None,
+    symmetric: bool = True,
+    volume: Volumes = "particle",
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    """Find the force chains of each step of a scene.
+
+    A contact is a link where both of its particles are compressed (and reach `min_stress`), and
+    the branch between their centres is within `alpha` of the direction of the most compressive
+    stress of both. A chain is what a depth-first search reaches through links, with all branches
+    and loops. Lazy where the scene is, one task for each chunk of time.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    alpha : float
+        Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where
+        every contact of two compressed particles is a link.
+    min_stress : float or "mean", optional
+        Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step.
+        By default any compressed particle may be part of a chain.
+    min_length : int
+        Least number of particles of a chain, 2 or more.
+    algorithm : str
+        "branching" (default), or "peters2005": chains without branches, from the particle of
+        largest stress both ways, each time through the contact nearest to the direction of travel.
+    one_sided : bool
+        Go on from a particle only where the branch points along its direction, turned onward (both
+        ways from the seed). Chains then depend on the order of the ids. By default both ways count,
+        and they do not.
+    region : Region, optional
+        Particles whose centre is elsewhere take no part: `xcg.BoxRegion`, `xcg.Sphere`, at rest,
+        moving or following a particle, combined with ``&``, ``|`` and ``~``.
+    symmetric, volume
+        How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes
+        ``symmetric=False``.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        By particle: ``chain_id`` (-1 for none), ``parent_id`` (the particle that it was reached
+        from, -1 for the first of a chain), ``links``, ``branching`` (1 for more than two links),
+        principal stresses (Pa) and directions, ``major_direction`` turned onward along the chain.
+        By contact: ``link_chain``, the chain that it is a link of. By chain, row k for chain k:
+        ``chain_particles``, ``chain_links``, ``chain_branchings``, ``chain_stress`` (Pa),
+        ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:
+        ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``,
+        ``length_share`` (time, length). Positions, diameters, ids and forces are copied from the
+        scene.
+
+        The dimension ``chain`` has as many rows as there could be chains, particles //
+        `min_length`, so that nothing needs to be computed to know the shape; rows without a chain
+        are padding (-1, NaN).
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no contacts or no volumes.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    With b the branch and n the direction of the major stress of each of the two particles, a link
+    has ``|b . n| >= |b| cos(alpha)``. Sources: Ejtehadi et al., Comput. Phys. Commun. 297 (2024)
+    109070; Peters et al., Phys. Rev. E 72 (2005) 041307.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.random_scene(200, seed=1)
+    >>> fc = force_chains(ds, alpha=45, min_stress="mean")
+    >>> fc.chain_id.dims
+    ('time', 'particle')
+    """
+    given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
+    if not (is_positive(alpha) and alpha <= 90):
+        raise ValueError(
+            f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
+        )
+    if alpha < np.pi / 2:
+        warn_user(
+            f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
+        )
+    if not (
+        min_stress is None
+        or is_finite(min_stress)
+        or (isinstance(min_stress, str) and min_stress == "mean")
+    ):
+        raise ValueError(
+            f"min_stress={min_stress!r}: expected a finite stress (Pa), 'mean', or None for no limit"
+        )
+    if not is_whole(min_length, 2):
+        raise ValueError(
+            f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
+        )
+    check_choice("algorithm", algorithm, Algorithm)
+    check_region(region, ds)
+    stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
+    require_scene(ds, ("diameter",), "force_chains")
+    cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
+    rule = SearchRule(
+        stress,
+        cosine,
+        min_stress,
+        int(min_length),
+        algorithm == "peters2005",
+        bool(one_sided),
+        region,
+    )
+    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
+    analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
+    return run(ds, analysis, call=format_call("force_chains", given), on_error=on_error)
+
+
+@dataclass(frozen=True, eq=False)
+class _ForceChains(FrameAnalysis):
+    """Force chains of each step, with what is copied from the scene."""
+
+    name = "force_chains"
+
+    rule: SearchRule
+    lengths: Mapping[str, int]
+    alpha: float
+    algorithm: Algorithm
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return what stress follows from, what is copied, and what regions take."""
+        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
+        return [*self.rule.stress.variables, *COPIED, *optional]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the rows of particles, contacts, chains, and statistics."""
+        return RESULTS
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return the lengths that chains can have."""
+        lengths = self.rule.min_length + np.arange(self.lengths["length"])
+        about = {"units": "1", "long_name": "particles of a chain"}
+        return {"length": xr.Variable("length", lengths, about)}
+
+    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
+        """Return upper bounds of the numbers of chains."""
+        return self.lengths
+
+    def attrs(self, scene: Description) -> dict[str, Any]:
+        """Return the criteria."""
+        rule = self.rule
+        return {"alpha": self.alpha, "min_length": rule.min_length, "algorithm": self.algorithm}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Find the chains of one step."""
+        rule = self.rule
+        found = find_chains(rule, frame, lattice, source, self.threads)
+        lengths = found["chain_particles"]
+        statistics = statistics_of(lengths, rule.min_length, self.lengths["length"])
+        return found | statistics | {name: frame[name] for name in COPIED}
+
+    def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+        """Add the box of the scene."""
+        return result.assign({name: ds.variables[name] for name in BOX if name in ds})
+
+
+def find_chains(
+    rule: SearchRule, frame: Frame, lattice: Lattice, source: str, threads: int = 1
+) -> Frame:
+    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
+
+    Threads share the stress and the test of contacts; the search itself, of links alone, is one
+    thread's.
+    """
+    contacts = rule.stress.contacts(frame, lattice, source, threads)
+    stress = rule.stress.evaluate(frame, contacts, lattice, source)
+    major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
+    qualifies = rule.qualifies(frame, stress, lattice)
+    i, j, particles = contacts.i, contacts.j, len(major)
+    branch = contacts.between
+
+    aligned = np.empty(len(i), bool)
+
+    def test(first: int, last: int) -> None:
+        some = slice(first, last)
+        loops.aligned_contacts(
+            i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some]
+        )
+
+    for_parts(len(i), test, contacts.threads)
+    start, contact = loops.rows_of_contacts(i, j, aligned, particles)
+    seeds = np.flatnonzero(qualifies)
+    chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
+    members, first = np.empty(particles, int), np.empty(particles + 1, int)
+    place, link = frame["position"].copy(), np.full(len(i), loops.UNSEEN)
+    found = (chain, parent, members, first, onward, place, link)
+    if rule.linear:
+        seeds = seeds[np.argsort(-major[seeds], kind="stable")]
+        count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
+    else:
+        count = loops.branching_chains(
+            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
+        )
+    links = np.empty(particles, int)
+    loops.count_links(i, j, start, contact, link, links)
+
+    by_chain = {
+        name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+        for name, row in CHAINS.items()
+    }
+    loops.describe_chains(
+        members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)
+    )
+    dropped = chain == loops.TOO_SHORT
+    chain[dropped] = parent[dropped] = loops.UNSEEN
+    return by_chain | {
+        "chain_id": chain,
+        "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
+        "links": links,
+        "branching": (links > 2).astype(int),
+        "link_chain": link,
+        **{name: values for name, values in stress.items() if name in RESULTS},
+        "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
+    }
+
+
+# --- from step to step ------------------------------------------------------------------------------------
+
+
+def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
+    """Follow chains from step to step by the particles that they share (computes, one step at a time).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`, with particles known by id in all steps.
+    overlap : float
+        Least share of common particles, above 0 and up to 1: the number that two chains have in
+        common over the number in at least one of them (Jaccard index). Pairs of chains are taken
+        from the largest share downward; each chain continues one chain at most. Above 0.5 no chain
+        has two candidates.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``track_id`` (time, chain), -1 for padding; ``births``, ``deaths`` and ``survivors`` (time):
+        chains that continue none of the step before, chains of the step before that none continues,
+        and the others; ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A
+        track seen in one step has lifetime zero. What there is in the first step counts as born
+        there, and what there is in the last does not die, so that lifetimes are lower bounds for
+        these.
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or its times do not rise.
+    ValueError
+        If `overlap` is out of range, or the chains have no time dimension.
+    """
+    require_chains(fc, "track_chains", whole=("chain",))
+    fc = with_time(fc)
+    if not (is_positive(overlap) and overlap <= 1):
+        raise ValueError(
+            f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
+        )
+    if "time" not in fc.dims:
+        raise ValueError(
+            "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
+        )
+    require_ids(fc, "track_chains")
+    require_rising_times(fc, "track_chains")
+    steps = fc.sizes["time"]
+    track = np.full((steps, fc.sizes["chain"]), -1)
+    survivors, times, tracks = np.zeros(steps, int), np.zeros(steps), 0
+    before: tuple[NDArray, NDArray] = (np.zeros(0, int), np.zeros(0, int))
+    for t, step in enumerate(steps_of(fc, ["chain_id"])):
+        member = step.arrays["chain_id"] >= 0
+        now = step.arrays["particle_id"][member], step.arrays["chain_id"][member]
+        times[t] = step.time
+        for a, b in _matches(before, now, overlap):
+            track[t, b] = track[t - 1, a]
+            survivors[t] += 1
+        exists = np.unique(now[1])
+        born = exists[track[t, exists] < 0]
+        track[t, born] = tracks + np.arange(len(born))
+        tracks += len(born)
+        before = now
+    number = (track >= 0).sum(axis=1)
+    births, deaths = number - survivors, np.append(0, number[:-1]) - survivors
+    # a track is in all steps from its first to its last
+    _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
+    first = np.nonzero(track >= 0)[0][first]
+    birth, end = times[first], times[first + seen - 1]
+    unit = unit_of_times(fc)
+    data = {
+        "track_id": (
+            ("time", "chain"),
+            track,
+            {"units": "1", "long_name": "track of the chain, -1 where there is none"},
+        ),
+        "births": (
+            "time",
+            births,
+            {"units": "1", "long_name": "chains that continue none of the step before"},
+        ),
+        "deaths": (
+            "time",
+            deaths,
+            {"units": "1", "long_name": "chains of the step before that none continues"},
+        ),
+        "survivors": (
+            "time",
+            survivors,
+            {"units": "1", "long_name": "chains that continue one of the step before"},
+        ),
+        "birth_time": ("track", birth, {"units": unit, "long_name": "first time of the track"}),
+        "last_time": ("track", end, {"units": unit, "long_name": "last time of the track"}),
+        "lifetime": (
+            "track",
+            end - birth,
+            {"units": unit, "long_name": "time from first to last step"},
+        ),
+        "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
+    }
+    coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
+    return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
+
+
+def _matches(
+    before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float
+) -> list[tuple[int, int]]:
+    """Pairs of chains, each given by particle ids (sorted) and the chain of each, that share enough particles."""
+    _, old, new = np.intersect1d(before[0], now[0], assume_unique=True, return_indices=True)
+    if not old.size:
+        return []
+    pairs, common = np.unique(
+        np.stack([before[1][old], now[1][new]], axis=1), axis=0, return_counts=True
+    )
+    a, b = pairs.T
+    share = common / (np.bincount(before[1])[a] + np.bincount(now[1])[b] - common)
+    matches: dict[int, int] = {}
+    taken: set[int] = set()
+    for k in np.lexsort((b, a, -share)).tolist():
+        if share[k] >= overlap and a[k] not in matches and b[k] not in taken:
+            matches[a[k]] = b[k]
+            taken.add(b[k])
+    return list(matches.items())

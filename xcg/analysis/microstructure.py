@@ -1,0 +1,420 @@
+"""Microstructure of a packing: one number, tensor or distribution for each time and group of particles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.analysis.quantities import QUANTITIES
+from xcg.analysis.samples import Bounds, Measure
+from xcg.common.checks import check_choice, floats, is_finite, is_positive
+from xcg.common.messages import plain, unknown
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
+from xcg.scene.frame import require_times, times_are_known
+from xcg.scene.schema import units_in
+from xcg.steps.analysis import run
+from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call
+
+NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
+FORCE_BINS = np.logspace(-4, 2, 61)
+RattlerRule: TypeAlias = Literal["count", "iterative"]
+StrainMeasure: TypeAlias = Literal["logarithmic", "engineering"]
+RateSource: TypeAlias = Literal["box", "velocity"]
+MixingWeight: TypeAlias = Literal["number", "volume"]
+
+
+# quantities of the whole series: strains, and the size that each inertial number takes
+STRAIN = {
+    "volumetric_strain": "volumetric strain of the box, compression positive",
+    "axial_strain": "axial strain of the box, compression positive",
+}
+INERTIAL = {
+    "inertial_number_dmax": "d_max",
+    "inertial_number_d50": "d50",
+    "inertial_number_dbar": "d_bar",
+}
+NAMES = (*QUANTITIES, *STRAIN, *INERTIAL)
+
+
+@takes_scene
+def microstructure(
+    ds: xr.Dataset,
+    quantities: str | Sequence[str] | None = None,
+    *,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    bounds: Bounds | Mapping[str, Bounds] | None = None,
+    min_contacts: int = 2,
+    rattlers: RattlerRule = "count",
+    max_connectivity: int = 63,
+    force_bins: ArrayLike | None = None,
+    strain_rate: RateSource | float | xr.DataArray | None = None,
+    strain: StrainMeasure = "logarithmic",
+    axis: str | None = None,
+    cell: float | None = None,
+    mixing_weight: MixingWeight = "number",
+    neighbours: int | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    r"""Measure the microstructure of a packing, for each time, and for each region or phase.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene. Frozen grains act as walls.
+    quantities : str or list of str, optional
+        Names below; by default all that the scene's variables allow.
+    by : str, optional
+        An integer variable of the particles: adds the dimension ``phase``, with "bulk" first.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    bounds : mapping, optional
+        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box
+        along other axes. Along a periodic axis they may reach across an edge of the box, and are no
+        wider than it. Or such bounds by name, ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``,
+        which adds the dimension ``region``.
+    min_contacts : int
+        Partners from which a particle counts as load-bearing, in Z_mech and d_bar.
+    rattlers : str
+        "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers.
+        "iterative": they are taken out, with their contacts, until every particle left has that
+        many.
+    max_connectivity : int
+        Last bin of ``connectivity``, which takes in all particles with more partners.
+    force_bins : array, optional
+        Edges of the bins of f / <f>; by default ten a decade from 1e-4 to 100.
+    strain_rate : str, float or DataArray, optional
+        Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by
+        finite differences in time), or "velocity" (from the affine flow that fits the velocities of
+        each group best). By default "box" where the scene has one that is not tilted and several
+        steps, else "velocity".
+    strain : str
+        "logarithmic" (default) or "engineering", relative to the first step of `ds`.
+    axis : str, optional
+        Axis of the axial strain; by default the last of the scene.
+    cell : float, optional
+        Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
+        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains, or
+        all grains are of one phase, ``lacey_index`` is NaN, with a warning.
+    mixing_weight : {"number", "volume"}
+        What grains count by in concentrations, their variances and entropy.
+    neighbours : int, optional
+        Nearest neighbours of each grain for ``nearest_neighbour_index``; by default 12, in a
+        one-layer scene 6.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions (time, region, phase), as they apply, and each quantity's own. Lazy over time
+        where the scene is. NaN where there is nothing to measure, and where the volume of the
+        region is not known.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what a quantity needs, times do not rise where a rate is taken from the
+        box, or a region is wider than the period of a step.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    Sums run over the N particles i whose centre is in the group, of volume V_i, mass m_i, diameter
+    d_i and z_i contact partners (walls included, several contacts with one partner counted once),
+    and over contacts c with normal n (from j to i: given, else along r_i - r_j, else, at a wall,
+    along r_i - c), each weighing w_c: half for each of its particles in the group, whole at a wall.
+    D is the dimension of the scene, V the volume of the region.
+
+    =================================  ===================================================================  =========
+    quantity                           formula                                                              source
+    =================================  ===================================================================  =========
+    particle_count, contact_count      :math:`N`, :math:`N_c = \sum w_c`
+    volume_fraction                    :math:`\phi = \sum V_i / V`
+    coordination_number                :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
+    mechanical_coordination_number     :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
+                                       :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
+    rattler_count                      particles of :math:`z_i < D + 1`                                     [2]_
+    non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
+    connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
+    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is positive
+    mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\| there
+    normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of contacts a bin   [3]_
+    tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`, the same                       [3]_
+    cluster_count                      number of clusters, single grains included
+    largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
+    percolation                        1 along axes on which a cluster reaches through the box, else 0      [10]_
+    fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
+    fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
+                                       :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
+    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
+    mean_stress                        :math:`p' = tr \sigma / D`
+    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev sym :math:`\sigma`; 2D:
+                                       :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
+                                       axisymmetric states
+    stress_ratio                       :math:`\eta = q / p'`
+    d_max, d50, d_bar                  largest; half of the volume is smaller;                              [2]_
+                                       :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
+    particle_density                   :math:`\rho = \sum m_i / \sum V_i`
+    strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
+                                       2D: :math:`\sqrt{2 e:e}`
+    volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
+                                       engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    lacey_index                        :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
+    concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
+    random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
+    segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
+    mixing_entropy                     :math:`\sum_k W_k \sum_a c_{ka}\ln c_{ka} / (W \sum_a p_a \ln p_a)`  [8]_
+    nearest_neighbour_index            :math:`\sum u_i / \sum ((N - N_a) / (N - 1))`                        [9]_
+    inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
+    =================================  ===================================================================  =========
+
+    A cluster is all grains of the group that a path of contacts between them connects. Along a
+    periodic axis it reaches through the box where such a path leads to another image of the grain
+    that it begins at, along others where the cluster touches walls on both sides, contacts whose
+    normal has its largest component along the axis.
+
+    In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the
+    shear rate over :math:`\sqrt 3` (in a plane: the shear rate).
+
+    References
+    ----------
+    .. [1] Thornton, C. (2000). Numerical simulations of deviatoric shear deformation of granular media.
+       Géotechnique 50.
+    .. [2] Shire, T., Hanley, K. J., Stratford, K. (2020). DEM simulations of polydisperse media: efficient contact
+       detection applied to investigate the quasi-static limit. Comput. Part. Mech.
+    .. [3] Radjai, F., Jean, M., Moreau, J.-J., Roux, S. (1996). Force distributions in dense two-dimensional granular
+       systems. Phys. Rev. Lett. 77.
+    .. [4] Satake, M. (1982). Fabric tensor in granular materials. IUTAM conference, Delft.
+    .. [5] Guo, N., Zhao, J. (2013). The signature of shear-induced anisotropy in granular media. Comput. Geotech. 47.
+    .. [6] Love-Weber: Bagi, K. (1996). Stress and strain in granular assemblies. Mech. Mater. 22.
+    .. [7] Lacey, P. M. C. (1954). Developments in the theory of particle mixing. J. Appl. Chem. 4.
+    .. [8] Schutyser, M. A. I. et al. (2001). Discrete particle simulations predicting mixing behavior of solid
+       substrate particles in a rotating drum fermenter. Biotechnol. Bioeng. 75.
+    .. [9] Godlieb, W., Deen, N. G., Kuipers, J. A. M. (2007). Characterizing solids mixing in DEM simulations. 6th Int.
+       Conf. on Multiphase Flow.
+    .. [10] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
+       64.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> m = xcg.datasets.face_centred_cubic(3).cg.microstructure(["coordination_number", "stress_ratio"])
+    >>> m.coordination_number.item()
+    12.0
+    """
+    given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    require_scene(ds, (), "microstructure")
+    check_choice("rattlers", rattlers, RattlerRule)
+    check_choice("strain", strain, StrainMeasure)
+    check_choice("mixing_weight", mixing_weight, MixingWeight)
+    scene = describe(ds, by)
+    setup, regions = scene.setup, _regions(bounds, scene.setup.plane)
+    neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
+    counts = {
+        "min_contacts": min_contacts,
+        "max_connectivity": max_connectivity,
+        "neighbours": neighbours,
+    }
+    for name, value in counts.items():
+        if not (isinstance(value, (int, np.integer)) and value >= 1):
+            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
+    if cell is not None and not is_positive(cell):
+        raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
+    rate = _rate_source(ds, strain_rate)
+    names = _choose(ds, quantities, rate, by)
+    if axis is not None and axis not in setup.plane:
+        raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
+    measured = _measured(names, rate)
+    measure = Measure(
+        names=measured,
+        setup=setup,
+        regions=regions,
+        by=by,
+        groups=scene.groups(by, groups),
+        depth=scene.layer_depth,
+        min_contacts=int(min_contacts),
+        iterative=rattlers == "iterative",
+        max_connectivity=int(max_connectivity),
+        force_bins=_force_bins(force_bins),
+        cell=cell,
+        by_volume=mixing_weight == "volume",
+        neighbours=neighbours,
+    )
+    require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")
+    call = format_call("microstructure", given)
+    result = run(ds, measure, call=call, scene=scene, on_error=on_error)
+    return _with_series(ds, result, names, rate, strain, axis or setup.plane[-1])
+
+
+def _force_bins(edges: ArrayLike | None) -> NDArray:
+    bins = FORCE_BINS if edges is None else floats(edges)
+    if bins.ndim != 1 or len(bins) < 2 or not ((np.diff(bins) > 0).all() and bins[0] >= 0):
+        raise ValueError(
+            f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
+        )
+    return bins
+
+
+def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[str, Bounds]:
+    """Bounds by name of the region; the name is empty where there is one region only."""
+    given: Any = {} if bounds is None else bounds
+    nested = (
+        isinstance(given, Mapping)
+        and given
+        and all(isinstance(value, Mapping) for value in given.values())
+    )
+    regions: dict[str, Any] = dict(given) if nested else {"": given}
+    for region in regions.values():
+        pairs = region.items() if isinstance(region, Mapping) else [("", region)]
+        for axis, edges in ((axis, floats(ends)) for axis, ends in pairs):
+            if axis not in [*plane] or edges.shape != (2,) or not edges[0] < edges[1]:
+                raise ValueError(
+                    f"bounds={bounds!r}: expected (low, high) for axes of the scene ({', '.join(plane)}), for example "
+                    f"{{{plane[-1]!r}: (0.0, 0.1)}}, or several such mappings by name of the region"
+                )
+    return regions
+
+
+def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
+    """Return the source of the strain rate: "box", "velocity", or the rate itself."""
+    if given is None:
+        deforms = "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
+        return "box" if deforms and times_are_known(ds) else "velocity"
+    if isinstance(given, str):
+        if given not in get_args(RateSource):
+            raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
+        if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
+            raise ValueError(
+                "strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'"
+            )
+        if given == "box" and "lattice" in ds:
+            raise ValueError(
+                "strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'"
+            )
+        return given
+    if isinstance(given, xr.DataArray):
+        return given
+    if not is_finite(given):
+        raise ValueError(
+            f"strain_rate={plain(given)}: expected one rate (s-1), or a DataArray of one for each time"
+        )
+    return xr.DataArray(float(given))
+
+
+def _choose(
+    ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
+) -> tuple[str, ...]:
+    """Names that were asked for, or all that the scene allows."""
+    if asked is not None:
+        names = [asked] if isinstance(asked, str) else list(asked)
+        if not names:
+            raise ValueError(
+                f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows"
+            )
+        for name in names:
+            if name not in NAMES:
+                raise ValueError(
+                    unknown(
+                        "quantity", name, NAMES, "others are listed on the page on microstructure"
+                    )
+                )
+        mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
+        if mixing and by is None:
+            raise ValueError(
+                f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'"
+            )
+        if set(names) & set(STRAIN) and "box" not in ds:
+            require_scene(ds, ("box",), "strain of the box")
+        return tuple(dict.fromkeys(names))
+    return tuple(
+        name
+        for name in NAMES
+        if (name not in STRAIN or "box" in ds)
+        and not (name in QUANTITIES and QUANTITIES[name].of_phases)
+        and all(
+            set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate)
+        )
+    )
+
+
+def _measured(names: Sequence[str], rate: str | xr.DataArray) -> tuple[str, ...]:
+    """Quantities to measure step by step for these names; a rate that comes from elsewhere is not among them."""
+    found: list[str] = []
+    for name in names:
+        if name in INERTIAL:
+            found += [INERTIAL[name], "particle_density", "mean_stress", "strain_rate"]
+        elif name not in STRAIN:
+            found.append(name)
+    return tuple(
+        name for name in dict.fromkeys(found) if name != "strain_rate" or _is(rate, "velocity")
+    )
+
+
+def _is(rate: str | xr.DataArray, source: str) -> bool:
+    return isinstance(rate, str) and rate == source
+
+
+def _with_series(
+    ds: xr.Dataset,
+    result: xr.Dataset,
+    names: Sequence[str],
+    rate: str | xr.DataArray,
+    strain: str,
+    axis: str,
+) -> xr.Dataset:
+    """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
+    setup = describe(ds).setup
+    if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
+        lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(
+            component=list(setup.plane)
+        )
+        first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
+        stretch = xr.ufuncs.log(lengths / first)
+        total, axial = (
+            stretch.sum("component", skipna=False),
+            stretch.sel(component=axis, drop=True),
+        )
+        for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
+            values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
+            attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
+            result[name] = values.drop_attrs(deep=False).assign_attrs(attrs)
+        if _is(rate, "box"):
+            require_times(ds, "the strain rate of the box")
+            # one chunk, as finite differences reach over chunks; a box is six numbers a step
+            whole = stretch.chunk(time=-1) if stretch.chunks else stretch
+            rate = _deviatoric(whole.differentiate("time"), len(setup.plane))
+    if isinstance(rate, xr.DataArray):
+        attrs = {
+            "units": units_in("s^-1", setup.unit_system),
+            "long_name": QUANTITIES["strain_rate"].long_name,
+            "formula": QUANTITIES["strain_rate"].formula,
+        }
+        result["strain_rate"] = rate.drop_attrs(deep=False).assign_attrs(attrs)
+    for name in set(INERTIAL) & set(names):
+        pressure = result["mean_stress"]
+        root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
+        number = xr.ufuncs.fabs(result["strain_rate"]) * result[INERTIAL[name]] * root
+        attrs = {
+            "units": "1",
+            "long_name": f"inertial number with {INERTIAL[name]}",
+            "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
+        }
+        result[name] = number.transpose(*pressure.dims).drop_attrs(deep=False).assign_attrs(attrs)
+    return result[list(names)]
+
+
+def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
+    """Deviatoric strain rate from the rates of stretch along the axes."""
+    deviator = rates - rates.mean("component")
+    return xr.ufuncs.sqrt(
+        (2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False)
+    )

@@ -1,0 +1,636 @@
+"""Pictures and movies of results: profiles with their errors, maps with arrows."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.grain_plots import draw_grains
+from xcg.common import drawing
+from xcg.common.checks import check_choice, extra, is_positive
+from xcg.common.messages import did_you_mean, unknown
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
+from xcg.scene.frame import require_steps, step_at, with_time
+from xcg.scene.schema import COMPONENTS, NUMBERED
+from xcg.steps.mapping import each_step, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+T = TypeVar("T", xr.Dataset, xr.DataArray)
+Shading: TypeAlias = Literal["smooth", "flat"]
+
+ARROWS = 20  # along the longer axis of a map
+AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
+FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
+NARROW = 2.0  # inches of a map, in which numbers below it may run into each other
+BESIDE = 0.8  # of the width that is left of a map beside its colour bar, about
+_ARROW = "arrow_"
+_AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
+ERROR = "_error"  # what `time_average` adds to the name of a field
+
+
+def plot(
+    f: xr.Dataset,
+    field: str | None = None,
+    *,
+    index: int = -1,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+    arrows: str | None = "auto",
+    shading: Shading = "smooth",
+    ax: Axes | None = None,
+    cmap: str | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
+    **options: Any,
+) -> Axes:
+    """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
+
+    Profiles show one line for each component of a vector or for each phase, and a band of one
+    standard error on both sides where the result has errors (`time_average`). The axis z stands
+    upright. Maps show numbers as colours, white where the field is unknown. A map of a vector shows
+    its magnitude, and its direction as arrows, which are left out where they would be dots (below a
+    tenth of the 98th percentile of all). A map over r and theta lies in the plane of the circle;
+    one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
+    the slice in the middle of its shortest axis is drawn.
+
+    Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
+    Their colours show a variable of the particles.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result with one, two or three axes, or a scene, lazy or in memory. Only what is drawn is
+        computed.
+    field : str, optional
+        Which field; the first one but `sample_count` by default. Of a scene, a variable of the
+        particles; grains are grey by default.
+    index : int
+        Position of the step in time; the last one by default.
+    component, direction : str, optional
+        "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw.
+        A tensor needs both.
+    phase : int or str, optional
+        Which phase; the bulk by default in maps, all phases in profiles.
+    at : mapping, optional
+        Where a volume is cut, for example ``{"y": 10.0}`` (m; the nearest nodes are drawn).
+    arrows : str, optional
+        The vector field that arrows show on a map. By default a map of a vector shows that vector
+        ("auto"), and other maps have no arrows; None for no arrows.
+    shading : {"smooth", "flat"}
+        "smooth" interpolates linearly between the nodes of a map that are known; "flat" gives each
+        node one colour.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+    cmap : str, optional
+        Colours of a map, by the names of matplotlib. By default "viridis", or "RdBu_r" with white
+        for zero where both signs matter: of the 2nd and the 98th percentile of the numbers that are
+        not zero one is negative, one is positive, and the smaller is at least a tenth of the
+        larger.
+    vmin, vmax : float, optional
+        Ends of the colours of a map; the smallest and largest number by default. If both signs
+        matter, one end is minus the other.
+    **options
+        For matplotlib: of lines, such as ``color`` and ``linewidth``; of maps and grains, such as
+        ``norm="log"`` and ``alpha``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is not installed.
+    TypeError
+        If matplotlib has no such option.
+    ValueError
+        If the result has no such field, no axes to draw along, or a part has to be named, or an
+        argument is wrong.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.random_scene().cg.coarse_grain(axes="xz", at={"y": 2.5}, width=1.0)
+    >>> f.cg.plot("pressure")  # doctest: +SKIP
+    """
+    extra("matplotlib.pyplot", "plot", "drawing")
+    _check_options(options)
+    if "particle_id" in f:
+        _check_grains(direction, phase, arrows, shading)
+        ax = drawing.new_axes() if ax is None else ax
+        ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
+        try:
+            picture = draw_grains(f, field, index, component, at, ax, ends, options)
+        except AttributeError as error:  # of matplotlib, about keywords
+            raise TypeError(f"plot: {error}") from None
+        ax.set_title(_title(picture))
+        return ax
+    part = _part(with_time(f), field, component, direction, at, arrows, shading)
+    picture = _one_step(part, index, phase).compute()
+    ax = drawing.new_axes() if ax is None else ax
+    name, axes = picture.attrs["drawn"], axes_of(picture)
+    try:
+        if len(axes) == 1:
+            _draw_profile(picture, name, axes[0], ax, options)
+        else:
+            values = _known([picture[name]])
+            colours = drawing.colours_of(values, cmap, vmin, vmax)
+            if "color" in options:
+                raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
+            if "norm" in options:
+                ends = {"vmin": vmin, "vmax": vmax}
+                colours = {"cmap": cmap or "viridis"} | {
+                    end: number for end, number in ends.items() if number is not None
+                }
+            mesh = _draw_map(picture, name, axes, ax, colours | options, _fastest(picture), shading)
+            _draw_colour_bar(picture, name, mesh, values)
+    except AttributeError as error:  # of matplotlib, about keywords
+        raise TypeError(f"plot: {error}") from None
+    ax.set_title(_title(picture))
+    return ax
+
+
+# Options of other plotting functions, with what to do in place of them.
+_OTHER_OPTIONS = {
+    "time": "give index=, the position of a step, or select it before, .sel(time=...)",
+    "step": "give index=, the position of a step",
+    "figsize": "give ax=, from matplotlib.pyplot.subplots(figsize=...)",
+    "title": "call set_title on what plot returns",
+    "xlabel": "call set_xlabel on what plot returns",
+    "ylabel": "call set_ylabel on what plot returns",
+    "xlim": "call set_xlim on what plot returns",
+    "ylim": "call set_ylim on what plot returns",
+    "log": "give norm='log' for colours, or call set_xscale('log') on what plot returns",
+    "clim": "give vmin= and vmax=",
+    "colormap": "give cmap=",
+}
+
+
+def _check_options(options: Mapping[str, Any]) -> None:
+    """Raise TypeError for keywords that are done in another way."""
+    for name in options:
+        if name in _OTHER_OPTIONS:
+            raise TypeError(f"plot has no argument {name!r}: {_OTHER_OPTIONS[name]}")
+        near = did_you_mean(
+            name, [p for p in inspect.signature(plot).parameters if len(p) > 2], 0.8
+        )
+        if near:
+            raise TypeError(f"plot has no argument {name!r}{near}")
+
+
+def _check_grains(
+    direction: str | None, phase: int | str | None, arrows: str | None, shading: Shading
+) -> None:
+    """Raise ValueError for arguments that pictures of grains have not."""
+    given = {"direction": direction, "phase": phase}
+    given["arrows"] = None if arrows == "auto" else arrows
+    given["shading"] = None if shading == "smooth" else shading
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(
+                f"{name}={value!r}: this is a scene, whose grains are drawn without it; fields are drawn by "
+                "ds.cg.coarse_grain(...).cg.plot()"
+            )
+
+
+def movie(
+    f: xr.Dataset,
+    path: str | os.PathLike[str],
+    field: str | None = None,
+    *,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+    arrows: str | None = "auto",
+    shading: Shading = "smooth",
+    fps: float = 10.0,
+    dpi: float = 120.0,
+    progress: bool | None = None,
+    cmap: str | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Path:
+    """Write a movie of one field: the picture of `plot` for each step, with the same axes and colours in all of them.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result with several steps, lazy or in memory. What is drawn of all steps is held in
+        memory.
+    path : str or path
+        ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
+    field, component, direction, phase, at, arrows, shading, cmap, vmin, vmax
+        As in `plot`; all steps share the ends of the colours.
+    fps : float
+        Steps in a second.
+    dpi : float
+        Dots in an inch; a frame is 7 by 5 inches.
+    progress : bool, optional
+        Show the progress on the standard error; by default in a terminal or notebook where it takes
+        long.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is not installed.
+    OSError
+        If ffmpeg is not installed, for mp4.
+    ValueError
+        If the result has no dimension ``time``, the name ends otherwise, or as in `plot`.
+    """
+    path = Path(path)
+    if path.suffix not in (".gif", ".mp4"):
+        raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
+    for what, number in (("fps", fps), ("dpi", dpi)):
+        if not is_positive(number):
+            raise ValueError(f"{what}={number!r}: expected a positive number")
+    maps = extra("matplotlib", "plot", "a movie").colormaps
+    if cmap is not None and not (isinstance(cmap, str) and cmap in maps):
+        raise ValueError(
+            unknown("colour map", cmap, maps, "others are listed by matplotlib.colormaps")
+        )
+    f = with_time(f)
+    if "time" not in f.dims:
+        raise ValueError(
+            "movie needs a result with the dimension 'time'; draw a single step with plot"
+        )
+    require_steps(f, "movie")
+    animation = extra("matplotlib.animation", "plot", "a movie")
+    if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
+        raise OSError(
+            f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif"
+        )
+    part = _part(f, field, component, direction, at, arrows, shading)
+    count, name = part.sizes["time"], part.attrs["drawn"]
+    steps = []
+    with shown(count, progress, what="steps computed") as bar:
+        for step in each_step(part):
+            steps.append(_one_step(step, 0, phase))
+            bar.update()
+    with shown(count, progress, what="frames drawn") as bar:
+        values = _known([step[name] for step in steps])
+        low, high = drawing.ends_of(values)
+        fastest = max(_fastest(step) for step in steps)
+        colours = drawing.colours_of(values, cmap, vmin, vmax)
+        figure = extra("matplotlib.figure", "plot", "a movie").Figure(
+            figsize=(7, 5), layout="constrained"
+        )
+        ax = figure.add_subplot()
+        axes = axes_of(steps[0])
+
+        def draw(k: int) -> None:
+            ax.clear()
+            if len(axes) == 1:
+                _draw_profile(steps[k], name, axes[0], ax)
+                margin = 0.05 * (high - low)
+                (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
+            else:
+                mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
+                if k == 0 and len(figure.axes) == 1:
+                    _draw_colour_bar(steps[k], name, mesh, values)
+            ax.set_title(_title(steps[k]))
+            bar.update()
+
+        film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
+        part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
+        try:
+            film.save(
+                part_of_file,
+                writer="pillow" if path.suffix == ".gif" else "ffmpeg",
+                fps=fps,
+                dpi=dpi,
+            )
+            part_of_file.replace(path)
+        finally:
+            part_of_file.unlink(missing_ok=True)
+    return path
+
+
+# --- what is drawn ---------------------------------------------------------------------------------------
+
+
+def _part(
+    f: xr.Dataset,
+    field: str | None,
+    component: str | None,
+    direction: str | None,
+    at: Mapping[str, float] | None,
+    arrows: str | None,
+    shading: str,
+) -> xr.Dataset:
+    """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
+    check_choice("shading", shading, Shading)
+    name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
+    if "particle_id" in f:
+        raise ValueError(
+            "movie draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.movie(path)"
+        )
+    if name is None or name not in f:
+        fields = list(map(str, f.data_vars))
+        hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
+        hint = hint if name in FIELDS else did_you_mean(str(name), fields, synonyms=OTHER_NAMES)
+        raise ValueError(f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}{hint}")
+    cut = _slice(f, at)
+    axes = axes_of(cut)
+    if not 1 <= len(axes) <= 2 or "point" in cut.dims:
+        drawn, dims = (
+            ", ".join(_AXES),
+            [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")],
+        )
+        own = next((dim for dim in dims if dim not in ("time", "phase")), dims[0] if dims else None)
+        step = ".isel(time=-1)" if "time" in dims and own != "time" else ""
+        raise ValueError(
+            f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
+            + (
+                f"; xarray draws others, such as f[{name!r}]{step}.plot.line(x={own!r})"
+                if own
+                else ""
+            )
+        )
+    value = cut[name]
+    if "direction" in value.dims and (component is None or direction is None):
+        labels = [
+            str(label)
+            for label in value["component"].values
+            if str(label) in f.attrs.get("plane", _AXES)
+        ]
+        x, z = labels[0], labels[-1]
+        raise ValueError(
+            f"{name} is a tensor: name a part of it, for example component={x!r}, direction={z!r}"
+        )
+    spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
+    if len(axes) == 2 and spare:
+        dim = str(min(spare, key=str))
+        raise ValueError(
+            f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
+        )
+    chosen = {
+        dim: x for dim, x in (("component", component), ("direction", direction)) if x is not None
+    }
+    found = {name: _component(value, name, chosen)}
+    if len(axes) == 1 and f"{name}{ERROR}" in cut:
+        found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
+    if len(axes) == 2:
+        unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
+        if arrows == "auto":
+            arrows = name if "component" in found[name].dims and not unrolled else None
+        if arrows is not None:
+            if unrolled or arrows not in cut or cut[arrows].dims[-1:] != ("component",):
+                raise ValueError(
+                    f"arrows={arrows!r}: expected a vector field of the result, on a map that is not unrolled"
+                )
+            for axis in axes:
+                found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
+        if "component" in found[name].dims:
+            size = (found[name] ** 2).sum("component", skipna=False) ** 0.5
+            found[name] = size.assign_attrs(
+                value.attrs, long_name=f"magnitude of {drawing.long_name_of(value, name)}"
+            )
+    return xr.Dataset(found, attrs={"drawn": name})
+
+
+def numbers_of(
+    f: xr.Dataset,
+    field: str,
+    *,
+    index: int = -1,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+) -> xr.DataArray:
+    """Return the numbers that `plot` draws with these arguments, in memory; errors as `plot`.
+
+    Maps have the dimensions (up, across), and profiles that of their axis first.
+    """
+    part = _part(with_time(f), field, component, direction, at, None, "flat")
+    step = _one_step(part, index, phase)
+    return step[field].transpose(*axes_of(step)[::-1], ...).compute()
+
+
+def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
+    for dim, label in chosen.items():
+        if dim in value.dims and not isinstance(label, str):
+            raise TypeError(
+                f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}"
+            )
+        value = _labelled(value, dim, label).drop_vars(dim)
+    part = f"{drawing.long_name_of(value, name)}, {''.join(chosen.values())}"
+    return value.assign_attrs(value.attrs, long_name=part) if chosen else value
+
+
+def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
+    """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
+    if set(at or ()) - set(axes_of(f)):
+        raise ValueError(
+            f"at={dict(at or {})!r}: the axes of this result are {', '.join(axes_of(f)) or 'none'}"
+        )
+    cut = f.sel(at, method="nearest") if at else f
+    if len(axes := axes_of(cut)) < 3:
+        return cut
+    shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
+    return cut.isel({shortest: cut.sizes[shortest] // 2})
+
+
+def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
+    """Select a step, and of maps a phase."""
+    part = step_at(part, index)
+    if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
+        phase = "bulk"
+    return part if phase is None else _labelled(part, "phase", phase)
+
+
+def _labelled(part: T, dim: str, label: int | str) -> T:
+    """Select by a label, and refuse one that the result does not have."""
+    if dim not in part.dims:
+        name = getattr(part, "name", None) or "the result"
+        raise ValueError(f"{dim}={label!r}: {name} has no dimension {dim!r}")
+    labels = list(map(str, part[dim].to_numpy()))
+    if str(label) not in labels:
+        raise ValueError(f"{dim}={label!r}: expected one of {', '.join(labels)}")
+    return part.isel({dim: labels.index(str(label))})
+
+
+def axes_of(f: xr.Dataset) -> list[str]:
+    """Return the axes of a result in the order in which maps have them: across, then up."""
+    return [a for a in _AXES if a in f.dims]
+
+
+def _known(steps: list[Any]) -> NDArray:
+    """Return the finite numbers of all steps."""
+    values = np.concatenate([np.ravel(step) for step in steps])
+    return values[np.isfinite(values)]
+
+
+def _fastest(picture: xr.Dataset) -> float:
+    """Return the speed whose arrow is as long as arrows are apart."""
+    parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
+    size = _known([np.hypot(*parts)] if parts else [[]])
+    return float(np.percentile(size, FASTEST)) if size.size else 0.0
+
+
+# --- drawing ---------------------------------------------------------------------------------------------
+
+
+def _draw_profile(
+    picture: xr.Dataset, name: str, axis: str, ax: Axes, options: Mapping[str, Any] | None = None
+) -> None:
+    nodes = picture[axis].to_numpy()
+    value, error = picture[name], picture.get(f"{name}{ERROR}")
+    others, upright = [dim for dim in value.dims if dim != axis], axis == "z"
+    for labels in product(*(value[dim].to_numpy() for dim in others)):
+        place = dict(zip(others, labels, strict=True))
+        y = value.sel(place).to_numpy()
+        label = ", ".join(map(str, labels)) or None
+        points = (y, nodes) if upright else (nodes, y)
+        (line,) = ax.plot(*points, **{"label": label, **(options or {})})
+        if error is not None:
+            e = error.sel(place).to_numpy()
+            fill = ax.fill_betweenx if upright else ax.fill_between
+            fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
+    along, up = (axis, name)[:: -1 if upright else 1]
+    drawing.set_label(ax.xaxis, drawing.label_of(picture[along], along))
+    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
+    if others:
+        ax.legend(title=", ".join(map(str, others)))
+
+
+def _draw_map(
+    picture: xr.Dataset,
+    name: str,
+    axes: list[str],
+    ax: Axes,
+    colours: Mapping[str, Any],
+    fastest: float,
+    shading: Shading,
+) -> Any:
+    across, up = axes
+    picture = picture.sortby(axes)
+    value = picture[name].transpose(up, across)
+    if axes == ["r", "theta"]:
+        return _draw_circle(picture, value, ax, colours, fastest, shading)
+    x, y, values = drawing.cells_of(value, shading)
+    mesh = ax.pcolormesh(x, y, values, **{"rasterized": shading == "smooth", **colours})
+    if fastest > 0:
+        every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
+        some = picture.isel({a: slice(every // 2, None, every) for a in axes})
+        along, rise = (some[f"{_ARROW}{a}"].transpose(up, across).to_numpy() for a in axes)
+        apart = min(
+            (float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0
+        )
+        _draw_arrows(ax, *np.meshgrid(some[across], some[up]), along, rise, fastest, apart)
+    ax.set_aspect("auto" if across == "theta" else "equal")
+    ax.apply_aspect()
+    wide = ax.get_window_extent().width / ax.figure.dpi
+    if wide < NARROW:
+        ax.xaxis.set_major_locator(
+            extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide)))
+        )
+    drawing.set_label(ax.xaxis, drawing.label_of(picture[across], across))
+    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
+    return mesh
+
+
+def _draw_circle(
+    picture: xr.Dataset,
+    value: xr.DataArray,
+    ax: Axes,
+    colours: Mapping[str, Any],
+    fastest: float,
+    shading: Shading,
+) -> Any:
+    """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
+    rim, turn, values = drawing.cells_of(value, shading)
+    rim = rim.clip(0)
+    mesh = ax.pcolormesh(
+        rim * np.cos(turn[:, None]),
+        rim * np.sin(turn[:, None]),
+        values,
+        **{"rasterized": shading == "smooth", **colours},
+    )
+    if fastest > 0:
+        apart = 2 * rim[-1] / ARROWS
+        line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
+        x, y = (a.ravel() for a in np.meshgrid(line, line))
+        away, angle = np.hypot(x, y), np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+        inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
+        x, y, away, angle = (a[inside] for a in (x, y, away, angle))
+        there = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
+        outward, around = (
+            picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta")
+        )
+        along = outward * np.cos(angle) - around * np.sin(angle)
+        rise = outward * np.sin(angle) + around * np.cos(angle)
+        _draw_arrows(ax, x, y, along, rise, fastest, apart)
+    ax.set_aspect("equal")
+    unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
+    drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
+    drawing.set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
+    return mesh
+
+
+def _draw_arrows(
+    ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float
+) -> None:
+    """Draw arrows; the longest are as long as their spacing, and slow places have none."""
+    there = np.hypot(along, rise) >= AT_REST * fastest
+    ax.quiver(
+        x[there],
+        y[there],
+        along[there],
+        rise[there],
+        pivot="mid",
+        color="white",
+        edgecolor="black",
+        linewidth=0.5,
+        angles="xy",
+        scale_units="xy",
+        scale=fastest / apart,
+        width=0.006,
+    )
+
+
+def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray) -> None:
+    """Draw the colour bar of a map, with a point at an end that numbers exceed."""
+    low, high = mesh.get_clim()
+    above, below = bool((values > high).any()), bool((values < low).any())
+    extend = "both" if above and below else "max" if above else "min" if below else "neither"
+    ax = mesh.axes
+    room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
+    tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
+    drawing.add_colour_bar(
+        mesh, ax, drawing.label_of(picture[name], name), extend=extend, shrink=min(1.0, tall)
+    )
+
+
+def _title(picture: xr.Dataset) -> str:
+    """Return the time and the position of a slice, as text."""
+    parts = []
+    for name in (
+        a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim
+    ):
+        value = picture[name].item()
+        unit = drawing.unit_text(str(picture[name].attrs.get("units", "")))
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        if picture[name].attrs.get("long_name") == NUMBERED:
+            name, text = "step", f"{value:.0f}"
+        parts.append(f"{name} = {text} {unit}".rstrip())
+    return ", ".join(parts)

@@ -1,0 +1,372 @@
+"""Quantities of the microstructure: one row each, with its unit, formula, what it needs, and how it is computed.
+
+A row's function takes the sample ``s`` of one group of particles at one time:
+
+count, diameter, volume, mass, velocity, position : number and (n, ...)
+    The particles of the group.
+partners, backbone : (n,)
+    Number of contact partners, and whether they hold the particle in place (it is not a rattler).
+weight, normal : (c, ...)
+    The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a
+    wall.
+pushing, normal_force, tangential_force
+    Weights of the contacts that have a positive normal force, and their forces.
+clusters
+    Which grains of the group contacts between them connect (`xcg.analysis.network`).
+virial : (3, 3)
+    Sum of f a over the particles' sides of their contacts.
+mixture, which
+    All grains of the region by phase (`xcg.analysis.samples`), and the group: 0 the bulk, 1, 2, ...
+    the phases.
+region_volume, plane, min_contacts, max_connectivity, force_bins
+    Volume (m3), axes of the scene, and options.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class PackingQuantity:
+    """Quantity of the microstructure.
+
+    Attributes
+    ----------
+    long_name, formula : str
+        For the attributes and the documentation.
+    compute : callable
+        ``compute(s)`` for a `SimpleNamespace` with the sample, see above.
+    units : str
+        SI unit.
+    dims : tuple of str
+        Dimensions besides time, region and phase.
+    needs : tuple of str
+        Variables of the scene.
+    of_phases : bool
+        Whether it takes phases, and is measured only where it is asked for.
+    """
+
+    long_name: str
+    formula: str
+    compute: Callable[[Any], Any]
+    units: str = "1"
+    dims: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    of_phases: bool = False
+
+
+CONTACTS = ("contact_i", "contact_j", "contact_point")
+FORCES = (*CONTACTS, "contact_force")
+TENSOR = ("component", "direction")
+
+
+def ratio(a: Any, b: float) -> Any:
+    """Return a / b, NaN where b is not positive."""
+    return a / b if b > 0 else np.full(np.shape(a), np.nan)
+
+
+def _mechanical(s: Any) -> float:
+    load_bearing = s.partners[s.partners >= s.min_contacts]
+    return ratio(load_bearing.sum(), len(load_bearing))
+
+
+def _connectivity(s: Any) -> NDArray:
+    last = s.max_connectivity
+    return ratio(np.bincount(np.minimum(s.partners, last).astype(int), minlength=last + 1), s.count)
+
+
+def _mean_force(force: str, s: Any) -> float:
+    return float(ratio((s.pushing * getattr(s, force)).sum(), s.pushing.sum()))
+
+
+def _force_pdf(force: str, s: Any) -> NDArray:
+    contacts = s.pushing.sum() if _mean_force(force, s) > 0 else 0.0
+    return ratio(_force_count(force, s), contacts) / np.diff(s.force_bins)
+
+
+def _force_count(force: str, s: Any) -> NDArray:
+    return np.histogram(
+        ratio(getattr(s, force), _mean_force(force, s)), s.force_bins, weights=s.pushing
+    )[0]
+
+
+def _fabric(s: Any) -> NDArray:
+    known = s.weight * (s.normal**2).sum(axis=1)
+    return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), known.sum())
+
+
+def _percolation(s: Any) -> NDArray:
+    found = np.full(3, np.nan)
+    found[s.plane] = s.clusters.spans[s.plane]
+    return found
+
+
+def _plane(tensor: NDArray, s: Any) -> NDArray:
+    """Symmetric part of a tensor, in the axes of the scene."""
+    return ((tensor + tensor.T) / 2)[np.ix_(s.plane, s.plane)]
+
+
+def _deviator(tensor: NDArray) -> NDArray:
+    return tensor - np.trace(tensor) / len(tensor) * np.eye(len(tensor))
+
+
+def _norm(tensor: NDArray) -> float:
+    return float(np.sqrt((tensor * tensor).sum()))
+
+
+def _anisotropy(s: Any) -> float:
+    fabric = _deviator(_plane(_fabric(s), s))
+    # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in
+    # a plane
+    return (
+        np.sqrt(3 / 2) * 7.5 * _norm(fabric)
+        if len(s.plane) == 3
+        else np.sqrt(0.5) * 4 * _norm(fabric)
+    )
+
+
+def _stress(s: Any) -> NDArray:
+    return ratio(s.virial, s.region_volume)
+
+
+def _mean_stress(s: Any) -> float:
+    return float(np.trace(_plane(_stress(s), s)) / len(s.plane))
+
+
+def _deviator_stress(s: Any) -> float:
+    return np.sqrt(3 / 2 if len(s.plane) == 3 else 2) * _norm(_deviator(_plane(_stress(s), s)))
+
+
+def _velocity_rate(s: Any) -> float:
+    """Deviatoric strain rate of the affine flow that fits the velocities best."""
+    x, v = s.position[:, s.plane], s.velocity[:, s.plane]
+    if len(x) <= len(s.plane):
+        return np.nan
+    away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
+    # LAPACK would not come to an end
+    if not (np.isfinite(away).all() and np.isfinite(relative).all()):
+        return np.nan
+    gradient = np.linalg.lstsq(away, relative, rcond=None)[0].T
+    rate = _deviator((gradient + gradient.T) / 2)
+    return np.sqrt(2 / 3 if len(rate) == 3 else 2) * _norm(rate)
+
+
+def _d_max(s: Any) -> float:
+    return float(s.diameter.max()) if s.count else np.nan
+
+
+def _d50(s: Any) -> float:
+    if not s.count:
+        return np.nan
+    order = np.argsort(s.diameter, kind="stable")
+    share = np.cumsum(s.volume[order])
+    return s.diameter[order][np.searchsorted(share, 0.5 * share[-1])]
+
+
+def _d_bar(s: Any) -> float:
+    load_bearing = s.partners >= s.min_contacts
+    return ratio((s.volume * s.diameter)[load_bearing].sum(), s.volume[load_bearing].sum())
+
+
+def _of_mixture(method: str, s: Any) -> float:
+    return getattr(s.mixture, method)(s.which) if len(s.mixture.phase) else np.nan
+
+
+def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
+    compute = partial(_of_mixture, method)
+    return PackingQuantity(
+        long_name, formula, compute, needs=("diameter", "volume"), of_phases=True
+    )
+
+
+def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
+    """Mean and distribution of one part of the forces, over the contacts that push."""
+    force, ratios = f"{kind}_force", f"{symbol} / <{symbol}>"
+    return {
+        f"mean_{force}": PackingQuantity(
+            f"mean {kind} force of contacts that push",
+            f"<{symbol}>, f_c . n_c > 0",
+            partial(_mean_force, force),
+            units="N",
+            needs=FORCES,
+        ),
+        f"{force}_pdf": PackingQuantity(
+            f"probability density of the {kind} force over its mean",
+            f"p({ratios})",
+            partial(_force_pdf, force),
+            dims=("force_ratio",),
+            needs=FORCES,
+        ),
+        f"{force}_count": PackingQuantity(
+            f"number of contacts by {kind} force over its mean",
+            f"N_c({ratios})",
+            partial(_force_count, force),
+            dims=("force_ratio",),
+            needs=FORCES,
+        ),
+    }
+
+
+QUANTITIES: dict[str, PackingQuantity] = {
+    "particle_count": PackingQuantity("number of particles", "N", lambda s: s.count),
+    "contact_count": PackingQuantity(
+        "number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS
+    ),
+    "volume_fraction": PackingQuantity(
+        "packing fraction",
+        "sum V_i / V",
+        lambda s: ratio(s.volume.sum(), s.region_volume),
+        needs=("volume",),
+    ),
+    "coordination_number": PackingQuantity(
+        "coordination number",
+        "Z = sum z_i / N",
+        lambda s: ratio(s.partners.sum(), s.count),
+        needs=CONTACTS,
+    ),
+    "mechanical_coordination_number": PackingQuantity(
+        "mechanical coordination number",
+        "Z_mech = sum z_i / N over z_i >= m",
+        _mechanical,
+        needs=CONTACTS,
+    ),
+    "rattler_count": PackingQuantity(
+        "number of rattlers",
+        "N of z_i < D + 1",
+        lambda s: s.count - s.backbone.sum(),
+        needs=CONTACTS,
+    ),
+    "non_rattler_fraction": PackingQuantity(
+        "fraction of particles that are no rattlers",
+        "f_NR = 1 - rattlers / N",
+        lambda s: ratio(s.backbone.sum(), s.count),
+        needs=CONTACTS,
+    ),
+    "connectivity": PackingQuantity(
+        "fraction of particles by number of contact partners",
+        "N(z_i = z) / N",
+        _connectivity,
+        dims=("partners",),
+        needs=CONTACTS,
+    ),
+    **_of_force("normal", "f_n"),
+    **_of_force("tangential", "f_t"),
+    "cluster_count": PackingQuantity(
+        "number of clusters of grains in contact, single grains included",
+        "number of connected components",
+        lambda s: len(s.clusters.size),
+        needs=CONTACTS,
+    ),
+    "largest_cluster": PackingQuantity(
+        "number of grains of the largest cluster",
+        "s_max",
+        lambda s: s.clusters.size.max(initial=0),
+        needs=CONTACTS,
+    ),
+    "largest_cluster_fraction": PackingQuantity(
+        "share of the grains that the largest cluster has",
+        "s_max / N",
+        lambda s: ratio(s.clusters.size.max(initial=0), s.count),
+        needs=CONTACTS,
+    ),
+    "percolation": PackingQuantity(
+        "1 along axes on which a cluster reaches through the box",
+        "1 where a cluster winds or joins walls, else 0",
+        _percolation,
+        dims=("component",),
+        needs=CONTACTS,
+    ),
+    "fabric": PackingQuantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
+    "fabric_anisotropy": PackingQuantity(
+        "anisotropy of the fabric",
+        "sqrt(3/2 a:a), a = 15/2 dev F (2D: sqrt(a:a / 2), a = 4 dev F)",
+        _anisotropy,
+        needs=CONTACTS,
+    ),
+    "stress": PackingQuantity(
+        "contact stress, compression positive",
+        "sum f_ij a_ij / V",
+        _stress,
+        units="Pa",
+        dims=TENSOR,
+        needs=FORCES,
+    ),
+    "mean_stress": PackingQuantity(
+        "mean stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES
+    ),
+    "deviator_stress": PackingQuantity(
+        "deviator stress",
+        "q = sqrt(3/2 s:s), s = dev sym sigma (2D: sqrt(2 s:s))",
+        _deviator_stress,
+        units="Pa",
+        needs=FORCES,
+    ),
+    "stress_ratio": PackingQuantity(
+        "stress ratio",
+        "eta = q / p'",
+        lambda s: ratio(_deviator_stress(s), _mean_stress(s)),
+        needs=FORCES,
+    ),
+    "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, units="m", needs=("diameter",)),
+    "d50": PackingQuantity(
+        "diameter below which half of the volume lies",
+        "d50",
+        _d50,
+        units="m",
+        needs=("diameter", "volume"),
+    ),
+    "d_bar": PackingQuantity(
+        "volume-weighted mean diameter of particles that bear load",
+        "sum V_i d_i / sum V_i over z_i >= m",
+        _d_bar,
+        units="m",
+        needs=("diameter", "volume", *CONTACTS),
+    ),
+    "particle_density": PackingQuantity(
+        "density of the particles' material",
+        "sum m_i / sum V_i",
+        lambda s: ratio(s.mass.sum(), s.volume.sum()),
+        units="kg m^-3",
+        needs=("mass", "volume"),
+    ),
+    "strain_rate": PackingQuantity(
+        "deviatoric strain rate",
+        "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))",
+        _velocity_rate,
+        units="s^-1",
+        needs=("velocity",),
+    ),
+    "lacey_index": _of_phases(
+        "lacey", "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)"
+    ),
+    "concentration_variance": _of_phases(
+        "variance", "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W"
+    ),
+    "random_concentration_variance": _of_phases(
+        "random_variance",
+        "mean variance of the concentration where phases are at random",
+        "S_r^2 = (K - 1) / (N - 1) N sum w_i^2 (a_i - p)^2 / W^2",
+    ),
+    "segregated_concentration_variance": _of_phases(
+        "segregated_variance",
+        "variance of the concentration where phases are apart",
+        "S_0^2 = p (1 - p)",
+    ),
+    "mixing_entropy": _of_phases(
+        "entropy",
+        "entropy of the cells over that of the region",
+        "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a",
+    ),
+    "nearest_neighbour_index": _of_phases(
+        "neighbour_index",
+        "neighbours of another phase over their number where phases are at random",
+        "sum_i u_i / sum_i ((N - N_a) / (N - 1)), u_i the share of another phase",
+    ),
+}

@@ -1,0 +1,395 @@
+"""Radial distribution: density of particles at a distance from others, relative to the mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.pairs import cells_of
+from xcg.analysis.samples import Bounds, images_in
+from xcg.common.checks import is_positive, is_whole, rising_pair
+from xcg.common.messages import SceneError, plain
+from xcg.compiled._jit import for_parts, threads_for
+from xcg.compiled.radial_distribution import count_pairs
+from xcg.scene.conform import takes_scene
+from xcg.scene.description import Description
+from xcg.scene.frame import check_finite, phase_of, without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
+from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.faults import OnError
+
+HALF_BOX = 1 + 1e-12  # share of half a period that distances may reach
+
+
+@takes_scene
+def radial_distribution(
+    ds: xr.Dataset,
+    r_max: float,
+    *,
+    bins: int = 100,
+    scaled: bool = False,
+    axis: str | None = None,
+    angles: int = 18,
+    bounds: Bounds | None = None,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    r"""Compute the radial distribution g(r) of the particles of each step.
+
+    Lazy where the scene is. Frozen particles are left out.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene. In a one-layer scene, distances are those in its plane.
+    r_max : float
+        Largest distance (m), at most half the distance to the nearest periodic image, and at most
+        the width of `bounds`.
+    bins : int
+        Number of bins of equal width between 0 and `r_max`.
+    scaled : bool
+        Divide each distance by the mean diameter of the two particles. `r_max` and ``r`` then have
+        no unit, and spheres of all sizes touch at 1.
+    axis : {"x", "y", "z"}, optional
+        Resolve directions about this axis, such as the vorticity of a shear flow: adds the
+        dimension ``theta``. It is the angle of the pair, seen along the axis, from the first of the
+        other two axes towards the second (x to y, x to z, y to z), between 0 and pi. In a one-layer
+        scene it is the axis across the layer.
+    angles : int
+        Number of bins of ``theta``.
+    bounds : mapping, optional
+        Bounds of the region (m), ``{"z": (0.0, 0.1)}``. Only particles with their centre in the
+        region count. Required along axes that are not periodic: the part that particles fill.
+    by : str, optional
+        An integer variable of the particles: adds the dimensions ``phase`` and ``other_phase``,
+        with "bulk" first.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it
+        out (NaN), warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``radial_distribution`` and ``pair_count`` (time, phase, other_phase, theta, r), as these
+        dimensions apply. ``pair_count`` is the number of particles of ``other_phase`` in the bin,
+        summed over the particles of ``phase``: a pair of one phase counts twice. NaN where a phase
+        has no pairs.
+
+    Raises
+    ------
+    SceneError
+        If an axis is neither periodic nor bounded, `r_max` is too large for the box, bounds cut
+        tilted images, or a region holds fewer than two particles.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    :math:`g_{ab} = N_{ab}(r, \theta) / E_{ab}`, with :math:`N_{ab}` the pairs in a bin, and
+    :math:`E_{ab}` their expected number if all particles were anywhere in the region V,
+    independently:
+
+    .. math::
+
+        E_{ab} = \frac{N_a N_b - N_{a \cap b}}{V} \int_\mathrm{bin} \prod_k \left(1 -
+        \frac{|h_k|}{L_k}\right) dh
+
+    over the bounded axes k of length :math:`L_k`. The product is the share of places in the region
+    from which h leads to another place in it, so the integral is the volume of the shell that is
+    accessible on average (Ohser 1983); it has a closed form. The standard error of a bin of an
+    ideal gas is g over the root of the number of its pairs.
+
+    References
+    ----------
+    Hansen, J.-P., McDonald, I. R. (2013). Theory of Simple Liquids, 4th ed., section 2.5.
+    Ohser, J. (1983). On estimators for the reduced second moment measure of point processes. Math.
+    Operationsforsch. Statist. 14.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.face_centred_cubic(4)  # diameter 1: 12 neighbours at distance 1
+    >>> g = ds.cg.radial_distribution(1.2, bins=12)
+    >>> int(g.pair_count.sum()) // ds.sizes["particle"]
+    12
+    """
+    analysis = RadialDistribution(
+        r_max=r_max,
+        bins=bins,
+        scaled=scaled,
+        axis=axis,
+        angles=angles,
+        bounds=bounds,
+        by=by,
+        groups=groups,
+    )
+    return run(ds, analysis, on_error=on_error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadialDistribution(FrameAnalysis):
+    """Radial distribution of a step, see `radial_distribution`."""
+
+    name = "radial_distribution"
+
+    r_max: float
+    bins: int = 100
+    scaled: bool = False
+    axis: str | None = None
+    angles: int = 18
+    bounds: Bounds | None = None
+    by: str | None = None
+    groups: Sequence[int] | None = None
+    plane: str = field(default="xyz", repr=False)
+    periodic: str = field(default="", repr=False)
+
+    def prepare(self, scene: Description) -> Self:
+        """Check the options, and find groups and axes."""
+        plane = scene.setup.plane
+        if not is_positive(self.r_max):
+            raise ValueError(f"r_max={plain(self.r_max)}: expected a positive distance (m)")
+        for name in ("bins", "angles"):
+            if not is_whole(getattr(self, name), 1, 1e7):
+                given = plain(getattr(self, name))
+                raise ValueError(f"{name}={given}: expected a whole number of at least 1")
+        turning = COMPONENTS if len(plane) == 3 else set(COMPONENTS) - set(plane)
+        if self.axis is not None and self.axis not in [*turning]:
+            raise ValueError(f"axis={self.axis!r}: expected one of {', '.join(turning)}")
+        bounds = {} if self.bounds is None else self.bounds
+        if not isinstance(bounds, Mapping) or not bounds.keys() <= set(plane):
+            raise ValueError(
+                f"bounds={plain(bounds)}: expected (low, high) for axes of the scene "
+                f"({', '.join(plane)}), for example {{{plane[-1]!r}: (0.0, 0.1)}}"
+            )
+        bounds = {a: rising_pair(f"bounds[{a!r}]", ends) for a, ends in bounds.items()}
+        for a in set(plane) - set(scene.setup.periodic) - bounds.keys():
+            k = COMPONENTS.index(a)
+            extent = ""
+            if scene.corners is not None:
+                low, high = scene.corners[0][k], scene.corners[1][k]
+                extent = f"; centres lie between {low:g} and {high:g}"
+            raise SceneError(
+                f"{self.name}: axis {a!r} is not periodic: give the part of it that particles "
+                f"fill, bounds={{{a!r}: (low, high)}}{extent}"
+            )
+        return replace(
+            self,
+            bounds=bounds,
+            groups=scene.groups(self.by, self.groups),
+            plane=plane,
+            periodic="".join(a for a in plane if a in scene.setup.periodic and a not in bounds),
+        )
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return position, and what sizes, phases and frozen particles are known by."""
+        read = ["position", "frozen"] if "frozen" in scene.columns else ["position"]
+        if self.scaled:
+            read.append("diameter")
+        return read if self.by is None else [*read, self.by]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return g(r) and numbers of pairs."""
+        dims = ("phase", "other_phase") if self.by is not None else ()
+        if self.axis is not None:
+            dims = (*dims, "theta")
+        dims = (*dims, "r")
+        formula = "number of pairs / mean number of a random arrangement"
+        return {
+            "radial_distribution": Variable(dims, "1", "radial distribution", formula=formula),
+            "pair_count": Variable(
+                dims, "1", "number of particles around those of the phase", "int64"
+            ),
+        }
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return phases, and the middle of the bins of angle and distance."""
+        coords = {}
+        if self.by is not None:
+            labels = ["bulk", *map(str, self.groups or ())]
+            about = {"long_name": f"phase by {self.by}"}
+            coords["phase"] = xr.Variable("phase", labels, about)
+            coords["other_phase"] = xr.Variable("other_phase", labels, about)
+        if self.axis is not None:
+            theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles
+            about = {"units": "rad", "long_name": f"angle of the pair about {self.axis}"}
+            coords["theta"] = xr.Variable("theta", theta, about)
+        r = self.r_max * (np.arange(self.bins) + 0.5) / self.bins
+        unit = "1" if self.scaled else units_in("m", scene.setup.unit_system)
+        text = "distance over mean diameter" if self.scaled else "distance"
+        coords["r"] = xr.Variable("r", r, {"units": unit, "long_name": text})
+        return coords
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Compute g(r) of a step."""
+        counts, expected = self.pairs(frame, lattice, source)
+        g = np.divide(counts, expected, out=np.full(counts.shape, np.nan), where=expected > 0)
+        dims = [length for length in counts.shape[:2] if self.by is not None]
+        dims += [self.angles] if self.axis is not None else []
+        shape = (*dims, self.bins)
+        return {"radial_distribution": g.reshape(shape), "pair_count": counts.reshape(shape)}
+
+    def pairs(self, frame: Frame, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
+        """Count pairs, and compute their expected numbers: (phases, phases, angles, bins)."""
+        frame = without_frozen(frame)
+        check_finite("position", frame, source)
+        position, inside = images_in(self.bounds or {}, frame["position"], lattice, source)
+        in_plane = np.isin([*COMPONENTS], [*self.plane])
+        position = np.where(in_plane, position[inside], 0.0)
+        if len(position) < 2:
+            raise SceneError(
+                f"{source}: {self.name} needs two particles, and the region holds {len(position)}; "
+                "take wider bounds, or leave this step out by on_error='skip'"
+            )
+        group = phase_of(frame, self.by, self.groups or (), source)[inside]
+        # distances are counted in units of the sum of two radii, which are half a metre unless
+        # they are those of the particles
+        radius = np.full(len(position), 0.5)
+        if self.scaled:
+            check_finite("diameter", frame, source)
+            radius = 0.5 * frame["diameter"][inside]
+        region = self._region(lattice, in_plane, 2 * float(radius.max()), source)
+        counts = self._counted(position, radius, group, region, source)
+        expected = self._expected(radius, group, region)
+        counts = counts + counts.swapaxes(0, 1)
+        if self.by is None:
+            return counts, expected
+        return _with_bulk(counts), _with_bulk(expected)
+
+    @property
+    def _shape(self) -> tuple[int, int, int, int]:
+        """Numbers of groups (twice), angles and bins."""
+        groups = max(1, len(self.groups or ()))
+        return groups, groups, 1 if self.axis is None else self.angles, self.bins
+
+    @property
+    def _lengths(self) -> dict[int, float]:
+        """Lengths of the region along the bounded axes (m), by the number of the axis."""
+        bounds = self.bounds or {}
+        return {COMPONENTS.index(axis): high - low for axis, (low, high) in bounds.items()}
+
+    @property
+    def _turning(self) -> tuple[int, int, int]:
+        """Numbers of the axis that directions are about, and of the two others."""
+        (default,) = set(COMPONENTS) - set(self.plane) or "z"
+        axis = COMPONENTS.index(self.axis or default)
+        first, second = (k for k in range(3) if k != axis)
+        return axis, first, second
+
+    def _region(self, lattice: Lattice, in_plane: NDArray, largest: float, source: str) -> Lattice:
+        """Return the images of the region along its periodic axes; check that r_max fits into it."""
+        box = {"box": lattice.edges, "lattice": lattice.cell}
+        region = Lattice.of(
+            {name: values for name, values in box.items() if values is not None},
+            self.periodic,
+            source,
+        )
+        removed = ~np.isin([*COMPONENTS], [*self.periodic])
+        if np.abs(region.basis[:, removed]).max(initial=0.0) > 1e-9 * np.abs(region.basis).max(
+            initial=0.0
+        ):
+            raise SceneError(
+                f"{source}: the box is tilted, so that its images along {self.periodic!r} are "
+                "shifted across the region; bound other axes, or none"
+            )
+        reach = self.r_max * largest
+        distance, along = region.closest
+        widest = min([distance / 2, *self._lengths.values()])
+        if reach > widest * HALF_BOX:
+            limit = f"{distance:g} {along}" if distance / 2 == widest else f"{widest:g} of bounds"
+            most = widest / largest
+            raise SceneError(
+                f"{source}: r_max={self.r_max:g} is beyond half the distance to the nearest image, "
+                f"or the width of the region ({limit}); take r_max={most:.6g} or less"
+            )
+        return region
+
+    def _counted(
+        self, position: NDArray, radius: NDArray, group: NDArray, region: Lattice, source: str
+    ) -> NDArray:
+        """Count each pair once."""
+        workers = threads_for(len(position), self.threads)
+        lists, whose = cells_of(
+            position, self.r_max * radius, region, threads=workers, source=source
+        )
+        particle = whose[lists.row]
+        is_original = lists.row < len(position) if region.vectors is not None else None
+        across = None
+        if self.axis is not None:
+            _, first, second = self._turning
+            across = np.array([lists.axes.index(first), lists.axes.index(second)])
+        of_record = group[particle]
+
+        def count(first: int, last: int) -> NDArray:
+            counts = np.zeros(self._shape, "int64")
+            images = None if is_original is None else particle
+            count_pairs(
+                first, last, *lists.for_loops, of_record, images, is_original, across, counts
+            )
+            return counts
+
+        return np.sum(for_parts(len(particle), count, workers, each=8), axis=0)
+
+    def _expected(self, radius: NDArray, group: NDArray, region: Lattice) -> NDArray:
+        """Compute the mean number of pairs of particles that are anywhere in the region."""
+        groups, _, angles, bins = self._shape
+        in_plane = [COMPONENTS.index(a) for a in self.plane]
+        sides = [length * np.eye(3)[k] for k, length in self._lengths.items()]
+        vectors = np.concatenate([region.basis, np.reshape(sides, (-1, 3))])[:, in_plane]
+        volume = abs(np.linalg.det(vectors))
+        dimension = len(self.plane)
+        # over pairs of different particles, sums of powers of the sum of their radii
+        powers = [np.bincount(group, radius**n, minlength=groups) for n in range(2 * dimension + 1)]
+
+        def pair_sum(n: int) -> NDArray:
+            products = (math.comb(n, k) * np.outer(powers[k], powers[n - k]) for k in range(n + 1))
+            return sum(products) - np.diag(2.0**n * powers[n])
+
+        edges = self.r_max * np.arange(bins + 1) / bins
+        whole = 2 * np.pi * (dimension - 1)
+        expected = np.zeros(self._shape)
+        for q, share in enumerate(self._shares(angles)):
+            n = dimension + q
+            shells = whole / angles * np.diff(edges**n) / n
+            expected += pair_sum(n)[:, :, None, None] / volume * share[:, None] * shells
+        return expected
+
+    def _shares(self, angles: int) -> list[NDArray]:
+        """Return the factors (angles,) of powers of r in the mean of prod (1 - r |u_k| / L_k).
+
+        u are all directions of each bin of angles.
+        """
+        axis, first, second = self._turning
+        inverse = [1 / self._lengths.get(k, np.inf) for k in range(3)]
+        turn = np.pi * np.arange(angles + 1) / angles
+        step = np.pi / angles
+        sine, is_late = np.sin(turn), turn > np.pi / 2
+        cosines = inverse[first] * np.diff(np.where(is_late, 2 - sine, sine)) / step
+        sines = inverse[second] * np.diff(1 - np.cos(turn)) / step
+        square = np.where(is_late, 1 - sine**2 / 2, sine**2 / 2)
+        both = inverse[first] * inverse[second] * np.diff(square) / step
+        one = np.ones(angles)
+        if len(self.plane) == 2:
+            return [one, -(cosines + sines), both]
+        along = inverse[axis]
+        return [
+            one,
+            -(np.pi / 4 * (cosines + sines) + along / 2),
+            2 / 3 * both + along / 3 * (cosines + sines),
+            -along / 4 * both,
+        ]
+
+
+def _with_bulk(groups: NDArray) -> NDArray:
+    """Add sums over all groups as the first of them, along the first two axes."""
+    rows = np.concatenate([groups.sum(axis=0, keepdims=True), groups])
+    return np.concatenate([rows.sum(axis=1, keepdims=True), rows], axis=1)

@@ -1,0 +1,493 @@
+"""Microstructure of one step: particles and contacts of each region and group, and their mixing.
+
+Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and
+entropies. All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the
+share of phase a in cell k, p_a that in the region, W_k = sum w_i over the grains of the cell (w_i =
+1, or the volume), W that over the region:
+
+- variance ``S^2 = sum_k W_k / W (c_ka - p_a)^2``;
+- segregated: ``S_0^2 = p_a (1 - p_a)``, every cell of one phase;
+- random: ``S_r^2 = (K - 1) / (N - 1) * N sum_i w_i^2 (a_i - p_a)^2 / W^2``, the mean of S^2 over
+  all ways to give the N grains in the K cells that are not empty their phases (a_i = 1 in phase a,
+  else 0): exact by number, of first order in the number of grains of a cell by volume. With K cells
+  of n grains it is Lacey's p (1 - p) / n for large N.
+
+Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average
+where they are at random. For the bulk, variances are summed over the phases.
+
+Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int.
+Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import SimpleNamespace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.network import Clusters
+from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
+from xcg.common.messages import SceneError, warn_once
+from xcg.scene.contacts import Contacts
+from xcg.scene.description import Description
+from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, Frame, Setup, Variable
+from xcg.steps.analysis import FrameAnalysis
+from xcg.steps.labels import phases_of
+
+Bounds = Mapping[str, Sequence[float]]
+
+# Partners that hold a sphere in place without friction: one more than the dimensions.
+NOT_A_RATTLER = {3: 4, 2: 3}
+_ROUNDING = 1e-9  # of a force, below which its tangential part is none
+CELL = 3.0  # edge of the cells that concentrations are sampled in, in mean diameters d43
+ENOUGH = 5  # grains in a cell, on average, that a warning recommends
+
+
+@dataclass(frozen=True, eq=False)
+class Measure(FrameAnalysis):
+    """Quantities of each step, by region and phase.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names in `QUANTITIES`.
+    regions : mapping
+        Bounds by name of the region; the name is empty where there is one region only, and no
+        bounds are those of the scene.
+    groups : tuple of int
+        Values of `by`; empty without phases.
+    depth : float or str or None
+        Thickness of a one-layer scene (m), or the axis whose box extent it is.
+    """
+
+    name = "microstructure"
+
+    names: tuple[str, ...]
+    setup: Setup
+    regions: Mapping[str, Bounds]
+    by: str | None
+    groups: tuple[int, ...]
+    depth: float | str | None
+    min_contacts: int
+    iterative: bool
+    max_connectivity: int
+    force_bins: NDArray
+    cell: float | None
+    by_volume: bool
+    neighbours: int
+
+    @property
+    def needs(self) -> set[str]:
+        """Variables of the scene that the quantities need."""
+        return {variable for name in self.names for variable in QUANTITIES[name].needs}
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return what the quantities need, what groups follow from, and normals if there are any."""
+        read = self.needs | {"position", "frozen", self.by}
+        if self.needs & set(CONTACTS):
+            read.add("contact_normal")
+        return [name for name in scene.columns if name in read]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return the quantities by region and phase, as far as there are several."""
+        dims = ["region"] if "" not in self.regions else []
+        if self.by is not None:
+            dims.append("phase")
+        rows = {}
+        for name in self.names:
+            row = QUANTITIES[name]
+            rows[name] = Variable((*dims, *row.dims), row.units, row.long_name, formula=row.formula)
+        return rows
+
+    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+        """Return regions, phases, and the bins of distributions, those that are used."""
+        bins = self.force_bins
+        middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
+        counts = np.arange(self.max_connectivity + 1)
+        of_counts = {"long_name": "number of contact partners", "units": "1"}
+        of_bins = {"long_name": "force over its mean", "units": "1"}
+        of_widths = {"long_name": "width of the bin", "units": "1"}
+        coords = {
+            "partners": xr.Variable("partners", counts, of_counts),
+            "force_ratio": xr.Variable("force_ratio", middle, of_bins),
+            "force_ratio_width": xr.Variable("force_ratio", np.diff(bins), of_widths),
+            "region": xr.Variable("region", list(self.regions)),
+            "phase": phases_of(self.by, self.groups),
+        }
+        used = {dim for row in self.rows(scene).values() for dim in row.dims}
+        return {name: coord for name, coord in coords.items() if coord.dims[0] in used}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
+        """Compute the quantities of one step."""
+        frame = without_frozen(frame)
+        contacts = Contacts.of(frame, lattice, source) if "contact_i" in frame else None
+        shared = _shared(self, frame, contacts)
+        phase = phase_of(frame, self.by, self.groups, source)
+        samples = []
+        for bounds in self.regions.values():
+            position, inside = images_in(bounds, frame["position"], lattice, source)
+            volume = self._volume(bounds, lattice.edges)
+            images = frame | {"position": position}
+            if "velocity" in frame:
+                drift = lattice.drift(position - frame["position"])
+                images["velocity"] = frame["velocity"] + drift
+            mixture = self._mixture(bounds, lattice, images, inside, phase, source)
+            for p in range(1 + len(self.groups)):
+                member = inside if p == 0 else inside & (phase == p - 1)
+                sample = _sample(self, images, contacts, shared, member, volume)
+                sample.mixture = mixture
+                sample.which = p
+                samples.append(sample)
+        lengths = [] if "" in self.regions else [len(self.regions)]
+        if self.by is not None:
+            lengths.append(1 + len(self.groups))
+        found = {}
+        for name in self.names:
+            values = np.array([QUANTITIES[name].compute(sample) for sample in samples], float)
+            found[name] = values.reshape((*lengths, *values.shape[1:]))
+        return found
+
+    def _mixture(
+        self,
+        bounds: Bounds,
+        lattice: Lattice,
+        frame: Frame,
+        inside: NDArray,
+        phase: NDArray,
+        source: str,
+    ) -> Mixture | None:
+        """Grains of a region by phase, if a quantity needs them.
+
+        Without bounds or box, the region is as large as the extent of their centres.
+        """
+        if not any(QUANTITIES[name].of_phases for name in self.names):
+            return None
+        position = frame["position"][inside]
+        size = frame["diameter"][inside]
+        axes = [COMPONENTS.index(a) for a in self.setup.plane]
+        x = position[:, axes]
+        edges = np.full((3, 2), np.nan) if lattice.edges is None else lattice.edges
+        lower, upper = np.array([bounds.get(COMPONENTS[k], edges[k]) for k in axes], float).T
+        if len(x):
+            lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
+            upper = np.where(np.isfinite(upper), upper, x.max(axis=0))
+        lengths = np.where(upper > lower, upper - lower, 1.0)
+        whole = np.isclose(lengths, lattice.lengths[axes], rtol=1e-9)
+
+        def images(reach: float) -> tuple[NDArray, NDArray]:
+            low, high = position.min(axis=0), position.max(axis=0)
+            low[axes] = np.minimum(low[axes], lower) - np.where(whole, reach, 0.0)
+            high[axes] = np.maximum(high[axes], upper) + np.where(whole, reach, 0.0)
+            row, shift, _ = lattice.images(position, low, high, source)
+            return row, (position[row] + shift)[:, axes] - lower
+
+        d43 = float(ratio((size**4).sum(), (size**3).sum()))
+        return Mixture(
+            position=x - lower,
+            phase=phase[inside],
+            weight=frame["volume"][inside] if self.by_volume else np.ones(len(x)),
+            lengths=lengths,
+            wraps=whole,
+            cell=self.cell or CELL * d43,
+            neighbours=self.neighbours,
+            images=None if lattice.vectors is None else images,
+        )
+
+    def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
+        """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
+        edges = np.full((3, 2), np.nan) if box is None else box
+        axes = self.setup.plane
+        thickness = 1.0
+        if isinstance(self.depth, str):
+            axes += self.depth
+        elif self.depth is not None:
+            thickness = self.depth
+        lengths = []
+        for axis in axes:
+            low, high = bounds.get(axis, edges[COMPONENTS.index(axis)])
+            lengths.append(high - low if np.isfinite(high - low) else np.nan)
+        return float(np.prod(lengths)) * thickness
+
+
+def images_in(
+    bounds: Bounds, position: NDArray, lattice: Lattice, source: str
+) -> tuple[NDArray, NDArray]:
+    """Return positions (n, 3) as images in a region, and which of them are inside (n,).
+
+    Along periodic axes, images begin at the bounds, or else at the box.
+    """
+    corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
+    first = corner.copy()
+    for k, axis in enumerate(COMPONENTS):
+        if axis in bounds:
+            first[k], high = bounds[axis]
+            period = lattice.lengths[k]
+            if high - first[k] > period * (1 + 1e-9):
+                raise SceneError(
+                    f"{source}: the region reaches from {first[k]:g} to {high:g} along {axis!r}, "
+                    f"further than the period {period:g}, and would hold grains twice; take "
+                    f"narrower bounds, or none along {axis!r} for the whole period"
+                )
+    # into the box first: grains there keep their rounding if the bounds are in the box, too
+    position = lattice.wrapped(position, corner, source)
+    position = lattice.wrapped(position, first, source)
+    inside = np.ones(len(position), bool)
+    for k, axis in enumerate(COMPONENTS):
+        if axis in bounds:
+            inside &= (bounds[axis][0] <= position[:, k]) & (position[:, k] < bounds[axis][1])
+    return position, inside
+
+
+def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> SimpleNamespace:
+    """Return partners, rattlers, forces and virials of a frame, which all its groups share."""
+    if contacts is None:
+        return SimpleNamespace()
+    least = NOT_A_RATTLER[measure.setup.dimension]
+    total = np.linalg.norm(contacts.force, axis=1)
+    tangential = np.linalg.norm(contacts.tangential_force, axis=1)
+    tangential[~(tangential > _ROUNDING * total)] = 0.0
+    virial_i = contacts.force[:, :, None] * contacts.branch_i[:, None, :]
+    virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
+    return SimpleNamespace(
+        partners=contacts.partners,
+        backbone=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
+        normal_force=contacts.normal_force,
+        tangential_force=tangential,
+        virial=contacts.sum_over_particles(virial_i, virial_j),
+    )
+
+
+def _sample(
+    measure: Measure,
+    frame: Frame,
+    contacts: Contacts | None,
+    shared: SimpleNamespace,
+    member: NDArray,
+    volume: float,
+) -> SimpleNamespace:
+    """Particles and contacts of one group, as the functions of the quantities take them.
+
+    A contact counts half for each of its particles in the group, and whole for a particle at a
+    wall.
+    """
+    sample = SimpleNamespace(
+        count=int(member.sum()),
+        region_volume=volume,
+        plane=[COMPONENTS.index(a) for a in measure.setup.plane],
+        min_contacts=measure.min_contacts,
+        max_connectivity=measure.max_connectivity,
+        force_bins=measure.force_bins,
+    )
+    for name in ("position", "diameter", "volume", "mass", "velocity"):
+        if name in frame:
+            setattr(sample, name, frame[name][member])
+    if contacts is None:
+        return sample
+    is_member = np.append(member, False)  # row -1 is a missing partner
+    members = is_member[contacts.i].astype(float) + is_member[contacts.j]
+    particles = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
+    weight = np.divide(members, particles, out=np.zeros(len(particles)), where=particles > 0)
+    counted = weight > 0
+    sample.weight = weight[counted]
+    sample.normal = contacts.normal[counted]
+    pushing = counted & (shared.normal_force > 0)
+    sample.pushing = weight[pushing]
+    sample.normal_force = shared.normal_force[pushing]
+    sample.tangential_force = shared.tangential_force[pushing]
+    sample.clusters = Clusters(contacts, member)
+    sample.partners = shared.partners[member]
+    sample.backbone = shared.backbone[member]
+    sample.virial = shared.virial[member].sum(axis=0)
+    return sample
+
+
+# --- mixing ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """The grains of a region by phase.
+
+    Attributes
+    ----------
+    position : array (n, D)
+        Centres in the axes of the scene, from the region's lower corner (m).
+    phase : array (n,)
+        0, 1, ...
+    weight : array (n,)
+        What grains count by.
+    lengths : array (D,)
+        Extent of the region (m).
+    wraps : array (D,)
+        Whether the region is a whole period along an axis.
+    cell : float
+        Edge of the cells (m), about.
+    neighbours : int
+        Nearest neighbours that are looked at.
+    images : callable, optional
+        In a box that is tilted: takes a distance, and gives all images that are no further from the
+        region, as rows of the grains and positions; the grains themselves are among them.
+    """
+
+    position: NDArray
+    phase: NDArray
+    weight: NDArray
+    lengths: NDArray
+    wraps: NDArray
+    cell: float
+    neighbours: int
+    images: Callable[[float], tuple[NDArray, NDArray]] | None = None
+
+    @cached_property
+    def cells(self) -> NDArray:
+        """Number of each grain's cell, counted over the cells that are not empty; (n,)."""
+        counts = [max(1, round(length / self.cell)) for length in self.lengths.tolist()]
+        place = np.zeros(len(self.position), "int64")
+        for x, length, count in zip(self.position.T, self.lengths, counts, strict=True):
+            place = place * count + np.clip((x / length * count).astype("int64"), 0, count - 1)
+        return np.unique(place, return_inverse=True)[1]
+
+    def members(self, which: int, *, rest: bool = False) -> NDArray:
+        """Return masks (parts, n) of grains in phase `which` - 1, and in the `rest`.
+
+        For 0, they are in each of the phases.
+        """
+        if which == 0:
+            return self.phase == np.unique(self.phase)[:, None]
+        in_phase = (self.phase == which - 1)[None]
+        return np.concatenate([in_phase, ~in_phase]) if rest else in_phase
+
+    def shares(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Return W_k / W (k,), c_ka (parts, k) and p_a (parts,)."""
+        total = np.bincount(self.cells, self.weight)
+        parts = np.array([np.bincount(self.cells, self.weight * mask) for mask in members])
+        parts = parts.reshape(len(members), -1)
+        return total / total.sum(), parts / total, parts.sum(axis=1) / total.sum()
+
+    def variance(self, which: int) -> float:
+        """S^2."""
+        weight, inside, share = self.shares(self.members(which))
+        return float((weight * (inside - share[:, None]) ** 2).sum())
+
+    def segregated_variance(self, which: int) -> float:
+        """S_0^2."""
+        _, _, share = self.shares(self.members(which))
+        return float((share * (1 - share)).sum())
+
+    def random_variance(self, which: int) -> float:
+        """S_r^2."""
+        members = self.members(which)
+        weight, _, share = self.shares(members)
+        spread = (self.weight * (members - share[:, None])) ** 2
+        count = len(self.phase)
+        factor = ratio(len(weight) - 1, count - 1) * count
+        return float(factor * spread.sum() / self.weight.sum() ** 2)
+
+    def lacey(self, which: int) -> float:
+        """Return Lacey's index.
+
+        NaN, with a warning, if all grains are of one phase, or no cell holds two grains, so that all
+        arrangements are alike.
+        """
+        apart = self.segregated_variance(which)
+        if len(self.phase) > 1 and len(np.unique(self.phase)) == 1:
+            warn_once(
+                "one phase",
+                f"lacey_index is NaN: all {len(self.phase)} grains are of one phase; by= names the variable that "
+                "holds the phases, and ds.cg.assign_phases(edges=[...]) makes one from diameters",
+            )
+        if apart > 0 and self.cells.max() + 1 == len(self.phase):
+            warn_once("cells below a grain", self._too_small())
+            return math.nan
+        return float(ratio(apart - self.variance(which), apart - self.random_variance(which)))
+
+    def _too_small(self) -> str:
+        """Return a warning that names a cell which holds `ENOUGH` grains on average."""
+        count = len(self.phase)
+        problem = (
+            f"lacey_index is NaN: no cell of edge {self.cell:g} holds more than one of the "
+            f"{count} grains"
+        )
+        if count < ENOUGH:
+            return f"{problem}; the region holds too few grains for an index of mixing"
+        edge = self.cell
+        while (replace(self, cell=edge).cells.max() + 1) * ENOUGH > count:
+            edge = float(f"{1.3 * edge:.2g}")
+        return (
+            f"{problem}; take cell={edge:g} or more, which holds at least {ENOUGH} grains "
+            "on average"
+        )
+
+    def entropy(self, which: int) -> float:
+        """Return the mean entropy of the cells over the region's: 0 apart, 1 alike in all cells."""
+        weight, inside, share = self.shares(self.members(which, rest=True))
+        return float(ratio((weight * _entropy(inside)).sum(), float(_entropy(share))))
+
+    @cached_property
+    def unlike(self) -> NDArray:
+        """Share of the nearest neighbours of each grain that are of another phase; (n,)."""
+        from scipy.spatial import cKDTree
+
+        count = min(self.neighbours, len(self.phase) - 1)
+        if self.images is not None:
+            others = _nearest(self.position, self.lengths, count, self.images)
+        else:
+            tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
+            near = np.asarray(tree.query(self.position, count + 1)[1])
+            is_itself = near == np.arange(len(near))[:, None]
+            # coincident grains may push the grain itself out of the list
+            is_itself[~is_itself.any(axis=1), -1] = True
+            others = near[~is_itself].reshape(len(near), count)
+        return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
+
+    def neighbour_index(self, which: int) -> float:
+        """Return the number of unlike neighbours over its mean at random: 0 apart, 1 at random."""
+        count = len(self.phase)
+        if count < 2:
+            return np.nan
+        members = self.members(which)
+        number = members.sum(axis=1)
+        expected = float((number * (count - number)).sum()) / (count - 1)
+        return float(ratio(self.unlike[members.any(axis=0)].sum(), expected))
+
+
+def _nearest(
+    position: NDArray,
+    lengths: NDArray,
+    count: int,
+    images: Callable[[float], tuple[NDArray, NDArray]],
+) -> NDArray:
+    """Rows (n, count) of the nearest other grains of each grain, by the nearest of their images."""
+    from scipy.spatial import cKDTree
+
+    itself = np.arange(len(position))[:, None]
+    reach = float((lengths.prod() * count / len(position)) ** (1 / len(lengths)))
+    queried = 2 * count + 2
+    while True:
+        rows, places = images(reach)
+        queried = min(queried, len(rows))
+        distance, near = cKDTree(places).query(position, range(1, queried + 1))
+        grains = rows[near]
+        is_new = grains != itself
+        for k in range(queried):
+            is_new[:, k] &= (grains[:, :k] != grains[:, k, None]).all(axis=1)
+        first = np.argsort(~is_new, axis=1, kind="stable")[:, :count]
+        # images further away than the reach are not in the tree
+        within_reach = np.take_along_axis(np.asarray(distance), first, 1) <= reach
+        if (np.take_along_axis(is_new, first, 1) & within_reach).all():
+            return np.take_along_axis(grains, first, 1)
+        reach *= 2
+        queried *= 2
+
+
+def _entropy(share: NDArray) -> NDArray:
+    """-sum c ln c over the first axis."""
+    return np.asarray(-(share * np.log(np.where(share > 0, share, 1.0))).sum(axis=0))

@@ -1,0 +1,378 @@
+"""Pictures that can be chosen of a scene or a result: their numbers, and the Python calls that make them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.analysis.plots import axes_of, numbers_of
+from xcg.analysis.widths import WIDTHS as SWEPT
+from xcg.analysis.widths import choose_width, width_sweep
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.formulas.averages import profile
+from xcg.fields.formulas.registry import FIELDS, listed
+from xcg.fields.plan import possible_fields
+from xcg.fields.request import Request
+from xcg.scene.conform import conform
+from xcg.scene.description import describe
+from xcg.scene.frame import frame_at, with_time
+from xcg.scene.schema import COMPONENTS
+from xcg.steps.labels import format_call
+
+View: TypeAlias = Literal["map", "slice", "profile"]
+# nodes along the longest axis: more where the kernel is narrower than their spacing, and fewer where
+# grains would visit more nodes than this, which takes 0.1 to 0.2 s
+NODES = {"map": 80, "slice": 80, "profile": 160}
+MOST_NODES = 300
+VISITS = 2e6
+REACH = 2.0  # of Lucy's kernel, in widths
+NODES_OF_ERRORS = {"map": 20, "slice": 20, "profile": 80}  # along the longest axis
+MOST_GRAINS = 10_000  # circles that a browser draws in a fraction of a second
+WIDTHS = tuple(f"{0.75 * 2 ** (k / 4):.3g} d43" for k in range(-6, 11))
+USUAL_WIDTH = WIDTHS[6]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Choices of one picture.
+
+    Attributes
+    ----------
+    field : str
+        Name of the field.
+    view : {"map", "slice", "profile"}
+        A map of a scene or a result averages its third axis; a slice cuts it.
+    axes : tuple of str
+        Axes of the picture: across and up, or the one of a profile.
+    time : int
+        Position of the step.
+    position : float
+        Where a slice cuts the third axis (m).
+    part : str
+        Components: "" for all of a profile and the magnitude in a map, "x" of a vector, "zz" of a
+        tensor.
+    phase : str
+        "bulk", or the label of a phase.
+    width : str
+        Width of the kernel, such as "0.75 d43".
+    """
+
+    field: str
+    view: View
+    axes: tuple[str, ...]
+    time: int = 0
+    position: float = 0.0
+    part: str = ""
+    phase: str = "bulk"
+    width: str = USUAL_WIDTH
+
+
+class Pictures:
+    """Pictures of a result: its own axes, fields, phases and steps.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A result, lazy or in memory.
+    name : str
+        Name of its variable in the calls that are shown.
+
+    Attributes
+    ----------
+    fields : dict of list of str
+        Names of fields by the heading that they are listed under.
+    views : dict of list
+        Axes of the pictures of each view.
+    axes : list of str
+        Letters of the components of vectors.
+    phases : list of str
+        "bulk" and labels of phases; empty without phases.
+    widths : tuple of str
+        Widths of the kernel to choose from; none of a result.
+    size : float
+        d43 of the scene (m), the unit of these widths.
+    steps : int
+        Number of steps.
+    """
+
+    widths: tuple[str, ...] = ()
+    size = 0.0
+    has_grains = False
+
+    def __init__(self, ds: xr.Dataset, name: str = "f") -> None:
+        self.ds, self.name = with_time(ds), name
+        self._steps = "time" if "time" in ds.dims else "step"  # dimension in calls
+        self.steps = self.ds.sizes.get("time", 1)
+        self._describe()
+        self._step = lru_cache(maxsize=2)(self._read)
+
+    def _describe(self) -> None:
+        axes = axes_of(self.ds)
+        names = [str(name) for name in self.ds.data_vars if {*axes} & {*self.ds[name].dims}]
+        self.fields = {"fields": names}
+        self.axes = [str(label) for label in self.ds.get("component", [])]
+        self.phases = [str(label) for label in self.ds.get("phase", [])]
+        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(axes) for b in axes[k + 1 :]]
+        views = {"slice": pairs} if len(axes) == 3 else {"map": pairs}
+        self.views: dict[str, list[tuple[str, ...]]] = {
+            **{view: found for view, found in views.items() if found},
+            "profile": [(a,) for a in reversed(axes)],
+        }
+        if not axes:
+            raise ValueError(
+                f"explore: this result has no axis to draw along, of {', '.join(COMPONENTS)}, r and "
+                f"theta; its dimensions are {', '.join(map(str, self.ds.dims)) or 'none'}"
+            )
+
+    def rank_of(self, field: str) -> int:
+        """Return the number of indices of a field: 0 of a scalar, 1 of a vector, 2 of a tensor."""
+        return len({"component", "direction"} & {*self.ds[field].dims})
+
+    def parts_of(self, choice: Choice) -> dict[str, str]:
+        """Return the parts of the field that a view can show, by their labels."""
+        rank = self.rank_of(choice.field)
+        if rank == 2:
+            return {a + b: f"{a} {b}" for a in self.axes for b in self.axes}
+        if rank == 0:
+            return {"the field itself": ""}
+        whole = "all" if choice.view == "profile" else "magnitude"
+        return {whole: "", **{a: a for a in self.axes}}
+
+    def cut_axis(self, choice: Choice) -> str:
+        """Return the axis that a slice cuts."""
+        return next(a for a in axes_of(self.ds) if a not in choice.axes)
+
+    def range_of(self, axis: str) -> tuple[float, float]:
+        """Return the first and last coordinate along an axis."""
+        return float(self.ds[axis][0]), float(self.ds[axis][-1])
+
+    def _read(self, time: int, count: int = 1) -> xr.Dataset:
+        """Return steps from a position on, in memory."""
+        if "time" not in self.ds.dims:
+            return self.ds.compute()
+        return self.ds.isel(time=slice(time, time + count)).compute()
+
+    def _selection(self, time: int) -> str:
+        return f".isel({self._steps}=[{time}])" if self.steps > 1 else ""
+
+    def _drawing(self, choice: Choice) -> dict[str, Any]:
+        """Return the arguments of `plot`."""
+        component, _, direction = choice.part.partition(" ")
+        options = {
+            "component": component,
+            "direction": direction,
+            "phase": choice.phase if choice.phase in self.phases else "",
+        }
+        drawing: dict[str, Any] = {key: value for key, value in options.items() if value}
+        if choice.view == "slice" and not self.widths:
+            drawing["at"] = {self.cut_axis(choice): choice.position}
+        return drawing
+
+    def result(self, choice: Choice) -> xr.Dataset:
+        """Return the fields of the step that the picture is drawn from."""
+        step = self._step(choice.time)
+        if choice.view == "profile" and len(axes_of(step)) > 1:
+            return profile(step, choice.axes[0])
+        return step
+
+    def numbers(self, choice: Choice) -> xr.DataArray:
+        """Return the numbers of the picture, as `plot` draws them."""
+        return numbers_of(self.result(choice), choice.field, **self._drawing(choice))
+
+    def call(self, choice: Choice) -> str:
+        """Return the Python call that makes the picture."""
+        several = choice.view == "profile" and len(axes_of(self.ds)) > 1
+        averaged = f".cg.profile({choice.axes[0]!r})" if several else ""
+        drawing = _written("plot", {"field": choice.field, **self._drawing(choice)})
+        return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{drawing}"
+
+
+class ScenePictures(Pictures):
+    """Pictures of a scene: each is coarse-grained from its step, which is read once."""
+
+    widths = WIDTHS
+
+    def __init__(self, ds: xr.Dataset, name: str = "ds") -> None:
+        super().__init__(conform(ds), name)
+        self._steps = "time" if "time" in ds.dims else "step"
+
+    def _describe(self) -> None:
+        self.scene = describe(self.ds)
+        self.size = self.scene.sizes.get("d43", 0.0)
+        plane = self.scene.setup.plane
+        possible = possible_fields(self.scene, Request())
+        others = [name for name in listed() if name not in possible]
+        self.fields = {
+            "of this scene": list(possible),
+            "with further data or options": others,
+        }
+        self.axes = list(plane)
+        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(plane) for b in plane[k + 1 :]]
+        pairs.sort(key=lambda pair: pair != (plane[0], plane[-1]))
+        self.views = {"map": pairs}
+        if len(plane) == 3:
+            self.views["slice"] = pairs
+        self.views["profile"] = [(a,) for a in reversed(plane)]
+        self.by = next((name for name in ("phase", "species") if name in self.ds), None)
+        groups = describe(self.ds, self.by).values.get(str(self.by), ())
+        self.phases = ["bulk", *map(str, groups)] if len(groups) > 1 else []
+        self.has_grains = "diameter" in self.ds
+
+    def rank_of(self, field: str) -> int:  # noqa: D102
+        return FIELDS[field].rank
+
+    def cut_axis(self, choice: Choice) -> str:  # noqa: D102
+        return next(a for a in self.axes if a not in choice.axes)
+
+    def range_of(self, axis: str) -> tuple[float, float]:  # noqa: D102
+        k = COMPONENTS.index(axis)
+        if self.scene.corners is not None and axis not in self.scene.setup.periodic:
+            return self.scene.corners[0][k], self.scene.corners[1][k]
+        if axis in self.scene.edges:
+            return self.scene.edges[axis]
+        positions = self._step(0)["position"].sel(component=axis)
+        return float(positions.min()), float(positions.max())
+
+    def _request(self, choice: Choice) -> dict[str, Any]:
+        """Return the arguments of `coarse_grain`."""
+        ends = {a: self.range_of(a) for a in choice.axes}
+        request: dict[str, Any] = {"axes": "".join(choice.axes)}
+        if choice.view == "slice":
+            request["at"] = {self.cut_axis(choice): choice.position}
+        request["width"] = choice.width
+        request["spacing"] = float(f"{self._spacing(choice):.3g}")
+        # the same nodes in all steps; along periodic axes they are those of the box
+        open_axes = [a for a in choice.axes if a not in self.scene.setup.periodic]
+        if open_axes:
+            request["bounds"] = {
+                a: (float(f"{ends[a][0] - self.size:.5g}"), float(f"{ends[a][1] + self.size:.5g}"))
+                for a in open_axes
+            }
+        averaged = [a for a in self.axes if a not in choice.axes and a not in request.get("at", {})]
+        if open_lengths := [a for a in averaged if a not in self.scene.edges]:
+            request["extent"] = {
+                a: float(f"{np.ptp(self.range_of(a)) + self.size:.5g}") for a in open_lengths
+            }
+        if choice.phase in self.phases[1:]:
+            request["by"] = self.by
+        return request
+
+    def _longest(self, choice: Choice) -> float:
+        ends = [self.range_of(a) for a in choice.axes]
+        return max(high - low for low, high in ends)
+
+    def _spacing(self, choice: Choice) -> float:
+        """Return the distance of nodes (m): fine enough for the picture and the kernel, and soon computed."""
+        longest = self._longest(choice)
+        width = float(choice.width.split()[0]) * self.size
+        reach = REACH * width
+        grains = float(self.ds.sizes["particle"])
+        if choice.view == "slice":
+            low, high = self.range_of(self.cut_axis(choice))
+            grains *= min(1.0, 2 * reach / max(high - low, reach))
+        soonest = reach * np.sqrt(np.pi * grains / VISITS)
+        if choice.view == "profile":
+            soonest = 2 * reach * grains / VISITS
+        wanted = max(longest / NODES[choice.view], soonest)
+        return float(max(min(wanted, width), longest / MOST_NODES))
+
+    def _drawing(self, choice: Choice) -> dict[str, Any]:
+        drawing = super()._drawing(choice)
+        if choice.phase not in self.phases[1:]:
+            drawing.pop("phase", None)
+        return drawing
+
+    def result(self, choice: Choice) -> xr.Dataset:
+        """Return the field of the step, coarse-grained."""
+        return coarse_grain(self._step(choice.time), choice.field, **self._request(choice))
+
+    def call(self, choice: Choice) -> str:
+        """Return the Python calls that make the picture."""
+        request = {"fields": choice.field, **self._request(choice)}
+        drawing = _written("plot", {"field": choice.field, **self._drawing(choice)})
+        scene = f"{self.name}{self._selection(choice.time)}"
+        return f"f = {scene}.cg.{_written('coarse_grain', request)}\nf.cg.{drawing}"
+
+    def grains(self, choice: Choice) -> tuple[Mapping[str, NDArray], int]:
+        """Return circles of the grains of a step on a map, and the number of grains.
+
+        A slice shows the circles in which it cuts the grains; a map shows all grains at their full
+        size. Of more than `MOST_GRAINS`, every second, third ... is returned.
+        """
+        frame, lattice, _ = frame_at(
+            self._step(choice.time), 0, ["particle_id", "position", "diameter"]
+        )
+        places = frame["position"]
+        radius = frame["diameter"] / 2
+        if choice.view == "slice":
+            k = COMPONENTS.index(self.cut_axis(choice))
+            away = places[:, k] - choice.position
+            if np.isfinite(lattice.axis_periods[k]) and lattice.axis_periods[k] > 0:
+                away -= lattice.axis_periods[k] * np.round(away / lattice.axis_periods[k])
+            cut = np.abs(away) < radius
+            places = places[cut]
+            radius = np.sqrt(radius[cut] ** 2 - away[cut] ** 2)
+        count = len(places)
+        some = slice(None, None, -(-count // MOST_GRAINS) or 1)
+        across, up = (places[some, COMPONENTS.index(a)] for a in choice.axes)
+        return {"x": across, "y": up, "radius": radius[some]}, count
+
+    def errors(self, choice: Choice) -> dict[str, NDArray]:
+        """Return bias, noise and total error of one step against ``width`` (in d43), by name.
+
+        They are those of `choose_width`. The noise of a field without an error of a single step
+        comes from this step and the next one. A scene of one step has ``bias with noise``: the bias
+        of `width_sweep`, which the noise of few grains adds to.
+        """
+        steps = self._read(max(0, min(choice.time, self.steps - 2)), 2)
+        request = self._request(choice)
+        names = {"axes", "at", "extent"}
+        nodes = {key: value for key, value in request.items() if key in names}
+        far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
+        nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
+        if self.steps > 1 or f"{choice.field}_error" in FIELDS:
+            found = choose_width(steps, choice.field, frames=1, sample=2, **nodes)
+            parts = {part: found[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
+        else:
+            found = width_sweep(steps, SWEPT, [choice.field, "number_density"], **nodes)
+            bias, field = found[f"{choice.field}_bias"], found[choice.field]
+            weight = found["number_density"].where(field.notnull() & bias.notnull(), 0.0)
+            others = [dim for dim in field.dims if dim != "width"]
+            of_bias = (bias.fillna(0.0) ** 2 * weight).sum(others)
+            of_field = (field.fillna(0.0) ** 2 * weight).sum(others)
+            parts = {"bias with noise": (of_bias / of_field) ** 0.5}
+        values = {part: one.to_numpy() for part, one in parts.items()}
+        return {"width": found["width"].to_numpy() / self.size, **values}
+
+
+def _written(function: str, given: Mapping[str, Any]) -> str:
+    """Return a call as text, one argument a line where there are several."""
+    arguments = [format_call("", {name: value})[1:-1] for name, value in given.items()]
+    if len(arguments) < 3:
+        return f"{function}({', '.join(arguments)})"
+    lines = "".join(f"    {argument},\n" for argument in arguments)
+    return f"{function}(\n{lines})"
+
+
+def pictures_of(ds: xr.Dataset, name: str | None = None) -> Pictures:
+    """Return the pictures of a scene or a result.
+
+    Raises
+    ------
+    ValueError
+        If the Dataset is neither, or has no axis to draw along.
+    """
+    if "chain_id" in ds:
+        raise ValueError(
+            "explore draws scenes and fields, and these are force chains: plot_chains and view draw "
+            "them"
+        )
+    if "position" in ds:
+        return ScenePictures(ds, name or "ds")
+    return Pictures(ds, name or "f")

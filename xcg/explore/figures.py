@@ -1,0 +1,246 @@
+"""Figures of Bokeh that are drawn once and then given new numbers: a map, a profile, errors against width."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common import drawing
+from xcg.common.checks import extra
+from xcg.scene.frame import evenly_spaced
+from xcg.scene.schema import COMPONENTS
+
+LONGEST = 520  # pixels of the longer side of a map
+SHORTEST = 80  # pixels of its shorter side; very flat maps are not to scale
+LETTERS = 60  # in a line of a title
+COLOURS = 256
+_OF_ERRORS = {"bias": "#1f77b4", "bias with noise": "#1f77b4", "noise": "#ff7f0e", "total": "black"}
+CLEAR = "rgba(0, 0, 0, 0)"
+TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
+_EMPTY_IMAGE: dict[str, list] = {"image": [], "x": [], "y": [], "dw": [], "dh": []}
+_EMPTY_LINES: dict[str, list] = {"x": [], "y": [], "colour": [], "label": []}
+_EMPTY_CIRCLES: dict[str, list] = {"x": [], "y": [], "radius": []}
+
+
+def label_of(value: xr.DataArray, name: str) -> str:
+    """Return the name in words of a variable, or the letter of an axis, with its unit."""
+    letters = {"theta": "θ", **{a: a for a in "rxyz"}}
+    text = letters.get(name) or drawing.long_name_of(value, name)
+    unit = drawing.unit_in_unicode(str(value.attrs.get("units", "")))
+    return f"{text} [{unit}]" if unit else text
+
+
+def place_of(numbers: xr.DataArray) -> str:
+    """Return the time, the phase and the place of a slice of some numbers, as text."""
+    places = []
+    for name in ("time", "phase", "r", "theta", *COMPONENTS):
+        if name in numbers.coords and not numbers[name].ndim:
+            value = numbers[name].item()
+            text = f"{value:.4g}" if isinstance(value, float) else str(value)
+            unit = drawing.unit_in_unicode(str(numbers[name].attrs.get("units", "")))
+            places.append(f"{name} = {text} {unit}".rstrip())
+    return ", ".join(places)
+
+
+def _title(*lines: str) -> str:
+    """Return the text of a title, broken into lines."""
+    return "\n".join(textwrap.fill(line, LETTERS) for line in lines if line)
+
+
+class Map:
+    """Map with a colour bar, interpolated between evenly spaced nodes, and circles on top.
+
+    Attributes
+    ----------
+    figure : bokeh.plotting.figure
+        To be shown.
+    image, circles : bokeh.models.ColumnDataSource
+        Its numbers.
+    """
+
+    def __init__(self) -> None:
+        models = extra("bokeh.models", "explore", "explore")
+        self._palettes = extra("bokeh.palettes", "explore", "explore")
+        self._extent: tuple[Any, ...] = ()
+        self.image = models.ColumnDataSource(_EMPTY_IMAGE)
+        self.circles = models.ColumnDataSource(_EMPTY_CIRCLES)
+        self._colours = models.LinearColorMapper(palette="Viridis256", nan_color=CLEAR)
+        self.figure = extra("bokeh.plotting", "explore", "explore").figure(
+            x_range=models.Range1d(0, 1), y_range=models.Range1d(0, 1), tools=TOOLS, name="map"
+        )
+        drawn = self.figure.image(
+            image="image", source=self.image, color_mapper=self._colours,
+            x="x", y="y", dw="dw", dh="dh",
+        )  # fmt: skip
+        self.figure.circle(
+            "x", "y", radius="radius", source=self.circles,
+            fill_color=None, line_color="black", line_alpha=0.5,
+        )  # fmt: skip
+        hover = models.HoverTool(
+            renderers=[drawn], tooltips=[("value", "@image"), ("place", "$x, $y")]
+        )
+        self.figure.add_tools(hover)
+        self.figure.add_layout(models.ColorBar(color_mapper=self._colours), "right")
+        self.figure.grid.visible = False
+        self.figure.toolbar.logo = None
+
+    def draw(self, numbers: xr.DataArray) -> None:
+        """Draw numbers (up, across). The view stays as the user zoomed it while the axes stay."""
+        up, across = (str(dim) for dim in numbers.dims)
+        for axis in (across, up):
+            if numbers.sizes[axis] > 2:
+                evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
+        edges_across, edges_up, values = drawing.cells_of(numbers, "smooth")
+        x, width = edges_across[0], edges_across[-1] - edges_across[0]
+        y, height = edges_up[0], edges_up[-1] - edges_up[0]
+        known = values[np.isfinite(values)]
+        colours = drawing.colours_of(known, None, None, None)
+        palette = self._palettes.Viridis256
+        if colours["cmap"] != "viridis":
+            palette = self._palettes.interp_palette(self._palettes.RdBu11, COLOURS)
+        self._colours.update(palette=palette, low=colours["vmin"], high=colours["vmax"])
+        self.image.data = {"image": [values], "x": [x], "y": [y], "dw": [width], "dh": [height]}
+        figure = self.figure
+        extent = (across, x, width, up, y, height)
+        if extent != self._extent:
+            self._extent = extent
+            figure.x_range.update(start=x, end=x + width, reset_start=x, reset_end=x + width)
+            figure.y_range.update(start=y, end=y + height, reset_start=y, reset_end=y + height)
+            longest = max(width, height)
+            figure.frame_width = max(SHORTEST, round(LONGEST * width / longest))
+            figure.frame_height = max(SHORTEST, round(LONGEST * height / longest))
+        figure.xaxis.axis_label = label_of(numbers[across], across)
+        figure.yaxis.axis_label = label_of(numbers[up], up)
+        figure.title.text = _title(label_of(numbers, str(numbers.name)), place_of(numbers))
+
+    def draw_grains(self, circles: Mapping[str, NDArray], count: int) -> None:
+        """Draw circles of grains, of `count` in all."""
+        self.circles.data = dict(circles)
+        drawn = len(circles["x"])
+        if drawn < count:
+            self.figure.title.text += f"\n{drawn} of {count} grains are drawn"
+
+    def clear(self) -> None:
+        """Draw nothing."""
+        self.image.data = _EMPTY_IMAGE
+        self.circles.data = _EMPTY_CIRCLES
+        self.figure.title.text = ""
+
+
+class Profile:
+    """Lines along one axis; z stands upright.
+
+    Attributes
+    ----------
+    figure : bokeh.plotting.figure
+        To be shown.
+    lines : bokeh.models.ColumnDataSource
+        Its numbers.
+    """
+
+    def __init__(self) -> None:
+        self.lines = extra("bokeh.models", "explore", "explore").ColumnDataSource(_EMPTY_LINES)
+        self._palette = extra("bokeh.palettes", "explore", "explore").Category10[10]
+        self.figure = extra("bokeh.plotting", "explore", "explore").figure(
+            frame_width=LONGEST, frame_height=LONGEST, tools=TOOLS, name="profile"
+        )
+        self.figure.multi_line(
+            "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
+        )
+        self.figure.add_layout(self.figure.legend[0], "right")
+        self.figure.toolbar.logo = None
+
+    def draw(self, numbers: xr.DataArray) -> None:
+        """Draw numbers (axis, ...): one line for each of the other labels."""
+        axis, *others = (str(dim) for dim in numbers.dims)
+        nodes = numbers[axis].to_numpy()
+        labels = list(product(*(numbers[dim].to_numpy() for dim in others)))
+        values = [numbers.sel(dict(zip(others, one, strict=True))).to_numpy() for one in labels]
+        along = [nodes] * len(labels)
+        upright = axis == "z"
+        self.lines.data = {
+            "x": values if upright else along,
+            "y": along if upright else values,
+            "colour": [self._palette[k % len(self._palette)] for k in range(len(labels))],
+            "label": [", ".join(map(str, one)) for one in labels],
+        }
+        self.figure.legend.visible = bool(others)
+        label = label_of(numbers, str(numbers.name))
+        ends = [label_of(numbers[axis], axis), label]
+        if upright:
+            ends.reverse()
+        self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = ends
+        self.figure.title.text = _title(place_of(numbers))
+
+    def clear(self) -> None:
+        """Draw nothing."""
+        self.lines.data = _EMPTY_LINES
+        self.figure.title.text = ""
+
+
+class Errors:
+    """Bias, noise and total error against the width of the kernel, with the present width marked.
+
+    Attributes
+    ----------
+    figure : bokeh.plotting.figure
+        To be shown.
+    lines : bokeh.models.ColumnDataSource
+        Its numbers: a line each of bias, noise and total.
+    """
+
+    def __init__(self) -> None:
+        models = extra("bokeh.models", "explore", "explore")
+        self.lines = models.ColumnDataSource(_EMPTY_LINES)
+        self.figure = extra("bokeh.plotting", "explore", "explore").figure(
+            frame_width=LONGEST // 2, frame_height=LONGEST // 2, tools="save", name="errors",
+            x_axis_type="log", y_axis_type="log",
+            x_axis_label="width of the kernel [d43]", y_axis_label="relative error of this step",
+        )  # fmt: skip
+        self.figure.multi_line(
+            "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
+        )
+        self.figure.toolbar.logo = None
+        self._mark = models.Span(dimension="height", line_color="black", line_dash="dashed")
+        self.figure.add_layout(self._mark)
+        self.figure.xaxis.ticker = models.FixedTicker(ticks=[0.25, 0.5, 1, 2, 4])
+        self.figure.yaxis.formatter = models.NumeralTickFormatter(format="0.[000] %")
+        (legend,) = self.figure.legend
+        legend.orientation = "horizontal"
+        self.figure.add_layout(legend, "below")
+        self.figure.title.text = "errors are computed ..."  # an empty title would have no room
+
+    def draw(self, errors: Mapping[str, NDArray], width: float) -> None:
+        """Draw the errors of widths (in d43) by their names, and mark the present width."""
+        parts = [name for name in _OF_ERRORS if name in errors]
+        self.lines.data = {
+            "x": [errors["width"]] * len(parts),
+            "y": [np.where(errors[name] > 0, errors[name], np.nan) for name in parts],
+            "colour": [_OF_ERRORS[name] for name in parts],
+            "label": parts,
+        }
+        self.mark(width)
+
+    def refuse(self, message: str) -> None:
+        """Show in place of errors why there are none."""
+        self.lines.data = _EMPTY_LINES
+        self.figure.title.text = textwrap.fill(message, LETTERS // 2)
+
+    def mark(self, width: float) -> None:
+        """Mark the present width (d43), with its errors in the title."""
+        self._mark.location = width
+        lines = self.lines.data
+        if not len(lines["label"]):
+            return
+        found = [f"width {width:.3g}\N{NO-BREAK SPACE}d43"]
+        for name, widths, values in zip(lines["label"], lines["x"], lines["y"], strict=True):
+            error = np.interp(np.log(width), np.log(widths), values, np.nan, np.nan)
+            if np.isfinite(error):
+                found.append(f"{name} {100 * error:.3g}\N{NO-BREAK SPACE}%")
+        self.figure.title.text = textwrap.fill(", ".join(found), LETTERS // 2)
