@@ -190,7 +190,8 @@ def run_job(
             yield done, count
     except Mismatch as error:
         if resume and not overwrite:
-            changed = [change for change in error.changed if change.startswith("[")]
+            options = [change for change in error.changed if change.startswith("[")]
+            changed = options or error.changed
             raise SceneError(
                 f"{error.folder} is of a run of another job or other input ({'; '.join(changed)}); "
                 "start over without --resume, or with --overwrite"

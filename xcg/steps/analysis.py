@@ -217,7 +217,7 @@ def run(
         name,
         rows,
         sizes,
-        frozenset(coords),
+        tuple(sorted(coords)),
         scene.setup.periodic,
         {n: _rows_along(ds.variables[n]) for n in read},
     )
@@ -285,7 +285,9 @@ class _Task:
     name: str
     rows: Mapping[str, Variable]
     sizes: Mapping[str, int | None]
-    labelled: frozenset[str]
+    labelled: tuple[
+        str, ...
+    ]  # no set, whose order differs between processes, and with it names of tasks
     periodic: str
     dims: Mapping[str, str]
 
