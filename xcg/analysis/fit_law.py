@@ -27,7 +27,7 @@ _ROUNDS = 4
 
 def fit_law(
     f: xr.Dataset,
-    law: str | Callable[..., Any] = "mu_of_I",
+    law: str | Callable[..., NDArray] = "mu_of_I",
     *,
     x: str | None = None,
     y: str | None = None,
@@ -166,7 +166,7 @@ def fit_law(
     return result.assign_attrs(provenance(f, call) | named)
 
 
-def _law_of(law: str | Callable[..., Any], x: str | None, y: str | None) -> Law:
+def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> Law:
     """Return a law with the names of its variables."""
     if isinstance(law, str) and law in LAWS:
         row = LAWS[law]
@@ -206,7 +206,7 @@ def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
 class _Fit:
     """Parameters of a law, their covariance, and the law with its constants."""
 
-    function: Callable[..., Any]
+    function: Callable[..., NDArray]
     names: tuple[str, ...]
     values: NDArray
     covariance: NDArray
@@ -292,7 +292,7 @@ class _Points:
 
     def _with_constants(
         self, row: Law, constants: Mapping[str, float]
-    ) -> tuple[tuple[str, ...], Callable[..., Any]]:
+    ) -> tuple[tuple[str, ...], Callable[..., NDArray]]:
         """Return the names of the parameters of a law, and the law with its constants."""
         arguments = inspect.signature(row.function).parameters.values()
         fixed = {a.name: a.default for a in arguments if a.kind is inspect.Parameter.KEYWORD_ONLY}
@@ -309,7 +309,7 @@ class _Points:
         return names, partial(row.function, **values)
 
 
-def _slope(function: Callable[..., Any], x: NDArray, values: NDArray) -> NDArray:
+def _slope(function: Callable[..., NDArray], x: NDArray, values: NDArray) -> NDArray:
     """Return dy/dx of a law at x (n,), by central differences."""
     step = 1e-6 * np.maximum(np.abs(x), 1e-3 * np.ptp(x))
     return (function(x + step, *values) - function(x - step, *values)) / (2 * step)

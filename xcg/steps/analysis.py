@@ -309,16 +309,16 @@ class _Task:
             for name, row in self.rows.items():
                 shape = tuple(sizes[dim] or 0 for dim in row.dims)
                 values = self._checked(name, results, row, shape)
-                if steps == 1 and values.shape == shape and values.dtype == row.dtype:
+                place: Any = slice(None)
+                if self._is_ragged(row):
+                    place = places.get(row.dims[0], slice(len(values)))
+                in_order = isinstance(place, slice) or place.dtype == bool
+                if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
                     out[name] = values[None]
                     continue
                 if name not in out:
-                    out[name] = np.empty((steps, *shape), row.dtype)
-                if not self._is_ragged(row):
-                    out[name][t] = values
-                    continue
-                out[name][t] = row.fill
-                out[name][t][places.get(row.dims[0], slice(len(values)))] = values
+                    out[name] = np.full((steps, *shape), row.fill, row.dtype)
+                out[name][(t, place) if row.dims else t] = values
         return out
 
     def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
