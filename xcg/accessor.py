@@ -35,7 +35,6 @@ _OTHER_NAMES = {
     "fields": "coarse_grain",
     "rdf": "radial_distribution",
     "g_r": "radial_distribution",
-    "radial_distribution": "microstructure",
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
