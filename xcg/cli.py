@@ -388,7 +388,7 @@ def info(files: tuple[str, ...], **options: Any) -> None:
 def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any) -> None:
     """Explore FILES in the browser: pictures of fields with sliders.
 
-    FILES are those of a DEM code, or one with a scene or a result that xcg saved. The page is for
+    FILES are the output of a DEM code, or one with a scene or a result that xcg saved. The page is for
     this machine alone; closing it ends the command. For example: xcg explore "particles.*.dump" -c
     "contacts.*.dump"
     """

@@ -1,4 +1,4 @@
-"""Bond order of each particle: directions of its neighbours, compared with those of crystals."""
+"""Bond order of each particle: directions of its neighbours, compared with crystals."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class _Search(FrameAnalysis):
     max_contacts: int | None
 
     def reads(self, scene: Description) -> list[str]:
-        """Return places and sizes, and what tells which pairs are left out."""
+        """Return places, sizes, and the variables by which pairs are left out."""
         return [*READ, *(name for name in OPTIONAL if name in scene.columns)]
 
     def rows(self, scene: Description) -> dict[str, Variable]:

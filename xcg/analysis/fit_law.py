@@ -1,4 +1,4 @@
-"""Fits of laws of rheology to fields, with standard errors from those of the fields."""
+"""Fits of laws of rheology to fields, with standard errors."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> 
 
 
 def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
-    """Return x, y and their standard errors (NaN if there are none) on the same nodes."""
+    """Return x, y and their standard errors (NaN if they are unknown) on the same nodes."""
     columns = {}
     for name, of in (("x", row.x), ("y", row.y)):
         if of not in f.variables:

@@ -108,7 +108,7 @@ class Measure(FrameAnalysis):
         return rows
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
-        """Return regions, phases, and the bins of distributions, those that are used."""
+        """Return regions, phases, and the bins of distributions."""
         bins = self.force_bins
         middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
         counts = np.arange(self.max_connectivity + 1)

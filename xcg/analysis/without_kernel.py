@@ -177,7 +177,7 @@ class _CellShares(FrameAnalysis):
         ]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
-        """Return the fields on the cells, those of velocity where the scene has one."""
+        """Return the fields on the cells, with velocity where the scene has one."""
         dims = self.grid.dims if self.by is None else (*self.grid.dims, "phase")
         return {
             name: replace(row, dims=(*dims, *row.dims))

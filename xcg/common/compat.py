@@ -1,4 +1,4 @@
-"""Private names of xarray that the package needs; those of Numba are in `xcg.compiled._jit`.
+"""Private names of xarray that the package needs; Numba's are in `xcg.compiled._jit`.
 
 Tried with xarray 2025.11 and 2026.9. Nothing else uses private names of other packages (a test
 checks that), so a new version that moves one is met here.

@@ -19,7 +19,7 @@ _ANSWERS_WITHIN = 5.0  # seconds
 
 @contextmanager
 def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
-    """Let the cluster of a job's scheduler compute what is computed meanwhile.
+    """Let the cluster of a job's scheduler compute all tasks meanwhile.
 
     Parameters
     ----------

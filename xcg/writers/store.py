@@ -207,7 +207,7 @@ class Format:
 
 
 def client() -> Any:
-    """Return the client of the distributed cluster that computes; None if there is none."""
+    """Return the client of the distributed cluster that computes, or None."""
     distributed = sys.modules.get("distributed")
     if distributed is None:
         return None
