@@ -284,10 +284,11 @@ def make_plan(scene: Description, request: Request) -> Plan:
 
 
 def _extent_of(scene: Description) -> float:
-    """Return the largest extent of the grains (m); infinity in periodic scenes, or if it is not known."""
-    if scene.corners is None or scene.setup.periodic:
+    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
+    if scene.corners is None:
         return math.inf
-    return max(high - low for low, high in zip(*scene.corners, strict=True))
+    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+    return max(*lengths, *scene.periods.values())
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------

@@ -36,13 +36,17 @@ def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
         If no scheduler answers, a worker does not see the files or has another version of xcg, or
         the cluster is lost while it computes.
     """
+    import dask
+
     distributed = extra("distributed", "distributed", "--scheduler")
     from distributed.client import FutureCancelledError
 
     address = job.scheduler
+    before = dask.config.get("scheduler", None)
     try:
         client = distributed.Client(address, timeout=_ANSWERS_WITHIN)
     except (OSError, ValueError, TypeError, OverflowError) as error:
+        dask.config.set(scheduler=before)  # a client that finds nobody stays the default
         raise OSError(
             f"no dask scheduler answers at {address} ({_short(error)}); start one with 'dask scheduler' and pass the "
             "address that it prints, such as tcp://10.0.0.1:8786"
