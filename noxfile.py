@@ -15,8 +15,9 @@ ROOT = Path(__file__).parent
 PYPROJECT = nox.project.load_toml("pyproject.toml")
 # readers, fields, averages, packings, chains and writers; none of them needs an optional package
 CORE = [
-    "chains/test_search", "fields/formulas/test_averages", "fields/test_coarse_grain", "packing/test_find_contacts",
-    "readers/engines/test_lammps", "readers/engines/test_mercury", "test_datasets", "writers/test_vtkhdf",
+    "analysis/test_force_chains", "analysis/test_find_contacts", "fields/formulas/test_averages",
+    "fields/test_coarse_grain", "readers/engines/test_lammps", "readers/engines/test_mercury", "test_datasets",
+    "writers/test_vtkhdf",
 ]  # fmt: skip
 RUNNER = ["pytest>=8.0", "pytest-benchmark>=5.0", "pytest-xdist>=3.6", "hypothesis>=6.100"]
 OPTIONAL = [

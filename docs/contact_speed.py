@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.packing.pairs import CellLists, find_pairs
+from xcg.analysis.pairs import CellLists, find_pairs
 
 PHI = 0.6
 RATIOS = (1, 2, 3, 5, 10, 20, 50, 100)

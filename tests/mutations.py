@@ -346,92 +346,92 @@ TABLE = [
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
     Mutation(
-        "fields/analysis/surfaces.py", "distance.min(axis=0) <= task.within", "distance.min(axis=0) <= 2 * task.within",
+        "analysis/surfaces.py", "distance.min(axis=0) <= task.within", "distance.min(axis=0) <= 2 * task.within",
         "test_contacts_farther_than_within_are_left_out",
     ),
     Mutation(
-        "fields/analysis/balance.py", "(8 * near - far)", "(8 * near + far)", "test_force_residual_falls_with_the_mesh",
+        "analysis/balance.py", "(8 * near - far)", "(8 * near + far)", "test_force_residual_falls_with_the_mesh",
     ),
     Mutation(
-        "fields/analysis/surfaces.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
+        "analysis/surfaces.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
         "test_parts_of_a_triangle_have_its_area_and_its_centre",
     ),
     Mutation(
-        "fields/analysis/shallow.py", "_transport(sums) - transport", "_transport(sums) + transport",
+        "analysis/shallow.py", "_transport(sums) - transport", "_transport(sums) + transport",
         "test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow",
     ),
     Mutation(
-        "fields/analysis/surfaces.py", "min(last, high) - max(first, low)", "min(last, high) - first",
+        "analysis/surfaces.py", "min(last, high) - max(first, low)", "min(last, high) - first",
         "test_a_surface_counts_within_the_thickness_of_a_layer",
     ),
     Mutation(
-        "fields/analysis/shallow.py", "len(matrix) - count - 1", "len(matrix) - count",
+        "analysis/shallow.py", "len(matrix) - count - 1", "len(matrix) - count",
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/shallow.py", "/ (1 + steepness**2)", "/ (1 + steepness)",
+        "analysis/shallow.py", "/ (1 + steepness**2)", "/ (1 + steepness)",
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/without_kernel.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
+        "analysis/without_kernel.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
         "test_temperatures_in_planes_equal_a_loop_over_grains",
     ),
     Mutation(
-        "fields/analysis/correlations.py", "share = (y0 - level)", "share = (level - y1)",
+        "analysis/correlations.py", "share = (y0 - level)", "share = (level - y1)",
         "test_falls_to_interpolates_where_values_fall_below_a_level",
     ),
     Mutation(
-        "fields/analysis/diffusion.py", "first_seen[rows[stay]] <= t - lag", "first_seen[rows[stay]] <= t",
+        "analysis/diffusion.py", "first_seen[rows[stay]] <= t - lag", "first_seen[rows[stay]] <= t",
         "test_grains_that_come_back_count_as_new",
     ),
     Mutation(
-        "fields/analysis/derived.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
+        "analysis/derived.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
         "test_velocities_across_edges_and_in_a_sheared_box",
     ),
     Mutation(
-        "fields/analysis/widths.py", "noise / frames**0.5", "noise / frames",
+        "analysis/widths.py", "noise / frames**0.5", "noise / frames",
         "test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames",
     ),
     Mutation(
-        "fields/analysis/widths.py", "math.sqrt(120)", "math.sqrt(480)",
+        "analysis/widths.py", "math.sqrt(120)", "math.sqrt(480)",
         "test_the_spacing_adds_less_error_than_stated",
     ),
     # --- packing ---
     Mutation(
-        "packing/quantities.py", "np.sqrt(2 / 3 if len(rate) == 3 else 2)", "np.sqrt(3 / 2 if len(rate) == 3 else 2)",
+        "analysis/quantities.py", "np.sqrt(2 / 3 if len(rate) == 3 else 2)", "np.sqrt(3 / 2 if len(rate) == 3 else 2)",
         "test_shear_rates_from_velocities_and_as_given",
     ),
     Mutation(
-        "packing/samples.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
+        "analysis/samples.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
         "test_the_mean_over_all_arrangements_is_the_random_limit",
     ),
     Mutation(
-        "packing/network.py", "rows[0] <= rows[1], 1.0, -1.0", "rows[0] <= rows[1], -1.0, 1.0",
+        "analysis/network.py", "rows[0] <= rows[1], 1.0, -1.0", "rows[0] <= rows[1], -1.0, 1.0",
         "test_edges_are_sums_over_contacts",
     ),
     Mutation(
-        "packing/samples.py", "(position[:, k] < bounds[axis][1])", "(position[:, k] <= bounds[axis][1])",
+        "analysis/samples.py", "(position[:, k] < bounds[axis][1])", "(position[:, k] <= bounds[axis][1])",
         "test_a_region_holds_its_lower_bound_and_not_its_upper_one",
     ),
     Mutation(
-        "packing/pairs.py", "length < 3 * reach * np.maximum(edges, 1)", "length < 1 * reach * np.maximum(edges, 1)",
+        "analysis/pairs.py", "length < 3 * reach * np.maximum(edges, 1)", "length < 1 * reach * np.maximum(edges, 1)",
         "test_pairs_equal_those_of_brute_force",
     ),
     # --- chains ---
     Mutation(
-        "chains/search.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
+        "analysis/force_chains.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
         "test_a_chain_survives_with_at_least_the_given_overlap",
     ),
     Mutation(
-        "chains/selection.py", "np.asarray(self.velocity) * time", "np.asarray(self.velocity) / time",
+        "analysis/chain_selection.py", "np.asarray(self.velocity) * time", "np.asarray(self.velocity) / time",
         "test_moving_region_follows_time",
     ),
     Mutation(
-        "chains/search.py", "least - _SHARE * abs(least)", "least + _SHARE * abs(least)",
+        "analysis/force_chains.py", "least - _SHARE * abs(least)", "least + _SHARE * abs(least)",
         "test_threshold_and_least_length",
     ),
     Mutation(
-        "chains/particle_stress.py", "> ROUNDING * size", "> -ROUNDING * size",
+        "analysis/particle_stress.py", "> ROUNDING * size", "> -ROUNDING * size",
         "test_rounding_of_pure_tension_makes_no_chains",
     ),
     # --- readers ---

@@ -14,6 +14,7 @@ import xarray as xr
 
 import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
+from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
 from xcg.writers import chains, view, vtkhdf
@@ -25,7 +26,7 @@ METHODS = sorted(
 # methods whose functions have no place at the top of the package
 DEEPER = {
     "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
-    "to_vtu": vtu.to_vtu, "to_pyvista": view.to_pyvista, "view": view.view,
+    "to_vtu": vtu.to_vtu, "to_pyvista": view.to_pyvista, "view": view.view, "explore": explore,
 }  # fmt: skip
 
 
@@ -118,8 +119,8 @@ def test_completion_offers_the_methods_of_each_kind(scene):
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
     pictures, shared = (
-        {"plot", "plot_width", "movie", "free_surface", "fit_slope"},
-        {"view", "to_pyvista", "save"},
+        {"plot", "plot_width", "plot_principal", "movie", "free_surface", "fit_slope", "fit_law"},
+        {"view", "to_pyvista", "save", "explore", "principal"},
     )
     assert (
         offered["fields"]

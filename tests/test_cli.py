@@ -18,7 +18,7 @@ from tests import ROOT, shared_data
 from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
-from xcg.chains.search import Algorithm
+from xcg.analysis.force_chains import Algorithm
 from xcg.cli import group, statistics_table
 from xcg.jobs import config
 from xcg.jobs.config import read_config

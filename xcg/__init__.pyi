@@ -2,29 +2,33 @@
 
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
+from .analysis.balance import balance
 from .analysis.bond_order import bond_order
+from .analysis.chain_results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from .analysis.chain_selection import BoxRegion, Region, Sphere, select_chains
 from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
+from .analysis.correlations import spatial_correlation, time_correlation
+from .analysis.derived import derive_director, derive_superquadric, derive_velocity
+from .analysis.diffusion import mean_squared_displacement
+from .analysis.displacement import displacement
+from .analysis.find_contacts import find_contacts
 from .analysis.fit_law import fit_law
+from .analysis.force_chains import force_chains, track_chains
+from .analysis.microstructure import microstructure
+from .analysis.network import adjacency, contact_graph
+from .analysis.pairs import find_pairs
+from .analysis.particle_stress import particle_stress
+from .analysis.plots import movie, plot
 from .analysis.principal import plot_principal, principal
 from .analysis.radial_distribution import radial_distribution
+from .analysis.shallow import depth_average, fit_slope, free_surface
 from .analysis.structure_factor import structure_factor
+from .analysis.surfaces import flow_rate, wall_stress
 from .analysis.voronoi import voronoi
-from .chains.particle_stress import particle_stress
-from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
-from .chains.search import force_chains, track_chains
-from .chains.selection import BoxRegion, Region, Sphere, select_chains
+from .analysis.widths import choose_width, plot_width, width_sweep
+from .analysis.without_kernel import cell_volumes, slice_temperature
 from .common.messages import SceneError, SceneWarning
-from .fields.analysis.balance import balance
-from .fields.analysis.correlations import spatial_correlation, time_correlation
-from .fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
-from .fields.analysis.diffusion import mean_squared_displacement
-from .fields.analysis.displacement import displacement
-from .fields.analysis.plots import movie, plot
-from .fields.analysis.shallow import depth_average, fit_slope, free_surface
-from .fields.analysis.surfaces import flow_rate, wall_stress
-from .fields.analysis.widths import choose_width, plot_width, width_sweep
-from .fields.analysis.without_kernel import cell_volumes, slice_temperature
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
 from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance
@@ -34,10 +38,6 @@ from .fields.grids.walls import Cylinder, Plane, Surface
 from .fields.presets.lammps import lammps_mesh
 from .fields.presets.pysammos import pysammos_mesh
 from .fields.sums.kernels import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from .packing.find_contacts import find_contacts
-from .packing.microstructure import microstructure
-from .packing.network import adjacency, contact_graph
-from .packing.pairs import find_pairs
 from .readers.engines.vtk import mesh_points
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps

@@ -17,7 +17,7 @@ SCENE, RESULT, CHAINS = "scene", "result", "chains"
 _SUMMARIES = {
     SCENE: ("xcg.scene.description", "summary_of_scene"),
     RESULT: ("xcg.steps.labels", "summary_of_result"),
-    CHAINS: ("xcg.chains.results", "summary_of_chains"),
+    CHAINS: ("xcg.analysis.chain_results", "summary_of_chains"),
 }
 
 
@@ -33,9 +33,8 @@ _OTHER_NAMES = {
     "coarsen": "coarse_grain",
     "compute": "coarse_grain",
     "fields": "coarse_grain",
-    "rdf": "microstructure",
-    "g_r": "microstructure",
-    "radial_distribution": "microstructure",
+    "rdf": "radial_distribution",
+    "g_r": "radial_distribution",
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
@@ -120,24 +119,24 @@ class CoarseGrainAccessor:
 
     coarse_grain = Method("xcg.fields.coarse_grain", SCENE)
     explain = Method("xcg.fields.coarse_grain", SCENE)
-    displacement = Method("xcg.fields.analysis.displacement", SCENE)
-    mean_squared_displacement = Method("xcg.fields.analysis.diffusion", SCENE)
-    width_sweep = Method("xcg.fields.analysis.widths", SCENE)
-    choose_width = Method("xcg.fields.analysis.widths", SCENE)
-    balance = Method("xcg.fields.analysis.balance", SCENE)
-    slice_temperature = Method("xcg.fields.analysis.without_kernel", SCENE)
-    cell_volumes = Method("xcg.fields.analysis.without_kernel", SCENE)
-    depth_average = Method("xcg.fields.analysis.shallow", SCENE)
-    flow_rate = Method("xcg.fields.analysis.surfaces", SCENE)
-    wall_stress = Method("xcg.fields.analysis.surfaces", SCENE)
-    find_contacts = Method("xcg.packing.find_contacts", SCENE)
-    microstructure = Method("xcg.packing.microstructure", SCENE)
-    adjacency = Method("xcg.packing.network", SCENE)
-    contact_graph = Method("xcg.packing.network", SCENE)
+    displacement = Method("xcg.analysis.displacement", SCENE)
+    mean_squared_displacement = Method("xcg.analysis.diffusion", SCENE)
+    width_sweep = Method("xcg.analysis.widths", SCENE)
+    choose_width = Method("xcg.analysis.widths", SCENE)
+    balance = Method("xcg.analysis.balance", SCENE)
+    slice_temperature = Method("xcg.analysis.without_kernel", SCENE)
+    cell_volumes = Method("xcg.analysis.without_kernel", SCENE)
+    depth_average = Method("xcg.analysis.shallow", SCENE)
+    flow_rate = Method("xcg.analysis.surfaces", SCENE)
+    wall_stress = Method("xcg.analysis.surfaces", SCENE)
+    find_contacts = Method("xcg.analysis.find_contacts", SCENE)
+    microstructure = Method("xcg.analysis.microstructure", SCENE)
+    adjacency = Method("xcg.analysis.network", SCENE)
+    contact_graph = Method("xcg.analysis.network", SCENE)
     contact_history = Method("xcg.analysis.contact_history", SCENE)
     voronoi = Method("xcg.analysis.voronoi", SCENE)
-    particle_stress = Method("xcg.chains.particle_stress", SCENE)
-    force_chains = Method("xcg.chains.search", SCENE)
+    particle_stress = Method("xcg.analysis.particle_stress", SCENE)
+    force_chains = Method("xcg.analysis.force_chains", SCENE)
     radial_distribution = Method("xcg.analysis.radial_distribution", SCENE)
     contact_value = Method("xcg.analysis.contact_value", SCENE)
     structure_factor = Method("xcg.analysis.structure_factor", SCENE)
@@ -150,30 +149,30 @@ class CoarseGrainAccessor:
     plot_phases = Method("xcg.scene.phases", SCENE)
     select = Method("xcg.scene.selected", SCENE)
     select_walls = Method("xcg.scene.contacts", SCENE)
-    derive_director = Method("xcg.fields.analysis.derived", SCENE)
-    derive_superquadric = Method("xcg.fields.analysis.derived", SCENE)
-    derive_velocity = Method("xcg.fields.analysis.derived", SCENE)
+    derive_director = Method("xcg.analysis.derived", SCENE)
+    derive_superquadric = Method("xcg.analysis.derived", SCENE)
+    derive_velocity = Method("xcg.analysis.derived", SCENE)
 
     principal = Method("xcg.analysis.principal", RESULT)
     plot_principal = Method("xcg.analysis.principal", RESULT)
     profile = Method("xcg.fields.formulas.averages", RESULT)
     time_average = Method("xcg.fields.formulas.averages", RESULT)
-    spatial_correlation = Method("xcg.fields.analysis.correlations", RESULT)
-    time_correlation = Method("xcg.fields.analysis.correlations", RESULT)
-    free_surface = Method("xcg.fields.analysis.shallow", RESULT)
+    spatial_correlation = Method("xcg.analysis.correlations", RESULT)
+    time_correlation = Method("xcg.analysis.correlations", RESULT)
+    free_surface = Method("xcg.analysis.shallow", RESULT)
     fit_law = Method("xcg.analysis.fit_law", RESULT)
-    fit_slope = Method("xcg.fields.analysis.shallow", RESULT)
-    plot = Method("xcg.fields.analysis.plots", SCENE, RESULT)
-    plot_width = Method("xcg.fields.analysis.widths", RESULT)
-    movie = Method("xcg.fields.analysis.plots", RESULT)
+    fit_slope = Method("xcg.analysis.shallow", RESULT)
+    plot = Method("xcg.analysis.plots", SCENE, RESULT)
+    plot_width = Method("xcg.analysis.widths", RESULT)
+    movie = Method("xcg.analysis.plots", RESULT)
 
-    select_chains = Method("xcg.chains.selection", CHAINS)
-    track_chains = Method("xcg.chains.search", CHAINS)
-    chain_table = Method("xcg.chains.results", CHAINS)
-    link_table = Method("xcg.chains.results", CHAINS)
-    plot_chains = Method("xcg.chains.results", CHAINS)
-    plot_lengths = Method("xcg.chains.results", CHAINS)
-    plot_rose = Method("xcg.chains.results", CHAINS)
+    select_chains = Method("xcg.analysis.chain_selection", CHAINS)
+    track_chains = Method("xcg.analysis.force_chains", CHAINS)
+    chain_table = Method("xcg.analysis.chain_results", CHAINS)
+    link_table = Method("xcg.analysis.chain_results", CHAINS)
+    plot_chains = Method("xcg.analysis.chain_results", CHAINS)
+    plot_lengths = Method("xcg.analysis.chain_results", CHAINS)
+    plot_rose = Method("xcg.analysis.chain_results", CHAINS)
     to_csv = Method("xcg.writers.chains", CHAINS)
     to_vtp = Method("xcg.writers.chains", CHAINS)
 

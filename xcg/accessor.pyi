@@ -5,34 +5,34 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload, type_chec
 
 import xarray as xr
 
+from xcg.analysis.balance import balance
 from xcg.analysis.bond_order import bond_order
+from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from xcg.analysis.chain_selection import select_chains
 from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
+from xcg.analysis.correlations import spatial_correlation, time_correlation
+from xcg.analysis.derived import derive_director, derive_superquadric, derive_velocity
+from xcg.analysis.diffusion import mean_squared_displacement
+from xcg.analysis.displacement import displacement
+from xcg.analysis.find_contacts import find_contacts
 from xcg.analysis.fit_law import fit_law
+from xcg.analysis.force_chains import force_chains, track_chains
+from xcg.analysis.microstructure import microstructure
+from xcg.analysis.network import adjacency, contact_graph
+from xcg.analysis.particle_stress import particle_stress
+from xcg.analysis.plots import movie, plot
 from xcg.analysis.principal import plot_principal, principal
 from xcg.analysis.radial_distribution import radial_distribution
+from xcg.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.analysis.structure_factor import structure_factor
+from xcg.analysis.surfaces import flow_rate, wall_stress
 from xcg.analysis.voronoi import voronoi
-from xcg.chains.particle_stress import particle_stress
-from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
-from xcg.chains.search import force_chains, track_chains
-from xcg.chains.selection import select_chains
+from xcg.analysis.widths import choose_width, plot_width, width_sweep
+from xcg.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.explore.app import explore
-from xcg.fields.analysis.balance import balance
-from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
-from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
-from xcg.fields.analysis.diffusion import mean_squared_displacement
-from xcg.fields.analysis.displacement import displacement
-from xcg.fields.analysis.plots import movie, plot
-from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
-from xcg.fields.analysis.surfaces import flow_rate, wall_stress
-from xcg.fields.analysis.widths import choose_width, plot_width, width_sweep
-from xcg.fields.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
-from xcg.packing.find_contacts import find_contacts
-from xcg.packing.microstructure import microstructure
-from xcg.packing.network import adjacency, contact_graph
 from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics

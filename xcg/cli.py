@@ -15,8 +15,9 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -25,7 +26,8 @@ import click
 if TYPE_CHECKING:
     import xarray as xr
 
-    from xcg.chains.search import Algorithm
+    from xcg.analysis.force_chains import Algorithm
+    from xcg.jobs.config import Job
     from xcg.steps.faults import OnError
 
 
@@ -53,7 +55,7 @@ def stop(*_: object) -> None:
     os._exit(128 + signal.SIGINT)
 
 
-# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares
+# what xcg.steps.faults and xcg.analysis.force_chains take, which are not imported for help; a test compares
 # them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
@@ -168,7 +170,7 @@ def takes_files(command: Callable) -> Callable:
 
 
 def said(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Keep the options that were said, as arguments of `open_scene`."""
+    """Keep the options that were said, as arguments of functions."""
     return {
         name: list(v) if isinstance(v, tuple) else v
         for name, v in options.items()
@@ -246,7 +248,7 @@ def chains(
     For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv
     "chains_{step}.csv" --vtp "chains_{step}.vtp"
     """
-    from xcg.chains.search import force_chains
+    from xcg.analysis.force_chains import force_chains
     from xcg.readers.open import open_scene
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped
@@ -386,7 +388,7 @@ def info(files: tuple[str, ...], **options: Any) -> None:
 def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any) -> None:
     """Explore FILES in the browser: pictures of fields with sliders.
 
-    FILES are those of a DEM code, or one with a scene or a result that xcg saved. The page is for
+    FILES are the output of a DEM code, or one with a scene or a result that xcg saved. The page is for
     this machine alone; closing it ends the command. For example: xcg explore "particles.*.dump" -c
     "contacts.*.dump"
     """
@@ -420,6 +422,35 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
         yield
 
 
+def _computer(
+    job: Job, jobs: int | None, *, dashboard: bool, quiet: bool
+) -> AbstractContextManager[None]:
+    """Return the context in which a job computes: on its cluster, under a dashboard, or neither."""
+    from xcg.jobs.cluster import cluster_of
+
+    if job.scheduler and jobs:
+        raise click.UsageError(
+            "--jobs is for this machine; a cluster takes as many chunks as it has threads"
+        )
+    if job.scheduler:
+        return cluster_of(job, (lambda _: None) if quiet else partial(click.echo, err=True))
+    return _dashboard(jobs) if dashboard else nullcontext()
+
+
+def _outline(job: Job) -> str:
+    """Return the scene of a job, its fields and outputs as text; nothing is computed."""
+    from xcg.jobs.run import open_job, outputs_of
+
+    scene, fields, slices = open_job(job)
+    outputs = outputs_of(job, fields, slices)
+    names = ", ".join(str(name) for output in outputs for name in output.ds.data_vars)
+    lines = [repr(scene.cg), names, f"into {job.folder}/{job.name}*"]
+    existing = [path for output in outputs for path in output.paths() if path.exists()]
+    if existing:
+        lines.append(f"{existing[0]} exists; --overwrite replaces it")
+    return "\n".join(lines)
+
+
 @click.command()
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
@@ -441,6 +472,11 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
     type=click.IntRange(1),
     help="Chunks of time at once; all processors by default.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Compute on the running dask cluster of this scheduler (needs distributed).",
+)
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
 def run(
     config: str,
@@ -450,6 +486,7 @@ def run(
     on_error: OnError | None,
     dashboard: bool,
     jobs: int | None,
+    scheduler: str | None,
     dry_run: bool,
 ) -> None:
     """Run a job: Pysammos's config.ini as it stands, or TOML.
@@ -458,7 +495,7 @@ def run(
     """
     from xcg.common.messages import printable
     from xcg.jobs.config import read_config
-    from xcg.jobs.run import open_job, outputs_of, run_job
+    from xcg.jobs.run import run_job, work_of
     from xcg.steps.mapping import shown
 
     if resume and overwrite:
@@ -466,22 +503,19 @@ def run(
             "--resume goes on with a run, and --overwrite starts anew: pass one of them"
         )
     with plain_messages(quiet):
-        job = read_config(config)
-        if on_error is not None:
-            job = replace(job, on_error=on_error)
+        # absolute, as workers and later runs may have another current folder
+        job = read_config(Path(config).absolute())
+        job = replace(job, **said({"on_error": on_error, "scheduler": scheduler}))
         if dry_run:
-            scene, computed, slices = open_job(job)
-            outputs = outputs_of(job, computed, slices)
-            names = ", ".join(str(name) for output in outputs for name in output.ds.data_vars)
-            there = [path for output in outputs for path in output.paths() if path.exists()]
-            taken = f"\n{there[0]} exists; --overwrite replaces it" if there else ""
-            click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*{taken}"))
+            click.echo(printable(_outline(job)))
             return
-        with _dashboard(jobs) if dashboard else nullcontext():
+        with _computer(job, jobs, dashboard=dashboard, quiet=quiet):
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
-            done = 0
+            done = count = 0
 
             def kept() -> str:
+                if done and done == count and not work_of(job).exists():
+                    return f"{count} steps in {job.folder}"
                 return f"{done} step{'s' * (done != 1)} kept; the same command continues from there"
 
             try:

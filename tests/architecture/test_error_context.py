@@ -107,6 +107,8 @@ ACCEPTED = {
 }
 # arguments whose errors speak of something else: to be bettered
 UNNAMED = {
+    ("fit_law", "constants"),  # the result lacks what laws are fitted to
+    ("fit_law", "guess"),
     ("scene_from_arrays", "step"),
     ("scene_from_table", "names"),
     ("scene_from_table", "particles"),

@@ -8,9 +8,9 @@ import xarray as xr
 
 import xcg
 from tests import ROOT
-from xcg.chains.results import RESULTS
+from xcg.analysis.chain_results import RESULTS
+from xcg.analysis.quantities import QUANTITIES
 from xcg.fields.formulas import registry
-from xcg.packing.quantities import QUANTITIES
 from xcg.scene.schema import BOX, VARIABLES, powers_of, units_in, units_of
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests import ROOT
-from xcg.packing.pairs import find_pairs
+from xcg.analysis.pairs import find_pairs
 
 Packing = runpy.run_path(str(ROOT / "docs" / "contact_speed.py"))["Packing"]
 

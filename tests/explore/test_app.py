@@ -81,7 +81,7 @@ class Page:
         return lambda: self.page.locator(".noUi-handle:visible").nth(position).press(key)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def chromium():
     playwright = pytest.importorskip("playwright.sync_api")
     program = shutil.which("chromium") or shutil.which("google-chrome")

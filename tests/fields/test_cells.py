@@ -134,6 +134,7 @@ def test_cells_hold_all_contact_stress(scene, mesh):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.filterwarnings("ignore::xcg.SceneWarning")  # boxes smaller than grains
 @pytest.mark.parametrize("kernel", TOTALS)
 @pytest.mark.parametrize("spacing", [0.63, 1.37])
 def test_cells_hold_the_mass_of_each_grain(kernel, spacing):

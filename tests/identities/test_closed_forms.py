@@ -196,6 +196,7 @@ def reciprocal(edge, shells):
     return 2 * np.pi / edge * hkl
 
 
+@pytest.mark.filterwarnings("ignore:width=.* is larger than the scene")
 @pytest.mark.parametrize("kernel", [xcg.Lucy, xcg.Gaussian, xcg.Heaviside])
 def test_lattice_fields_reach_their_plateau(kernel):
     """phi(r) = phi_0 sum over reciprocal vectors of the kernel's transform: the spread over points is bounded by it."""

@@ -65,11 +65,16 @@ def test_fields_under_a_cluster_have_equal_bits(client, scene):
 
 @pytest.mark.parametrize(
     "work",
-    ["force_chains", "microstructure", "particle_stress", "find_contacts", "bond_order"],
+    ["force_chains", "microstructure", "particle_stress", "find_contacts"],
 )
 def test_other_functions_under_a_cluster_have_equal_bits(client, scene, work):
     result = getattr(scene.cg, work)()
     assert_same_bits(here(result), result.compute())
+
+
+def test_analyses_with_arguments_under_a_cluster_have_equal_bits(client, scene):
+    for result in (scene.cg.bond_order(r_max=1.0), scene.cg.radial_distribution(1.2)):
+        assert_same_bits(here(result), result.compute())
 
 
 def test_kernels_of_users_reach_workers(client):

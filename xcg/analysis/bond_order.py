@@ -1,19 +1,19 @@
-"""Bond order of each particle: symmetry of the directions of its neighbours."""
+"""Bond order of each particle: directions of its neighbours, compared with crystals."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.pairs import pairs_of
 from xcg.common.checks import floats, is_positive, is_whole
 from xcg.common.messages import SceneError, plain
-from xcg.packing.pairs import pairs_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
@@ -214,12 +214,14 @@ class BondOrder(FrameAnalysis):
         position = lattice.wrapped(position, np.where(np.isfinite(corner), corner, 0.0), source)
         low, high = position.min(axis=0), position.max(axis=0)
         # without images, the farthest neighbour is at least as far away as with them
-        reach = float(np.max(cKDTree(position).query(position, count + 1)[0]))
+        alone: Any = cKDTree(position).query(position, count + 1)[0]
+        reach = float(alone.max())
         reach = min(reach, half) if len(lattice.basis) else 0.0
         rows, shift, _ = lattice.images(position, low - reach, high + reach, source)
         images = position[rows] + shift
-        distance, near = cKDTree(images).query(position, count + 1)
-        if len(lattice.basis) and np.max(distance) > reach:
+        found: Any = cKDTree(images).query(position, count + 1)
+        distance, near = found
+        if len(lattice.basis) and distance.max() > reach:
             raise SceneError(
                 f"{source}: some of the nearest {count} particles are beyond half the distance to "
                 f"the nearest image ({half:g} m); take fewer neighbours"

@@ -11,8 +11,8 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.diffusion import chosen_lags
 from xcg.common.messages import SceneWarning, warn_user
-from xcg.fields.analysis.diffusion import chosen_lags
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.contacts import Contacts

@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from xcg.analysis.radial_distribution import RadialDistribution
+from xcg.analysis.samples import Bounds
 from xcg.common.checks import is_finite
 from xcg.common.messages import plain
-from xcg.packing.samples import Bounds
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice

@@ -1,4 +1,4 @@
-"""Fits of laws of rheology to fields, with standard errors from those of the fields."""
+"""Fits of laws of rheology to fields, with standard errors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.laws import LAWS, Law
+from xcg.analysis.shallow import nodes_a_support
 from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
-from xcg.fields.analysis.shallow import nodes_a_support
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import format_call, provenance
@@ -27,7 +27,7 @@ _ROUNDS = 4
 
 def fit_law(
     f: xr.Dataset,
-    law: str | Callable[..., Any] = "mu_of_I",
+    law: str | Callable[..., NDArray] = "mu_of_I",
     *,
     x: str | None = None,
     y: str | None = None,
@@ -144,10 +144,10 @@ def fit_law(
     system = f.attrs.get("unit_system", "SI")
     units = row.units or [None] * len(fit.names)
     data: dict[str, Any] = {}
-    for name, value, error, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
+    for name, value, deviation, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
         about = {"units": units_in(unit, system)} if unit else {}
         data[name] = ((), value, {"long_name": f"{name} of the law"} | about)
-        data[f"{name}_error"] = ((), error, {"long_name": f"standard error of {name}"} | about)
+        data[f"{name}_error"] = ((), deviation, {"long_name": f"standard error of {name}"} | about)
     of_parameters = ("parameter", "other_parameter")
     numbers = {
         "chi_squared": (fit.chi_squared, "squared residuals over squared standard errors"),
@@ -166,7 +166,7 @@ def fit_law(
     return result.assign_attrs(provenance(f, call) | named)
 
 
-def _law_of(law: str | Callable[..., Any], x: str | None, y: str | None) -> Law:
+def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> Law:
     """Return a law with the names of its variables."""
     if isinstance(law, str) and law in LAWS:
         row = LAWS[law]
@@ -181,7 +181,7 @@ def _law_of(law: str | Callable[..., Any], x: str | None, y: str | None) -> Law:
 
 
 def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
-    """Return x, y and their standard errors (NaN if there are none) on the same nodes."""
+    """Return x, y and their standard errors (NaN if they are unknown) on the same nodes."""
     columns = {}
     for name, of in (("x", row.x), ("y", row.y)):
         if of not in f.variables:
@@ -206,7 +206,7 @@ def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
 class _Fit:
     """Parameters of a law, their covariance, and the law with its constants."""
 
-    function: Callable[..., Any]
+    function: Callable[..., NDArray]
     names: tuple[str, ...]
     values: NDArray
     covariance: NDArray
@@ -292,7 +292,7 @@ class _Points:
 
     def _with_constants(
         self, row: Law, constants: Mapping[str, float]
-    ) -> tuple[tuple[str, ...], Callable[..., Any]]:
+    ) -> tuple[tuple[str, ...], Callable[..., NDArray]]:
         """Return the names of the parameters of a law, and the law with its constants."""
         arguments = inspect.signature(row.function).parameters.values()
         fixed = {a.name: a.default for a in arguments if a.kind is inspect.Parameter.KEYWORD_ONLY}
@@ -309,7 +309,7 @@ class _Points:
         return names, partial(row.function, **values)
 
 
-def _slope(function: Callable[..., Any], x: NDArray, values: NDArray) -> NDArray:
+def _slope(function: Callable[..., NDArray], x: NDArray, values: NDArray) -> NDArray:
     """Return dy/dx of a law at x (n,), by central differences."""
     step = 1e-6 * np.maximum(np.abs(x), 1e-3 * np.ptp(x))
     return (function(x + step, *values) - function(x - step, *values)) / (2 * step)

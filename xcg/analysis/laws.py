@@ -31,7 +31,7 @@ class Law:
         First guess of the parameters from arrays x, y.
     """
 
-    function: Callable[..., Any]
+    function: Callable[..., NDArray]
     formula: str = ""
     x: str | None = None
     y: str | None = None

@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import unknown
+from xcg.common.checks import is_whole
+from xcg.common.messages import plain, unknown
 from xcg.scene.frame import step_at
 from xcg.scene.schema import COMPONENTS
 
@@ -135,11 +136,16 @@ def plot_principal(
     Raises
     ------
     ValueError
-        If the result has no such tensor, or not two axes.
+        If the result has no such tensor, or not two axes, or an argument is wrong.
     """
     from matplotlib.collections import LineCollection
+    from matplotlib.colors import is_color_like
     from matplotlib.pyplot import subplots
 
+    if not is_whole(every, 1):
+        raise ValueError(f"every={plain(every)}: expected a number of nodes, 1 for all of them")
+    if not is_color_like(color):
+        raise ValueError(f"color={plain(color)}: expected a colour of matplotlib, such as 'black'")
     f = step_at(f, index)
     plane = [a for a in COMPONENTS if a in f.dims]
     if len(plane) != 2:

@@ -11,12 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.pairs import cells_of
+from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.radial_distribution import count_pairs
-from xcg.packing.pairs import cells_of
-from xcg.packing.samples import Bounds, images_in
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite, phase_of, without_frozen

@@ -197,7 +197,7 @@ class _Cells(FrameAnalysis):
             edges[COMPONENTS.index(axis)] = ends
         vectors = np.diag(edges[:, 1] - edges[:, 0])
         if lattice.cell is not None:
-            vectors = np.where(lattice.cell.any(axis=1)[:, None], lattice.cell, vectors)
+            vectors = np.where(lattice.cell.any(axis=1, keepdims=True), lattice.cell, vectors)
         first = np.where(np.isfinite(edges[:, 0]), edges[:, 0], 0.0)
         lacks = [
             a for a, edge in zip(COMPONENTS, vectors, strict=True) if not np.isfinite(edge).all()

@@ -27,5 +27,5 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[A
 
 
 def owns_memory(array: NDArray) -> bool:
-    """Return whether an array is no view: its memory goes when it goes."""
+    """Return whether an array owns its memory, which goes with it."""
     return array.base is None or type(array.base) is mmap.mmap

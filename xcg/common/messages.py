@@ -101,7 +101,7 @@ def unknown(
     names = [str(name) for name in known]
     rest = listed or f"expected one of {', '.join(names)}"
     hint = did_you_mean(str(word), names, synonyms=synonyms)
-    if not hint and len(str(word)) > 3:
+    if not hint and len(str(word)) > 2:
         longer = sorted((name for name in names if _plainly(str(word)) in name), key=len)
         hint = f"; did you mean {longer[0]!r}?" if longer else ""
     if not hint:
@@ -136,9 +136,8 @@ def warn_user(message: str | Warning) -> None:
     message : str or Warning
         What is wrong, what it leads to, and what to do; a text becomes a SceneWarning.
     """
-    distributed: Any = sys.modules.get("distributed")
-    if distributed is not None and _on_worker(distributed):
-        distributed.worker.warn(message, SceneWarning)
+    if current_worker() is not None:
+        sys.modules["distributed"].worker.warn(message, SceneWarning)
         return
     main = sys._current_frames().get(threading.main_thread().ident or 0)
     frame = _of_user(sys._getframe(1)) or _of_user(main) or sys._getframe(1)
@@ -156,12 +155,15 @@ def _of_user(frame: FrameType | None) -> FrameType | None:
     return frame
 
 
-def _on_worker(distributed: Any) -> bool:
+def current_worker() -> Any:
+    """Return the worker of distributed whose task this thread runs; None if it runs none."""
+    distributed: Any = sys.modules.get("distributed")
+    if distributed is None:
+        return None
     try:
-        distributed.get_worker()
+        return distributed.get_worker()
     except ValueError:
-        return False
-    return True
+        return None
 
 
 @dataclass(eq=False)

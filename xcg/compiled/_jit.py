@@ -26,6 +26,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+
+# Numba's private names are used in this module alone, which hands on `cgutils` (to write LLVM
+# instructions) to others. Tried with Numba 0.61 and 0.68. There is no public cache with a
+# checksum, no public event of compilation, and no public switch for counts of references.
+from numba.core import cgutils as cgutils
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps

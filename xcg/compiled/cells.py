@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
-from numba.core import cgutils
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner, leaf
+from xcg.compiled._jit import cgutils, inner, leaf
 from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.reach import (
     ALONG,

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils, config
+from numba import config, types
 from numba.extending import intrinsic
+
+from xcg.compiled._jit import cgutils
 
 FOUR, EIGHT = 4, 8
 TILE = 64  # nodes that the algebra is done for at a time

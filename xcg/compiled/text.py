@@ -17,9 +17,8 @@ both float64.
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 
-from xcg.compiled._jit import inlined, inner, leaf
+from xcg.compiled._jit import cgutils, inlined, inner, leaf
 from xcg.compiled.simd import compiled_as, pointer_to, typed, vector_of
 
 # --- bytes and bits, written out for LLVM as in `xcg.compiled.simd` ------------------------------------------

@@ -125,7 +125,7 @@ class Explorer:
     # --- controls ------------------------------------------------------------------------------
 
     def _make_controls(self, widgets: Any) -> dict[str, Any]:
-        """Return the widgets by name; `_offer` fills those that depend on others."""
+        """Return the widgets by name; `_offer` fills the ones that depend on others."""
         pictures = self.pictures
         names = [name for group in pictures.fields.values() for name in group]
         first = "velocity" if "velocity" in next(iter(pictures.fields.values())) else names[0]
@@ -198,7 +198,7 @@ class Explorer:
     # --- pictures ------------------------------------------------------------------------------
 
     def update(self) -> None:
-        """Draw the picture of the present choices, or show why there is none."""
+        """Draw the picture of the present choices, or show why it cannot be drawn."""
         self._offer()
         choice = self.choice
         self._code.param.update(object=self.call, visible=self.controls["call"].value)

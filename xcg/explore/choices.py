@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.analysis.plots import axes_of, numbers_of
-from xcg.fields.analysis.widths import WIDTHS as SWEPT
-from xcg.fields.analysis.widths import choose_width, width_sweep
+from xcg.analysis.plots import axes_of, numbers_of
+from xcg.analysis.widths import WIDTHS as SWEPT
+from xcg.analysis.widths import choose_width, width_sweep
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.averages import profile
 from xcg.fields.formulas.registry import FIELDS, listed
@@ -326,7 +326,7 @@ class ScenePictures(Pictures):
     def errors(self, choice: Choice) -> dict[str, NDArray]:
         """Return bias, noise and total error of one step against ``width`` (in d43), by name.
 
-        They are those of `choose_width`. The noise of a field without an error of a single step
+        They are as in `choose_width`. The noise of a field without an error of a single step
         comes from this step and the next one. A scene of one step has ``bias with noise``: the bias
         of `width_sweep`, which the noise of few grains adds to.
         """

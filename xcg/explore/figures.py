@@ -228,7 +228,7 @@ class Errors:
         self.mark(width)
 
     def refuse(self, message: str) -> None:
-        """Show in place of errors why there are none."""
+        """Show in place of errors why they are unknown."""
         self.lines.data = _EMPTY_LINES
         self.figure.title.text = textwrap.fill(message, LETTERS // 2)
 

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
@@ -297,7 +298,7 @@ def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
     way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.cg.select"
     position = ds["position"].transpose("time", "particle", "component").variable
-    if not isinstance(position._data, np.ndarray):
+    if not is_in_memory(position):
         if scene.corners is None:
             return way_out
         ends = zip(COMPONENTS, *scene.corners, strict=True)

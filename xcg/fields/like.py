@@ -28,7 +28,7 @@ def request_like(request: Request) -> Request:
     SceneError
         If the result has lost the attributes that say how it was made.
     ValueError
-        If it is no result of `coarse_grain` in Cartesian axes with one width, or the request names
+        If it is not a result of `coarse_grain` in Cartesian axes with one width, or the request names
         what `like` determines.
     """
     result = request.like

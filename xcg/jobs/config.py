@@ -50,6 +50,8 @@ class Job:
         ``dtype``, ``digits`` and ``compression`` of the numbers in the output, as in `xcg.save`.
     on_error : str
         What to do about steps that cannot be read or computed: "raise" or "skip".
+    scheduler : str
+        Address of the scheduler of a dask.distributed cluster that computes; "" for this machine.
     """
 
     scene: dict[str, Any]
@@ -64,6 +66,7 @@ class Job:
     suffix: str = ".nc"
     encoding: dict[str, Any] = field(default_factory=dict)
     on_error: OnError = "raise"
+    scheduler: str = ""
 
 
 def read_config(path: str | Path) -> Job:
@@ -124,11 +127,16 @@ def _toml(path: Path) -> Job:
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{path}: {error}") from None
     on_error = data.pop("on_error", "raise")
+    scheduler = data.pop("scheduler", "")
+    if not isinstance(scheduler, str):
+        raise SceneError(
+            f"{path}: scheduler = {scheduler!r}: expected an address, such as 'tcp://10.0.0.1:8786'"
+        )
     unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
         tables = ", ".join(_TABLES)
         raise SceneError(
-            f"{path}: expected tables {tables} with scene.particles, and on_error; "
+            f"{path}: expected tables {tables} with scene.particles, on_error and scheduler; "
             f"found {sorted(data)}"
         )
     output = data.get("output", {})
@@ -148,6 +156,7 @@ def _toml(path: Path) -> Job:
         vtkhdf=output.get("vtkhdf") or "",
         encoding={name: output[name] for name in _ENCODING if name in output},
         on_error=on_error,
+        scheduler=scheduler,
     )
 
 

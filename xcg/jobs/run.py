@@ -8,12 +8,11 @@ import inspect
 import os
 import re
 import shutil
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ import dask
 import numpy as np
 import xarray as xr
 
+from xcg.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.common.messages import SceneError, unknown
-from xcg.fields.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.jobs.config import PATHS, Job
@@ -32,9 +31,9 @@ from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import publish, work_folder
+from xcg.writers.files import leftovers, lock_of, publish, work_folder
 from xcg.writers.formats import NETCDF
-from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
+from xcg.writers.store import Format, Mismatch, Output, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
 _JOB = "job"  # attribute of the output: which job made it
@@ -141,7 +140,8 @@ def run_job(
         Refuse to start anew where an interrupted run was of another job or other input, and be
         content where this job has ended already.
     jobs : int, optional
-        Chunks of time at the same time; as many as there are processors by default.
+        Chunks of time at the same time; as many as there are processors by default. A cluster takes
+        as many as it has threads.
 
     Raises
     ------
@@ -159,46 +159,63 @@ def run_job(
     job.folder.mkdir(parents=True, exist_ok=True)
     count = outputs[0].ds.sizes["time"]
     targets = [path for output in outputs for path in output.paths()]
-    begun = any((output.work / "state.json").exists() for output in outputs)
+    work = work_of(job)
+    is_begun = (work / "state.json").exists()
+    # also by a run that was killed at its very end
+    is_interrupted = work.exists() or lock_of(work).exists() or bool(leftovers(work))
     existing = [path for path in targets if path.exists()]
     if (
-        resume
-        and not (begun or overwrite)
+        (resume or is_interrupted)
+        and not (is_begun or overwrite)
         and existing == targets
         and all(_made_by(path) == mark for path in targets)
     ):
-        for output in outputs:
-            # removes what a run that was killed at its very end may have left
-            with work_folder(output.work, output.work):
-                pass
+        with work_folder(work, work):  # which removes it
+            pass
         yield count, count
         return
-    if existing and not (overwrite or begun):
+    if existing and not (overwrite or is_begun):
         raise _exists(existing[0], ", of another job or other input" if resume else "")
+    write = partial(
+        write_files,
+        [output.to_write() for output in outputs],
+        overwrite=True,
+        work=work,
+        about=about,
+        batch=jobs or os.cpu_count() or 1,
+        replaced=_images_of(job, targets) if overwrite else [],
+    )
     try:
-        yield from _run(outputs, count, jobs, about)
+        for done in write():
+            yield done, count
     except Mismatch as error:
         if resume and not overwrite:
-            changed = [change for change in error.changed if change.startswith("[")]
+            options = [change for change in error.changed if change.startswith("[")]
+            changed = options or error.changed
             raise SceneError(
                 f"{error.folder} is of a run of another job or other input ({'; '.join(changed)}); "
                 "start over without --resume, or with --overwrite"
             ) from error
         if existing and not overwrite:
             raise _exists(existing[0]) from None
-        for output in outputs:
-            shutil.rmtree(output.work, ignore_errors=True)
-        yield from _run(outputs, count, jobs, about)
-    if overwrite:
-        _remove_images(job, targets)
+        shutil.rmtree(work, ignore_errors=True)
+        for done in write():
+            yield done, count
 
 
-def _remove_images(job: Job, kept: list[Path]) -> None:
-    """Remove the VTKHDF files of a run that this one replaces, except new ones."""
+def work_of(job: Job) -> Path:
+    """Return the hidden folder of a job's incomplete files."""
+    return job.folder / f".{job.name}.begun"
+
+
+def _images_of(job: Job, kept: list[Path]) -> list[Path]:
+    """List the VTKHDF files of a run that this one replaces, except new ones."""
+    images = []
     for path in job.folder.glob(f"{glob.escape(job.name)}*.vtkhdf"):
         is_image = re.fullmatch(rf"{re.escape(job.name)}(_\d+)?", path.stem)
         if is_image and path not in kept and _made_by(path):
-            path.unlink()
+            images.append(path)
+    return images
 
 
 def outputs_of(
@@ -218,22 +235,6 @@ def _exists(path: Path, whose: str = "") -> FileExistsError:
     )
 
 
-def _run(
-    outputs: list[_Output], count: int, jobs: int | None, about: Mapping[str, str]
-) -> Iterator[tuple[int, int]]:
-    """Write all outputs side by side, a batch of chunks each in turn."""
-    batch = jobs or os.cpu_count() or 1
-    with ExitStack() as stack:
-        runs = [stack.enter_context(closing(output.write(about, batch))) for output in outputs]
-        done = [next(run) for run in runs]
-        yield min(done), count
-        for numbers in zip_longest(*runs):  # None of outputs that are complete
-            for k, number in enumerate(numbers):
-                if number is not None:
-                    done[k] = number
-            yield min(done), count
-
-
 @dataclass(frozen=True)
 class _Output:
     """A Dataset, and the files that a job wants of it; their names begin with `stem`."""
@@ -241,10 +242,6 @@ class _Output:
     job: Job
     stem: str
     ds: xr.Dataset
-
-    @property
-    def work(self) -> Path:
-        return self.job.folder / f".{self.stem}.begun"
 
     def _files(self) -> dict[Path, Format]:
         netcdf = self.job.folder / f"{self.stem}{self.job.suffix}"
@@ -269,8 +266,7 @@ class _Output:
     def paths(self) -> list[Path]:
         return [*self._files(), *self._images()]
 
-    def write(self, about: Mapping[str, str], batch: int) -> Generator[int, None, None]:
-        encoding = Encoding.of(self.ds, **self.job.encoding)
+    def to_write(self) -> Output:
         files = self._files()
         images = self._images()
         if images:
@@ -278,9 +274,7 @@ class _Output:
             whole = partial(_whole_images, images)
             by_steps = Format("VTKHDF by steps", begin, whole=whole)
             files[self.job.folder / f"{self.stem}.images"] = by_steps
-        return write_files(
-            self.ds, files, encoding, overwrite=True, work=self.work, about=about, batch=batch
-        )
+        return Output(self.ds, files, Encoding.of(self.ds, **self.job.encoding))
 
 
 class _Images:
@@ -346,6 +340,8 @@ def _description(job: Job) -> dict[str, str]:
     digest = hashlib.sha256(states.encode()).hexdigest()
     about = {"[scene] sizes and times of files": f"{len(files)}, {digest[:8]}"}
     for option, value in vars(job).items():
+        if option == "scheduler":  # results are the same wherever they are computed
+            continue
         table = value if isinstance(value, dict) else {"": value}
         for key, entry in table.items():
             about[f"[{option}] {key}".rstrip()] = repr(entry)

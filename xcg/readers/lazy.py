@@ -21,8 +21,14 @@ from dask.highlevelgraph import HighLevelGraph
 from dask.utils import parse_bytes
 from numpy.typing import DTypeLike, NDArray
 from xarray.backends import BackendArray
-from xarray.core import indexing
 
+from xcg.common.compat import (
+    ExplicitIndexer,
+    IndexingSupport,
+    LazilyIndexedArray,
+    MemoryCachedArray,
+    explicit_indexing_adapter,
+)
 from xcg.common.messages import Once, SceneError, warn_once
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
@@ -476,15 +482,13 @@ _recent: dict[Hashable, Future[Frame]] = {}  # the one that was used last comes 
 _lock = threading.Lock()
 
 
-def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
+def indexed_arrays(series: Series) -> dict[str, MemoryCachedArray]:
     """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
     # dask may wrap the arrays
     series = replace(series, source=series.source.reading(alone=len(series.steps) == 1))
     token = series.token()
     return {
-        name: indexing.MemoryCachedArray(
-            indexing.LazilyIndexedArray(_Variable(series, token, name, *array))
-        )
+        name: MemoryCachedArray(LazilyIndexedArray(_Variable(series, token, name, *array)))
         for name, array in series.arrays().items()
     }
 
@@ -503,9 +507,9 @@ class _Variable(BackendArray):
             shape,
         )
 
-    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(
-            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._values
+    def __getitem__(self, key: ExplicitIndexer) -> Any:
+        return explicit_indexing_adapter(
+            key, self.shape, IndexingSupport.OUTER_1VECTOR, self._values
         )
 
     def _values(self, key: tuple[Any, ...]) -> NDArray:

@@ -342,6 +342,7 @@ def _check_times_of_motion(series: Series, first: Frame, images: Lattice) -> Non
         raw = read_step(source.engine, source.options, ref)
         box = {name: values[1] for name, values in series.boxes.items()}
         second = source.complete(raw, ref, box)
+        source.opened.keep(ref, second, beside=True)
     except FAULTS:
         return  # appear when the step is computed
     check_motion(first, second, float(series.times[1] - series.times[0]), images)

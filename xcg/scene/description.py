@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError, plain, printable
 from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
@@ -234,7 +235,7 @@ def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
     """Values of an integer variable of the particles: those in memory, or the attributes that were measured."""
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
         return {}
-    if isinstance(ds[by].variable._data, np.ndarray):
+    if is_in_memory(ds[by].variable):
         valid = ds["particle_id"].to_numpy() >= 0
         return {
             by: tuple(
@@ -305,7 +306,7 @@ def _what_lasts(
 def _largest_radius(ds: xr.Dataset) -> float | None:
     """Distance from the axis z of the outermost grain of the first and last step; of the corners of a lazy scene."""
     position = ds["position"]
-    if isinstance(position.variable._data, np.ndarray):
+    if is_in_memory(position.variable):
         ends: NDArray = position.transpose("time", "particle", "component")[[0, -1]].to_numpy()
         return float(np.nanmax(np.hypot(ends[..., 0], ends[..., 1])))
     if "particle_lower" not in ds.attrs:

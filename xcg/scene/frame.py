@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_whole
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError, plain
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
@@ -427,7 +428,7 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     arrays = {
         name: v.transpose(*order).to_numpy()
         for name, v in given.items()
-        if "time" in v.dims and isinstance(v._data, np.ndarray)
+        if "time" in v.dims and is_in_memory(v)
     }
     ends: list[Frame] = []
     if "particle_id" in arrays and ds.sizes["time"]:

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_finite, is_positive, vector
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 
 COMPONENTS = ("x", "y", "z")
@@ -270,7 +271,7 @@ def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Data
 def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     """Return whether a variable is in memory, or as it was when its attributes were measured."""
     given = ds.variables[name]
-    return isinstance(given._data, np.ndarray) or bool(given.encoding)
+    return is_in_memory(given) or bool(given.encoding)
 
 
 # --- what files do not say -------------------------------------------------------------------------------

@@ -81,8 +81,8 @@ class FrameAnalysis:
     def reads(self, scene: Description) -> Iterable[str]:
         """Return the variables of the scene that a step is computed from.
 
-        All are required. Those that a step takes only where they are there are listed if they are
-        in ``scene.columns``. Particle ids and the box need not be listed.
+        All are required. List an optional variable only if it is in ``scene.columns``. Particle ids
+        and the box need not be listed.
         """
         raise NotImplementedError(f"{type(self).__name__}.reads is missing")
 
@@ -97,7 +97,7 @@ class FrameAnalysis:
     def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int | None]:
         """Return the lengths of dimensions that have no coordinate.
 
-        By default those of the scene. None is the largest number of rows that a step turns out to
+        By default as in the scene. None is the largest number of rows that a step turns out to
         have; lazy scenes need a number.
         """
         return {}
@@ -127,7 +127,7 @@ class FrameAnalysis:
         Returns
         -------
         dict
-            Array or number by the names of `rows`. Rows of particles or contacts are those of
+            Array or number by the names of `rows`. Rows of particles or contacts are as in
             `frame`.
         """
         raise NotImplementedError(f"{type(self).__name__}.frame is missing")
@@ -217,7 +217,7 @@ def run(
         name,
         rows,
         sizes,
-        frozenset(coords),
+        tuple(sorted(coords)),
         scene.setup.periodic,
         {n: _rows_along(ds.variables[n]) for n in read},
     )
@@ -285,7 +285,9 @@ class _Task:
     name: str
     rows: Mapping[str, Variable]
     sizes: Mapping[str, int | None]
-    labelled: frozenset[str]
+    labelled: tuple[
+        str, ...
+    ]  # no set, whose order differs between processes, and with it names of tasks
     periodic: str
     dims: Mapping[str, str]
 
@@ -307,16 +309,16 @@ class _Task:
             for name, row in self.rows.items():
                 shape = tuple(sizes[dim] or 0 for dim in row.dims)
                 values = self._checked(name, results, row, shape)
-                if steps == 1 and values.shape == shape and values.dtype == row.dtype:
+                place: Any = slice(None)
+                if self._is_ragged(row):
+                    place = places.get(row.dims[0], slice(len(values)))
+                in_order = isinstance(place, slice) or place.dtype == bool
+                if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
                     out[name] = values[None]
                     continue
                 if name not in out:
-                    out[name] = np.empty((steps, *shape), row.dtype)
-                if not self._is_ragged(row):
-                    out[name][t] = values
-                    continue
-                out[name][t] = row.fill
-                out[name][t][places.get(row.dims[0], slice(len(values)))] = values
+                    out[name] = np.full((steps, *shape), row.fill, row.dtype)
+                out[name][(t, place) if row.dims else t] = values
         return out
 
     def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
@@ -330,7 +332,7 @@ class _Task:
         return zip(*series, strict=True)
 
     def _series(self, arrays: Mapping[str, NDArray]) -> Iterator[Step | None]:
-        """Yield the steps of arrays, None where there is none."""
+        """Yield the steps of arrays, or None for a step outside the series."""
         exists = arrays.get("exists")
         of_step = {n: a for n, a in arrays.items() if a.ndim == 1 and n not in ("step", "exists")}
         rows = {n: a for n, a in arrays.items() if n not in of_step and n != "exists"}

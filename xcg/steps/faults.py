@@ -10,7 +10,13 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, SceneWarning, printable, warn_user
+from xcg.common.messages import (
+    SceneError,
+    SceneWarning,
+    current_worker,
+    printable,
+    warn_user,
+)
 from xcg.scene.schema import PADDING
 
 OnError: TypeAlias = Literal["raise", "skip"]
@@ -98,6 +104,8 @@ def raise_recorded() -> None:
         raise SceneError(next(iter(_recorded.faults.values())))
 
 
+SKIPS = "xcg-skips"
+
 _listeners: list[dict[int, str]] = []
 
 
@@ -118,10 +126,13 @@ def skips_heard() -> dict[int, str]:
 
 
 def warn_of(faults: Mapping[int, str]) -> None:
-    """Warn of every step that was skipped."""
+    """Warn of every step that was skipped; a worker of distributed also sends an event of the topic `SKIPS`."""
+    worker = current_worker()
     for step, cause in faults.items():
         for listener in list(_listeners):
             listener[step] = cause
+        if worker is not None:
+            worker.log_event(SKIPS, {"step": int(step), "cause": cause})
         warn_user(SkippedStep(step, cause))
 
 

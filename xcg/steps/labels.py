@@ -65,8 +65,10 @@ def label(
         data[name] = xr.Variable(("time", *row.dims), array, about)
     # those of the scene may be changed in place
     labels: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
-    labels |= coords or {}
     used = {dim for given in data.values() for dim in given.dims}
+    for name, coord in (coords or {}).items():
+        if used.issuperset(coord.dims):
+            labels[name] = coord
     labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs

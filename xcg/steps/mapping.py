@@ -269,7 +269,7 @@ def _lazy_results(
 
 def _in_chunks(inputs: Mapping[str, xr.Variable]) -> tuple[dict[str, da.Array], dict[str, NDArray]]:
     """Lazy arrays, whole but along time, where they have the finest chunks of all; and arrays in memory."""
-    found: dict[str, Any] = {n: v._data for n, v in inputs.items() if v.chunks is not None}
+    found: dict[str, Any] = {n: v.data for n, v in inputs.items() if v.chunks is not None}
     finest = max((a.chunks[0] for a in found.values()), key=len)
     lazy = {
         n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.chains.results import ChainStep, require_chains, steps_of
+from xcg.analysis.chain_results import ChainStep, require_chains, steps_of
 from xcg.scene.frame import with_time
 from xcg.scene.schema import Frame
 from xcg.writers.files import check_file, whole_file, write_by_vtk

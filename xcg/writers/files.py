@@ -6,6 +6,8 @@ import errno
 import glob
 import os
 import shutil
+import signal
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -21,6 +23,7 @@ temporary: set[Path] = set()
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 _LITTLE = 1 << 20  # bytes; a disk with less is full
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # which end a process by default; Windows has no SIGHUP
 
 
 @contextmanager
@@ -60,6 +63,31 @@ def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None
         writer.SetFileName(os.fspath(part))
         if not writer.Write():
             raise OSError(f"{path}: VTK cannot write it; is the disk full?")
+
+
+@contextmanager
+def signals_wait() -> Iterator[None]:
+    """Hold back Ctrl-C and the signals of `kill` and of closed terminals until the block has ended.
+
+    Python handles signals in the main thread, so in other threads there is nothing to hold back.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
+    pending: list[int] = []
+    before = {number: signal.getsignal(number) for number in numbers}
+    for number, handler in before.items():
+        if handler is not None and handler != signal.SIG_IGN:  # None is a handler in C
+            signal.signal(number, lambda number, _: pending.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
+        for number in dict.fromkeys(pending):
+            signal.raise_signal(number)
 
 
 def abandon() -> None:
@@ -120,10 +148,20 @@ def reserve(part: Path, room: int) -> None:
     part.unlink()
 
 
+def sync(path: Path) -> None:
+    """Wait until the bytes of a file are on the disk."""
+    with open(path, "rb+") as file:
+        os.fsync(file.fileno())
+
+
+def is_published(part: Path, path: Path) -> bool:
+    """Return whether `publish` has given a complete file its name, though its process was killed then."""
+    return not part.exists() or (path.exists() and path.samefile(part))
+
+
 def publish(part: Path, path: Path, *, overwrite: bool) -> None:
     """Rename a complete file to its name, once its bytes are on the disk."""
-    with open(part, "rb+") as file:
-        os.fsync(file.fileno())
+    sync(part)
     if not overwrite:
         try:  # unlike a rename, this fails where another run was faster
             os.link(part, path)
@@ -243,7 +281,7 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
             yield work
         return
     what = kept.name.removeprefix(".").removesuffix(".begun")
-    with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
+    with locked(lock_of(kept), str(kept.with_name(what))):
         kept.mkdir(exist_ok=True)
         yield kept
         # at once, so that no half of it is taken for a run to go on with
@@ -270,6 +308,30 @@ def _part(path: Path) -> Iterator[Path]:
                 break
             remove(part)
         temporary.discard(part)
+
+
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Let one process of any machine at a time write to a file, where its file system has locks.
+
+    Tasks of a cluster may outlive the run that sent them, and its locks. This one ends with its
+    process. Its file stays.
+    """
+    lock = FileLock(path.with_name(f"{path.name}.lock"), thread_local=False)
+    try:
+        lock.acquire(poll_interval=0.01)
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def lock_of(kept: Path) -> Path:
+    """Return the lock of a hidden folder that stays."""
+    return kept.with_name(f"{kept.name}.lock")
 
 
 # What file systems without locks answer, as some of clusters; runs are not kept apart there.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import extra
 from xcg.compiled._jit import for_each
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import part_of, reserve, whole_folder
+from xcg.writers.files import exclusive, part_of, reserve, whole_folder
 from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Hdf5Store:
         ready = for_each(
             here, lambda array: self._packed(array, values[array.variable]), self.threads
         )
-        with self.lock, hdf5_file(self.path, "r+", journal=True) as file:
+        with self._writing() as file:
             for array, chunks in zip(here, ready, strict=True):
                 if isinstance(chunks, np.ndarray):
                     file[array.name][steps if array.over_time else ...] = chunks
@@ -88,8 +88,15 @@ class Hdf5Store:
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add attributes."""
-        with self.lock, hdf5_file(self.path, "r+", journal=True) as file:
+        with self._writing() as file:
             file[self.root].attrs.update(attrs)
+
+    @contextmanager
+    def _writing(self) -> Iterator[h5py.File]:
+        with self.lock, exclusive(self.path):
+            recover(self.path)  # a worker of a cluster may have been killed in between
+            with hdf5_file(self.path, "r+", journal=True) as file:
+                yield file
 
     def _packed(
         self, array: StoredArray, values: NDArray

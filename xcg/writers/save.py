@@ -9,6 +9,7 @@ from typing import Protocol
 import xarray as xr
 from numpy.typing import DTypeLike
 
+from xcg.common.compat import stored_data
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
@@ -181,7 +182,9 @@ def save(
         hint = _OTHER_SUFFIXES.get(path.suffix, "")
         raise ValueError(f"{path}: expected a name that ends with {known}{hint}")
     with_units = [
-        str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")
+        str(name)
+        for name, v in ds.variables.items()
+        if type(stored_data(v)).__module__.startswith("pint")
     ]
     if with_units:
         raise TypeError(

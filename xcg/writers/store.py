@@ -11,13 +11,14 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
@@ -25,19 +26,28 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import dask
 import numpy as np
 import xarray as xr
-from dask.base import tokenize
+from dask.base import get_scheduler, tokenize
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
+from dask.utils import SerializableLock
 from numpy.typing import NDArray
-from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.scene.conform import storable
-from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
+from xcg.steps.faults import SKIPPED, SKIPS, listen_for_skips, skips_heard
 from xcg.steps.mapping import Gathered, count_tasks, shown
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, whole_file, work_folder
+from xcg.writers.files import (
+    check_target,
+    is_published,
+    locked,
+    remove,
+    signals_wait,
+    sync,
+    whole_file,
+    work_folder,
+)
 
 if TYPE_CHECKING:
     import dask.array as da  # slow to import
@@ -196,19 +206,28 @@ class Format:
     whole: Callable[..., AbstractContextManager[Path]] = whole_file
 
 
+def client() -> Any:
+    """Return the client of the distributed cluster that computes, or None."""
+    distributed = sys.modules.get("distributed")
+    if distributed is None:
+        return None
+    of_scheduler = getattr(get_scheduler(), "__self__", None)
+    return of_scheduler if isinstance(of_scheduler, distributed.Client) else None
+
+
 def lock_for(path: Path) -> AbstractContextManager[Any]:
     """Lock that lets one task at a time write to a file, whichever scheduler runs them."""
-    with _config():
-        return get_write_lock(str(path))
+    if client() is not None:
+        return sys.modules["distributed"].Lock(str(path))
+    return SerializableLock(str(path))
 
 
 def _config() -> AbstractContextManager[Any]:
     """Select threads for writing where dask's own scheduler of processes is set: processes cannot share a lock."""
-    return (
-        dask.config.set(scheduler="threads")
-        if get_dask_scheduler() == "multiprocessing"
-        else nullcontext()
-    )
+    processes = sys.modules.get("dask.multiprocessing")
+    if processes is not None and get_scheduler() is processes.get:
+        return dask.config.set(scheduler="threads")
+    return nullcontext()
 
 
 def joined(parts: Sequence[NDArray]) -> NDArray:
@@ -217,6 +236,20 @@ def joined(parts: Sequence[NDArray]) -> NDArray:
 
 
 # --- one or several files from one computation -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Output:
+    """A Dataset and the files that hold it, whose values are computed once for all of them."""
+
+    ds: xr.Dataset
+    files: Mapping[Path, Format]
+    encoding: Encoding
+
+    @property
+    def name(self) -> str:
+        """Name of the first file."""
+        return next(iter(self.files)).name
 
 
 def write_file(
@@ -231,7 +264,7 @@ def write_file(
 ) -> None:
     """Write one file; `progress` as in `xcg.steps.mapping.shown`, where tasks on a cluster are not seen."""
     work = path.with_name(f".{path.name}.begun") if resume else None
-    steps = write_files(ds, {path: kind}, encoding, overwrite=overwrite, work=work)
+    steps = write_files([Output(ds, {path: kind}, encoding)], overwrite=overwrite, work=work)
     done = next(steps)
     with shown(ds.sizes.get("time", 1), progress, done=done) as bar, count_tasks(bar, _writes):
         for _ in steps:
@@ -239,36 +272,35 @@ def write_file(
 
 
 def write_files(
-    ds: xr.Dataset,
-    files: Mapping[Path, Format],
-    encoding: Encoding,
+    outputs: Sequence[Output],
     *,
     overwrite: bool = False,
     work: Path | None = None,
     about: Mapping[str, str] = MappingProxyType({}),
     batch: int | None = None,
+    replaced: Sequence[Path] = (),
 ) -> Generator[int, None, None]:
-    """Write files, whose values are computed once for all of them, and yield the number of steps that are done.
+    """Write files, and yield the number of steps that all of them hold.
 
-    The first number is that of steps from an earlier run, the others come after each batch.
+    The first number is that of steps from an earlier run, the others come after each batch. All
+    files get their names in one step at the end: signals wait for it, and a run that was killed
+    within it is completed by the next one.
 
     Parameters
     ----------
-    ds : xarray.Dataset
-        A scene or a result.
-    files : mapping
-        Files with their formats.
-    encoding : Encoding
-        How numbers are stored.
+    outputs : sequence of Output
+        Scenes or results, which are written side by side, a batch of chunks each in turn.
     overwrite : bool
         Replace files that exist.
     work : Path, optional
-        Hidden folder for what is not whole yet, which stays after an error and is continued by the
-        next run. By default a temporary one.
+        Hidden folder for incomplete files, which stays after an error and is continued by the next
+        run. By default a temporary one.
     about : mapping of str to str
         Distinguishes this run from others of the same Dataset, and names what differs.
     batch : int, optional
         Chunks of time between two reports; by default all.
+    replaced : sequence of Path
+        Files of an earlier run, which are removed at the end.
 
     Raises
     ------
@@ -277,42 +309,81 @@ def write_files(
     Mismatch
         If `work` is of another Dataset or call.
     """
-    for path in files:
-        check_target(path, overwrite=overwrite)
-    # without `work` nothing is resumed, and values in memory need not be hashed
-    state = (
-        state_of(ds, encoding, [kind.name for kind in files.values()]) if work else dict[str, str]()
-    )
-    together = None
-    for kind in files.values():
-        ds, together = kind.check(ds), kind.together
-    layout = StoreLayout.of(ds, encoding, together)
-    state |= {"steps in a chunk": str(layout.steps), **about}
+    targets = {path: kind for output in outputs for path, kind in output.files.items()}
+    if work is None or not Begun(work).is_whole():  # else some have their names already
+        for path in targets:
+            check_target(path, overwrite=overwrite)
+    layouts: list[StoreLayout] = []
+    state = dict(about)
+    for output in outputs:
+        layout, described = _laid_out(output, is_resumed=work is not None)
+        layouts.append(layout)
+        prefix = f"{output.name}: " if len(outputs) > 1 else ""
+        state |= {f"{prefix}{key}": value for key, value in described.items()}
     with ExitStack() as held:
-        folder = held.enter_context(work_folder(work, next(iter(files))))
-        log = Log(folder)
-        begun = log.is_begun(state)
-        stores: list[Store] = []
-        for path, kind in files.items():
-            part = folder / path.name
-            if begun and path.exists() and not part.exists():
-                path.rename(part)  # an earlier run was killed after it had given this file its name
-            held.enter_context(kind.whole(path, overwrite=overwrite, part=part))
-            stores.append(kind.begin(layout, part, begun))
-        if not begun:
-            log.begin(state)
-        write = _WriteTask(tuple(stores), log, _numbers(layout.ds))
-        with listen_for_skips():
-            yield from _fill(layout, write, batch)
-        if skipped := log.skipped():
-            steps = _numbers(layout.ds)[list(skipped)]
-            because = [
-                f"step {n}: {cause}"
-                for n, cause in zip(steps, skipped.values(), strict=True)
-                if cause
-            ]
-            for store in stores:
-                store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
+        folder = held.enter_context(work_folder(work, next(iter(targets))))
+        for output in outputs[1:]:  # its files may belong to a run of another name as well
+            path = next(iter(output.files))
+            held.enter_context(locked(path.with_name(f".{path.name}.lock"), str(path)))
+        parts = {path: folder / path.name for path in targets}
+        begun = Begun(folder)
+        is_whole = begun.matches(state) and begun.is_whole()
+        if is_whole:
+            # an earlier run was killed while it gave the files their names
+            parts = {path: part for path, part in parts.items() if not is_published(part, path)}
+        for path, part in parts.items():
+            held.enter_context(targets[path].whole(path, overwrite=overwrite, part=part))
+        if is_whole:
+            yield max(layout.ds.sizes.get("time", 1) for layout in layouts)
+        else:
+            writes = _begin_all(outputs, layouts, begun, state)
+            yield from _fill_all(layouts, writes, batch)
+            for part in parts.values():
+                if part.is_file():
+                    sync(part)  # now, as signals should not wait for a slow disk
+        with signals_wait():
+            begun.end()
+            for path in replaced:
+                path.unlink(missing_ok=True)
+            held.close()
+
+
+def _begin_all(
+    outputs: Sequence[Output],
+    layouts: Sequence[StoreLayout],
+    begun: Begun,
+    state: Mapping[str, str],
+) -> list[_WriteTask]:
+    """Lay out the files of all outputs, unless an earlier run has, and return what writes to them."""
+    is_begun = begun.matches(state) and all(
+        (begun.folder / path.name).exists() for output in outputs for path in output.files
+    )
+    if not is_begun:
+        begun.clear()
+    writes: list[_WriteTask] = []
+    for k, (output, layout) in enumerate(zip(outputs, layouts, strict=True)):
+        stores = [
+            kind.begin(layout, begun.folder / path.name, is_begun)
+            for path, kind in output.files.items()
+        ]
+        write = _WriteTask(tuple(stores), begun, state, begun.log(k), _numbers(layout.ds))
+        writes.append(write)
+    if not is_begun:
+        begun.begin(state)
+    return writes
+
+
+def _laid_out(output: Output, *, is_resumed: bool) -> tuple[StoreLayout, dict[str, str]]:
+    """Return the layout of an output, and its state, by which a later run recognises it."""
+    ds, together = output.ds, None
+    # without `work` nothing is resumed, and values in memory need not be hashed
+    state: dict[str, str] = {}
+    if is_resumed:
+        state = state_of(ds, output.encoding, [kind.name for kind in output.files.values()])
+    for kind in output.files.values():
+        ds, together = kind.check(ds), kind.together
+    layout = StoreLayout.of(ds, output.encoding, together)
+    return layout, state | {"steps in a chunk": str(layout.steps)}
 
 
 def _numbers(ds: xr.Dataset) -> NDArray:
@@ -324,10 +395,14 @@ class _WriteTask:
     """Writes the values of some steps to all stores, and notes that they are there."""
 
     stores: tuple[Store, ...]
+    begun: Begun
+    state: Mapping[str, str]
     log: Log
     numbers: NDArray
 
     def __call__(self, parts: Parts, steps: slice, *, noted: bool = True) -> None:
+        # a task of a cluster may outlive its run, and find the files of the next one
+        self.begun.matches(self.state)
         for store in self.stores:
             store(parts, steps)
         if noted:
@@ -337,8 +412,55 @@ class _WriteTask:
             causes = skips_heard()
             self.log.add(steps, {int(t): causes.get(int(self.numbers[t]), "") for t in skipped})
 
+    def describe_skipped(self) -> None:
+        """Add the steps that were skipped to the attributes of all files, and why."""
+        skipped = self.log.skipped()
+        if not skipped:
+            return
+        steps = self.numbers[list(skipped)]
+        heard = self.log.causes()
+        because: list[str] = []
+        for step, cause in zip(steps.tolist(), skipped.values(), strict=True):
+            if cause := cause or heard.get(step, ""):
+                because.append(f"step {step}: {cause}")
+        for store in self.stores:
+            store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
 
-def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator[int]:
+
+def _fill_all(
+    layouts: Sequence[StoreLayout], writes: Sequence[_WriteTask], batch: int | None
+) -> Iterator[int]:
+    """Fill the files of all outputs, a batch each in turn; yield the number of steps that all hold."""
+    with ExitStack() as running:
+        running.enter_context(listen_for_skips())
+        cluster = client()
+        if cluster is not None:
+            logs = [write.log for write in writes]
+            cluster.subscribe_topic(SKIPS, partial(_note_cause, logs))
+            running.callback(cluster.unsubscribe_topic, SKIPS)
+        fills = [
+            running.enter_context(closing(_fill(layout, write, batch)))
+            for layout, write in zip(layouts, writes, strict=True)
+        ]
+        done = [next(fill) for fill in fills]
+        yield min(done)
+        for numbers in zip_longest(*fills):  # None of outputs that are complete
+            for k, number in enumerate(numbers):
+                if number is not None:
+                    done[k] = number
+            yield min(done)
+    for write in writes:
+        write.describe_skipped()
+
+
+def _note_cause(logs: Sequence[Log], event: tuple[float, Mapping[str, Any]]) -> None:
+    """Add the cause of a skipped step to logs, from an event of a worker."""
+    _, said = event
+    for log in logs:
+        log.add_cause(said["step"], said["cause"])
+
+
+def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generator[int, None, None]:
     """Write what is not there: from memory, `layout.steps` at a time, and the rest by tasks."""
     ds, done = layout.ds, write.log.steps()
     yield sum(stop - first for first, stop in done)
@@ -352,11 +474,27 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator
         write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
     if not arrays:
         return
+    cluster = client()
+    if cluster is not None and batch is not None:
+        batch = 1  # the cluster orders its tasks by itself
     graph, layer, waits = graph_of(arrays, write, layout.steps, done, batch)
-    for wait in waits:
-        with _config():
-            Delayed(wait, graph, layer=layer).compute()
-        yield sum(stop - first for first, stop in write.log.steps())
+    ready = sum(stop - first for first, stop in done)
+    if cluster is None:
+        for wait, steps in waits.items():
+            with _config():
+                Delayed(wait, graph, layer=layer).compute()
+            ready += steps
+            yield ready
+        return
+    futures = cluster.compute([Delayed(wait, graph, layer=layer) for wait in waits])
+    counts = dict(zip(futures, waits.values(), strict=True))
+    try:
+        for future in sys.modules["distributed"].as_completed(futures):
+            future.result()
+            ready += counts[future]
+            yield ready
+    finally:
+        cluster.cancel(futures)
 
 
 def graph_of(
@@ -365,8 +503,11 @@ def graph_of(
     steps: int,
     done: Set[tuple[int, int]],
     batch: int | None,
-) -> tuple[HighLevelGraph, str, list[str]]:
-    """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch."""
+) -> tuple[HighLevelGraph, str, dict[str, int]]:
+    """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch.
+
+    The keys come with the number of steps in their batch.
+    """
     gathered = Gathered.of(arrays)
     token = uuid.uuid4().hex
     edges = np.cumsum([0, *next(iter(arrays.values())).chunks[0]]).tolist()
@@ -375,15 +516,20 @@ def graph_of(
         if edge - edges[firsts[-1]] >= steps and t < len(edges) - 1:
             firsts.append(t)
     tasks: dict[Any, Any] = {}
+    sizes: list[int] = []  # steps of each task
     for first, end in pairwise([*firsts, len(edges) - 1]):
         if (edges[first], edges[end]) not in done:
             keys = [key for t in range(first, end) for key in gathered.keys(t)]
             task = partial(_take_and_write, write, gathered, slice(edges[first], edges[end]))
             tasks[_WRITES + token, first] = (task, *keys)
-    todo, waits = list(tasks), []
-    for first in range(0, len(todo), batch or len(todo) or 1):
-        waits.append(f"wait-{token}-{first}")
-        tasks[waits[-1]] = (_wait, todo[first : first + (batch or len(todo))])
+            sizes.append(edges[end] - edges[first])
+    todo = list(tasks)
+    waits: dict[str, int] = {}
+    batch = batch or len(todo) or 1
+    for first in range(0, len(todo), batch):
+        wait = f"wait-{token}-{first}"
+        waits[wait] = sum(sizes[first : first + batch])
+        tasks[wait] = (_wait, todo[first : first + batch])
     return (
         HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())),
         _WRITES + token,
@@ -419,12 +565,16 @@ class Mismatch(SceneError):
 
 
 @dataclass(frozen=True)
-class Log:
-    """Log of the steps in the files of a folder. Tasks record a chunk of them when all files hold it."""
+class Begun:
+    """Hidden folder with the incomplete files of a run, and with its state.
+
+    ``state.json`` says that the files are laid out, and of what; ``whole`` that they hold all steps
+    and only lack their names.
+    """
 
     folder: Path
 
-    def is_begun(self, state: Mapping[str, str]) -> bool:
+    def matches(self, state: Mapping[str, str]) -> bool:
         """Return whether the files are laid out; raise Mismatch where they are of something else."""
         file = self.folder / "state.json"
         if not file.exists():
@@ -444,17 +594,47 @@ class Log:
             )
         return True
 
+    def clear(self) -> None:
+        """Remove what a run left that was killed while it laid out the files."""
+        for path in self.folder.iterdir():
+            remove(path)
+
     def begin(self, state: Mapping[str, str]) -> None:
         """Record that the files are laid out."""
         part = self.folder / "state.part"
         part.write_text(json.dumps(state))
         os.replace(part, self.folder / "state.json")
 
+    def end(self) -> None:
+        """Record that the files hold all steps."""
+        (self.folder / "whole").touch()
+
+    def is_whole(self) -> bool:
+        """Return whether the files hold all steps; some may have their names already."""
+        return (self.folder / "whole").exists()
+
+    def log(self, output: int) -> Log:
+        """Return the log of an output, by its place among all."""
+        return Log(self.folder / (f"done_{output}.jsonl" if output else "done.jsonl"))
+
+
+@dataclass(frozen=True)
+class Log:
+    """Log of the steps in the files of an output. Tasks record a chunk of them when all files hold it."""
+
+    file: Path
+
     def add(self, steps: slice, skipped: Mapping[int, str]) -> None:
         """Record that steps are in all files, and why some of them were skipped."""
-        line = json.dumps({"steps": [steps.start, steps.stop], "skipped": skipped})
-        with open(self.folder / "done.jsonl", "ab", buffering=0) as file:
-            file.write(f"\n{line}".encode())
+        self._write({"steps": [steps.start, steps.stop], "skipped": skipped})
+
+    def add_cause(self, step: int, cause: str) -> None:
+        """Record why a step with this number was skipped in another process, where nobody listens."""
+        self._write({"steps": [0, 0], "skipped": {}, "causes": {step: cause}})
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        with open(self.file, "ab", buffering=0) as file:
+            file.write(f"\n{json.dumps(line)}".encode())
 
     def steps(self) -> set[tuple[int, int]]:
         """First and last (exclusive) step of each chunk that is there."""
@@ -468,9 +648,13 @@ class Log:
             )
         )
 
+    def causes(self) -> dict[int, str]:
+        """Return the causes that other processes sent, by number of the step."""
+        causes = (line.get("causes", {}) for line in self._lines())
+        return {int(step): cause for given in causes for step, cause in given.items()}
+
     def _lines(self) -> Iterator[dict[str, Any]]:
-        file = self.folder / "done.jsonl"
-        for line in file.read_text().splitlines() if file.exists() else ():
+        for line in self.file.read_text().splitlines() if self.file.exists() else ():
             if line.endswith("}}"):  # else the process ended while it wrote the line
                 yield json.loads(line)
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.results import require_chains, steps_of
+from xcg.analysis.chain_results import require_chains, steps_of
 from xcg.common.checks import extra
 from xcg.common.messages import unknown
 from xcg.scene.conform import conform

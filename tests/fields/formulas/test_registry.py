@@ -1,6 +1,5 @@
 """Fields that users register: in the program or in NumPy with the same bits, in other processes, refused when wrong."""
 
-import importlib
 import re
 from unittest import mock
 
@@ -57,10 +56,9 @@ def test_program_and_numpy_give_the_same_bits(options):
     names = [name for name in names if not registry.FIELDS[name].option]
     if "gradient" in options:  # which is not fitted
         names = [name for name in names if name not in OF_FITS]
-    module = importlib.import_module("xcg.fields.coarse_grain")
-    with planning(BLOCK_NODES=40), mock.patch.object(module, "THREADS", 2):
+    with planning(BLOCK_NODES=40), mock.patch("xcg.steps.analysis.THREADS", 2):
         mixed = ds.cg.coarse_grain(names, width=0.6, **options)
-    with mock.patch.object(module, "program_for", return_value=None):
+    with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
         plain = ds.cg.coarse_grain(names, width=0.6, **options)
     for name in names:
         np.testing.assert_array_equal(mixed[name], plain[name], err_msg=name)

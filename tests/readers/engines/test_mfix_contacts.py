@@ -11,9 +11,9 @@ from click.testing import CliRunner
 import xcg
 from tests import ROOT, shared_data
 from tests.readers.engines.test_mfix import read_contacts, write_contacts, write_vtp
+from xcg.analysis.pairs import find_pairs
 from xcg.cli import group
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.packing.pairs import find_pairs
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.mfix import Mfix
 from xcg.readers.files import vtkheader, vtp

@@ -212,7 +212,10 @@ def test_slopes_of_surfaces_keep_the_support_of_the_kernel_in_their_errors():
         ({"deviatoric": "both"}, 'deviatoric is "stress" and "both"'),
         ({"extent": {"x": 1.0}}, "extent is not given and"),
         ({"sampling": "cell"}, 'sampling is "node" and "cell"'),
-        ({"walls": [xcg.Plane((0, 0, 0), (0, 0, 1))], "per": "accessible"}, "per is not given and"),
+        (
+            {"surfaces": [xcg.Plane((0, 0, 0), (0, 0, 1))], "per": "accessible"},
+            "per is not given and",
+        ),
     ],
 )
 def test_joined_results_that_differ_are_refused(scenes, options, named):

@@ -12,6 +12,9 @@ from tests.lammps_forms import BOX, binary_step, write_netcdf
 from tests.readers.engines.test_vtk import write_spheres
 from xcg.common.messages import SceneError, SceneWarning
 
+# scenes of a few grains
+pytestmark = pytest.mark.filterwarnings("ignore:width=.* is larger than the scene")
+
 VELOCITY = np.array([20.5, -7.0, 0.25])  # the periods are 10 along x and y, and z is open
 STEPS = 4
 LOW = np.array(BOX)[:, 0]

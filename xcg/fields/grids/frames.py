@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, unit, unit_vector, vector
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading, mark_measured
 
@@ -259,7 +260,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     if "gravity" in attrs:
         attrs["gravity"] = axes @ np.asarray(attrs["gravity"], float)
     out = out.drop_attrs(deep=False).assign_attrs(attrs)
-    in_memory = isinstance(ds["position"].variable._data, np.ndarray)
+    in_memory = is_in_memory(ds["position"].variable)
     if (
         not in_memory
         and known_without_reading(ds, "position")

@@ -228,7 +228,7 @@ def test_errors_are_lazy_and_equal():
 @pytest.mark.parametrize(("options", "message"), [
     ({"fields": "density"}, "errors of a single step exist for .*, not for density: leave errors= out"),
     ({"fields": "velocity_gradient", "gradient": "kernel"}, "not for velocity_gradient: leave errors= out"),
-    ({"fields": "velocity", "per": "accessible", "walls": [xcg.Plane((0, 0, 0), (0, 0, 1))]}, "leave one out"),
+    ({"fields": "velocity", "per": "accessible", "surfaces": [xcg.Plane((0, 0, 0), (0, 0, 1))]}, "leave one out"),
 ])  # fmt: skip
 def test_fields_without_errors_are_named(options, message):
     with pytest.raises(ValueError, match=message):

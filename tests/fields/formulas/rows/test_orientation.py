@@ -181,6 +181,7 @@ def test_superquadrics_without_shape_variables_raise():
         ds.cg.derive_superquadric(density=1.0)
 
 
+@pytest.mark.filterwarnings("ignore:width=.* is larger than the scene")
 def test_angular_velocity_in_the_axes_of_the_body():
     """Means of spin and tumbling of rods: rotated back by the inverse rotation."""
     from scipy.spatial.transform import Rotation

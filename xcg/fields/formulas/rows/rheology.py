@@ -83,6 +83,7 @@ ROWS: dict[str, Field] = {
         formula="g = |Gamma| / mu, where p > 0",
         compute=lambda f, s, o: ratio(f.shear_rate, f.friction_coefficient),
         fields=("shear_rate", "friction_coefficient"),
+        default=False,
     ),
     "viscous_number": Field(
         long_name="viscous number",

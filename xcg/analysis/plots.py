@@ -13,10 +13,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
-from xcg.fields.analysis.grain_plots import draw_grains
 from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
 from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS, NUMBERED

@@ -472,8 +472,7 @@ def test_threads_give_the_same_bits(monkeypatch, symmetric):
     ds = xcg.datasets.random_scene(300, seed=4, periodic="xy")
     alone = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
     monkeypatch.setattr("xcg.compiled._jit.PARTICLES_A_THREAD", 90)
-    for module in ("chains.search", "steps.analysis"):
-        monkeypatch.setattr(f"xcg.{module}.THREADS", 3)
+    monkeypatch.setattr("xcg.steps.analysis.THREADS", 3)
     shared = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
     for one, other in zip(alone, shared, strict=True):
         xr.testing.assert_equal(one, other)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.results import (
+from xcg.analysis.chain_results import (
     CHAINS,
     MEMBERS,
     STATISTICS,
@@ -20,10 +20,10 @@ from xcg.chains.results import (
 )
 from xcg.common.checks import is_finite, is_positive, is_whole, vector
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description
+from xcg.scene.description import Description, describe
 from xcg.scene.frame import require_known_times
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame, Variable
+from xcg.scene.schema import BOX, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.labels import format_call
 
@@ -271,7 +271,9 @@ def select_chains(
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
     analysis = _Selection(region, min_stress, how, int(fc.attrs.get("min_length", 3)))
-    return run(fc, analysis, call=format_call("select_chains", given))
+    # a box that changes is not read to describe the scene
+    scene = describe(fc.drop_vars(BOX, errors="ignore"))
+    return run(fc, analysis, call=format_call("select_chains", given), scene=scene)
 
 
 @dataclass(frozen=True)

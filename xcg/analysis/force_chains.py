@@ -10,8 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.particle_stress import StressRule, Volumes, carries
-from xcg.chains.results import (
+from xcg.analysis.chain_results import (
     CHAINS,
     COPIED,
     RESULTS,
@@ -20,7 +19,8 @@ from xcg.chains.results import (
     statistics_of,
     steps_of,
 )
-from xcg.chains.selection import Region, check_region
+from xcg.analysis.chain_selection import Region, check_region
+from xcg.analysis.particle_stress import StressRule, Volumes, carries
 from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops

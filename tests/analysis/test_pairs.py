@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import xcg
-from xcg.packing.pairs import CellLists, find_pairs
+from xcg.analysis.pairs import CellLists, find_pairs
 
 
 def all_pairs(position, radius, box=None, periodic="", skin=0.0):
@@ -171,7 +171,7 @@ def test_too_many_pairs_end_the_search_before_memory_does():
     """30,000 grains in one place have 450 million pairs."""
     code = """
 import resource, numpy as np, xcg
-from xcg.packing.pairs import find_pairs
+from xcg.analysis.pairs import find_pairs
 find_pairs(np.zeros((2, 3)), np.ones(2))
 ds = xcg.scene_from_arrays(np.zeros((30_000, 3)), diameter=np.ones(30_000))
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

@@ -12,7 +12,7 @@ import xarray as xr
 import xcg
 from tests.fields.formulas.test_field import LUCY, cumulative, marginal
 from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
-from xcg.fields.analysis.surfaces import _points
+from xcg.analysis.surfaces import _points
 from xcg.fields.grids.walls import Wall
 
 L = np.array([6.0, 5.0, 4.0])
@@ -570,6 +570,7 @@ SURFACES: dict[str, Wall] = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:all .* grains have")  # they touch the wall
 @pytest.mark.parametrize("name", SURFACES)
 @pytest.mark.parametrize("width", [0.1, 0.9])
 def test_traction_times_area_is_the_sum_of_the_forces(name, width):
@@ -604,6 +605,7 @@ def test_traction_times_area_is_the_sum_of_the_forces(name, width):
     np.testing.assert_array_equal(lazy.traction.to_numpy(), f.traction.to_numpy())
 
 
+@pytest.mark.filterwarnings("ignore:all .* grains have")  # they touch the wall
 def test_averages_over_time_are_means_of_the_steps():
     plates = [
         touching(plate(), np.tile([0.5 * k, 0, k + 1], (144, 1)), time=[float(k)]) for k in range(8)

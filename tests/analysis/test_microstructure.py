@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import xcg
 from tests import ROOT, shared_data, steps_of_random_scenes
-from xcg.packing.microstructure import NAMES
-from xcg.packing.quantities import QUANTITIES
+from xcg.analysis.microstructure import NAMES
+from xcg.analysis.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
 from xcg.scene.lattice import Lattice
 
@@ -380,7 +380,10 @@ def test_every_quantity_has_a_unit_and_a_name():
     of_phases = [name for name, row in QUANTITIES.items() if row.of_phases]
     m = ds.cg.microstructure()
     assert not set(m.data_vars) & set(of_phases)
-    m = m.merge(ds.cg.microstructure(of_phases, by="species").sel(phase="bulk", drop=True))
+    m = m.merge(
+        ds.cg.microstructure(of_phases, by="species").sel(phase="bulk", drop=True),
+        compat="no_conflicts",
+    )
     assert set(m.data_vars) >= set(QUANTITIES)
     for name in m:
         assert {"units", "long_name"} <= set(m[name].attrs), name

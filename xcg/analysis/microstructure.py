@@ -9,10 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.analysis.quantities import QUANTITIES
+from xcg.analysis.samples import Bounds, Measure
 from xcg.common.checks import check_choice, floats, is_finite, is_positive
 from xcg.common.messages import plain, unknown
-from xcg.packing.quantities import QUANTITIES
-from xcg.packing.samples import Bounds, Measure
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import require_times, times_are_known

@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.quantities import CONTACTS
 from xcg.common.checks import extra
 from xcg.compiled.contacts import join_clusters
-from xcg.packing.quantities import CONTACTS
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at

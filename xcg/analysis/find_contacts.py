@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.pairs import PairMethod, check_search, pairs_of
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
-from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe
@@ -103,7 +103,7 @@ class _Search(FrameAnalysis):
     max_contacts: int | None
 
     def reads(self, scene: Description) -> list[str]:
-        """Return places and sizes, and what tells which pairs are left out."""
+        """Return places, sizes, and the variables by which pairs are left out."""
         return [*READ, *(name for name in OPTIONAL if name in scene.columns)]
 
     def rows(self, scene: Description) -> dict[str, Variable]:

@@ -9,7 +9,7 @@ import xarray as xr
 
 import xcg
 from tests import ROOT
-from xcg.fields.analysis.correlations import falls_to
+from xcg.analysis.correlations import falls_to
 
 
 def result(values, wrapped, spacing=0.5, names=("x", "y", "z"), tail=()):

@@ -31,9 +31,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.network import Clusters
+from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.common.messages import SceneError, warn_once
-from xcg.packing.network import Clusters
-from xcg.packing.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description
 from xcg.scene.frame import phase_of, without_frozen
@@ -108,7 +108,7 @@ class Measure(FrameAnalysis):
         return rows
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
-        """Return regions, phases, and the bins of distributions, those that are used."""
+        """Return regions, phases, and the bins of distributions."""
         bins = self.force_bins
         middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
         counts = np.arange(self.max_connectivity + 1)

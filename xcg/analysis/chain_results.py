@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.particle_stress import RESULTS as STRESSES
+from xcg.analysis.particle_stress import RESULTS as STRESSES
 from xcg.common.checks import check_choice, extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.common.messages import SceneError

@@ -147,13 +147,13 @@ def cell_volumes(
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
-    analysis = _Cells(grid, setup, scene.layer_depth, by, scene.groups(by, groups))
+    analysis = _CellShares(grid, setup, scene.layer_depth, by, scene.groups(by, groups))
     call = format_call("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
     return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells(FrameAnalysis):
+class _CellShares(FrameAnalysis):
     """Volume, mass and momentum of the grains in each cell."""
 
     name = "cell_volumes"
@@ -177,7 +177,7 @@ class _Cells(FrameAnalysis):
         ]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
-        """Return the fields on the cells, those of velocity where the scene has one."""
+        """Return the fields on the cells, with velocity where the scene has one."""
         dims = self.grid.dims if self.by is None else (*self.grid.dims, "phase")
         return {
             name: replace(row, dims=(*dims, *row.dims))

@@ -12,11 +12,11 @@ weight, normal : (c, ...)
 pushing, normal_force, tangential_force
     Weights of the contacts that have a positive normal force, and their forces.
 clusters
-    Which grains of the group contacts between them connect (`xcg.packing.network`).
+    Which grains of the group contacts between them connect (`xcg.analysis.network`).
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which
-    All grains of the region by phase (`xcg.packing.samples`), and the group: 0 the bulk, 1, 2, ...
+    All grains of the region by phase (`xcg.analysis.samples`), and the group: 0 the bulk, 1, 2, ...
     the phases.
 region_volume, plane, min_contacts, max_connectivity, force_bins
     Volume (m3), axes of the scene, and options.

@@ -1,1 +1,0 @@
-"""Force chains: regions, search, selection, tracks over time, tables, pictures."""

@@ -1,1 +1,0 @@
-"""Analyses of fields: balances, correlations, displacements, stress on walls, choice of a width, pictures."""

@@ -1,1 +1,0 @@
-"""Packings: contacts from positions, and their microstructure."""
