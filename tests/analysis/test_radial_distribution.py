@@ -1,7 +1,5 @@
 """Radial distribution: brute force, ideal gas, crystals, hard spheres, tilted boxes, regions, phases."""
 
-import time
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -241,8 +239,7 @@ def test_one_particle_is_an_error():
         gas(1, 1, "xyz").cg.radial_distribution(1.0)
 
 
-def test_freud_agrees_and_takes_as_long_at_least():
-    """Within its single precision, and a factor of 1.2 in processor time."""
+def test_freud_agrees_within_its_single_precision():
     freud = pytest.importorskip("freud")
     count = 10_000
     edge = (count * np.pi / 6 / 0.6) ** (1 / 3)
@@ -251,16 +248,9 @@ def test_freud_agrees_and_takes_as_long_at_least():
     ds = xcg.scene_from_arrays(
         position, diameter=np.ones((1, count)), density=1.0, box=[(0, edge)] * 3, periodic="xyz"
     )
-    ds.cg.radial_distribution(1.0)  # compiles
-    start = time.process_time()
     g = ds.cg.radial_distribution(5.0)
-    own = time.process_time() - start
-    freud.parallel.set_num_threads(1)
-    start = time.process_time()
     rdf = freud.density.RDF(bins=100, r_max=5.0)
     rdf.compute((freud.box.Box.cube(edge), position[0] - edge / 2))
-    theirs = time.process_time() - start
     assert abs(int(g.pair_count.sum()) - int(rdf.bin_counts.sum())) <= 20
     scale = (count - 1) / count
     np.testing.assert_allclose(g.radial_distribution[0, 5:] * scale, rdf.rdf[5:], rtol=2e-3)
-    assert own < 1.2 * theirs

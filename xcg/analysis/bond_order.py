@@ -237,7 +237,8 @@ class BondOrder(FrameAnalysis):
 def _waves(degree: int, bond: NDArray) -> list[NDArray]:
     """Return exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
 
-    They are scaled so that `_length` is the bond order. A factor of sqrt(2) for m > 0 includes -m.
+    They are scaled so that `_length` is the bond order: those of -m have the same length, and count
+    by a factor of sqrt(2).
     """
     if bond.shape[1] == 2:
         return [np.exp(1j * degree * np.arctan2(bond[:, 1], bond[:, 0]))]
