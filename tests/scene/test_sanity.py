@@ -109,6 +109,14 @@ def test_rods_of_spheres_that_overlap_do_not_warn(apart):
 # --- the box ---------------------------------------------------------------------------------------------
 
 
+def test_many_grains_in_one_place_end_the_search_for_a_region():
+    """Such as grains that wait at the origin to be inserted: no region around them holds few."""
+    place = np.random.default_rng(0).uniform(0, 60, (20_000, 3))
+    place[9_500:10_500] = place[10_000]
+    ds = xcg.scene_from_arrays(place, diameter=np.ones(20_000))
+    assert ds.sizes["particle"] == 20_000
+
+
 @pytest.mark.parametrize("order", [[1, 2, 0], [2, 0, 1], [0, 2, 1]])
 def test_axes_in_another_order_than_the_box_warn(order, chute):
     position, diameter, box = chute

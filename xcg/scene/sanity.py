@@ -22,6 +22,8 @@ from xcg.scene.schema import COMPONENTS, Frame, Setup
 FEW = 20  # grains or contacts that are too few for a verdict
 _SAMPLE = 4096  # rows looked at, spread over all
 _REGION = 300  # grains of a region whose neighbours are looked at
+_HALVINGS = 30  # of a region, until it holds so few
+_BLOCK = 64  # grains of a region that are compared with the others at once
 _CROWD = 8  # nearest grains that are looked at
 
 _SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
@@ -126,20 +128,26 @@ class Particles:
         share = min(1.0, _REGION / self.count)
         reach = 0.5 * (high - low).max() * share ** (1 / len(self.plane))
         inside = self._around(middle, reach)
-        while len(inside) > 2 * _REGION:
+        for _ in range(_HALVINGS):
+            if len(inside) <= 2 * _REGION:
+                break
             reach *= 0.5
             inside = self._around(middle, reach)
-        if len(inside) < FEW:
+        if not FEW <= len(inside) <= 2 * _REGION:  # few, or many in one place
             return np.empty((0, 0))
         position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
-        # of so few, all pairs are quicker than the import of a tree
-        away = np.sqrt(sum((x[:, None] - x) ** 2 for x in position.T))
-        np.fill_diagonal(away, np.inf)
-        ratio = 2 * away / (diameter[:, None] + diameter)
-        if len(inside) < self.count:  # the nearest grain may be outside of the region
-            to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
-            ratio = ratio[to_edge >= away.min(axis=1)]
-        return np.sort(ratio, axis=1)[:, :_CROWD]
+        to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
+        nearest = []
+        # of so few, all pairs are quicker than the import of a tree; in blocks, which take less memory
+        for first in range(0, len(inside), _BLOCK):
+            rows = np.arange(first, min(first + _BLOCK, len(inside)))
+            away = np.sqrt(sum((x[rows, None] - x) ** 2 for x in position.T))
+            away[rows - first, rows] = np.inf
+            ratio = 2 * away / (diameter[rows, None] + diameter)
+            if len(inside) < self.count:  # the nearest grain may be outside of the region
+                ratio = ratio[to_edge[rows] >= away.min(axis=1)]
+            nearest.append(np.sort(ratio, axis=1)[:, :_CROWD])
+        return np.concatenate(nearest)
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
         """Return the rows of the particles in a cube, axis by axis, as few are left after the first."""
