@@ -330,3 +330,19 @@ def test_frozen_grains_are_in_no_slice(method):
     xr.testing.assert_equal(
         s, ds.where(frozen == 0, drop=True).cg.slice_temperature("z", **options)
     )
+
+
+def test_slices_need_a_box_along_their_axis_alone():
+    r = np.random.default_rng(0)
+    ds = xcg.scene_from_arrays(
+        r.uniform(0, 5, (300, 3)),
+        diameter=np.full(300, 0.5),
+        velocity=r.normal(size=(300, 3)),
+        density=1.0,
+        box={"z": (0, 5)},
+        periodic="z",
+    )
+    f = ds.cg.slice_temperature("z", method="bins", width=1.0)
+    g = ds.assign_attrs(periodic="xz").cg.slice_temperature("z", method="bins", width=1.0)
+    for name in f:
+        np.testing.assert_array_equal(f[name], g[name])

@@ -433,6 +433,12 @@ class _Slices(FrameAnalysis):
         """Return thickness and method."""
         return {"slice_width": self.width, "method": self.method}
 
+    def periodic_axes(self, scene: Description) -> str:
+        """Return the axis across the slices, or all axes of a tilted box, whose images it shifts."""
+        if scene.tilted:
+            return scene.setup.periodic
+        return self.axis if self.axis in scene.setup.periodic else ""
+
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute temperature, velocity and count in the slices of one step."""
         some = without_frozen(frame)

@@ -106,6 +106,13 @@ class FrameAnalysis:
         """Return attributes of the result."""
         return {}
 
+    def periodic_axes(self, scene: Description) -> str:
+        """Return the axes whose periodic images a step needs; all of the scene's by default.
+
+        Along these the box of each step has to be finite.
+        """
+        return scene.setup.periodic
+
     @property
     def lags(self) -> tuple[int, ...]:
         """Other steps that a step is computed with, as offsets: ``(1,)`` for the next."""
@@ -218,7 +225,7 @@ def run(
         rows,
         sizes,
         tuple(sorted(coords)),
-        scene.setup.periodic,
+        analysis.periodic_axes(scene),
         {n: _rows_along(ds.variables[n]) for n in read},
     )
     series, beside = _with_others(ds, read, analysis.lags)
@@ -285,9 +292,8 @@ class _Task:
     name: str
     rows: Mapping[str, Variable]
     sizes: Mapping[str, int | None]
-    labelled: tuple[
-        str, ...
-    ]  # no set, whose order differs between processes, and with it names of tasks
+    # no set, whose order differs between processes, and with it names of tasks
+    labelled: tuple[str, ...]
     periodic: str
     dims: Mapping[str, str]
 
@@ -304,8 +310,9 @@ class _Task:
             for dim in unknown:
                 sizes[dim] = self._most_rows(dim, found)
         out: dict[str, NDArray] = {}
+        ragged = any(map(self._is_ragged, self.rows.values()))
         for t, results in enumerate(found):
-            places = self._places(arrays, t)
+            places = self._places(arrays, t) if ragged else {}
             for name, row in self.rows.items():
                 shape = tuple(sizes[dim] or 0 for dim in row.dims)
                 values = self._checked(name, results, row, shape)
