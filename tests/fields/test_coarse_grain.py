@@ -774,7 +774,7 @@ def test_messages_say_how_to_provide_missing_variables():
     [
         (
             {"spacing": [1, 1, 1]},
-            r"spacing=\[1, 1, 1\]: expected a distance \(m\), .* or one by axis",
+            r"spacing=\[1, 1, 1\]: expected a distance \(m\), a multiple of a size such as '0.5 d43', or one by axis",
         ),
         ({"spacing": "1"}, "spacing='1': expected a length in metres or a multiple of"),
         (

@@ -52,16 +52,7 @@ def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
     >>> f.cg.principal("contact_stress").contact_stress_principal.dims
     ('time', 'z', 'principal')
     """
-    tensors = [str(name) for name in f.data_vars if set(_TENSOR) <= set(f[name].dims)]
-    if field not in tensors:
-        raise ValueError(unknown("tensor of this result", field, tensors))
-    tensor = f[field]
-    for dim in _TENSOR:
-        if tensor.sizes[dim] != 3:
-            raise ValueError(
-                f"principal({field!r}): expected all three components, and {dim!r} has "
-                f"{tensor.sizes[dim]}; select components after it"
-            )
+    tensor = _tensor_of(f, field)
     values, axes = xr.apply_ufunc(
         _values_and_axes,
         tensor,
@@ -87,6 +78,20 @@ def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
         {"principal": [1, 2, 3], "component": f["component"]},
         f.attrs,
     )
+
+
+def _tensor_of(f: xr.Dataset, field: str) -> xr.DataArray:
+    """Return a tensor of a result; raise ValueError unless it is there with all its components."""
+    tensors = [str(name) for name in f.data_vars if set(_TENSOR) <= set(f[name].dims)]
+    if field not in tensors:
+        raise ValueError(unknown("tensor of this result", field, tensors))
+    for dim in _TENSOR:
+        if f.sizes[dim] != 3:
+            raise ValueError(
+                f"principal({field!r}): expected all three components, and {dim!r} has "
+                f"{f.sizes[dim]}; select components after it"
+            )
+    return f[field]
 
 
 def _values_and_axes(tensor: NDArray) -> tuple[NDArray, NDArray]:
@@ -152,9 +157,8 @@ def plot_principal(
         raise ValueError(f"plot_principal: expected two axes, and the result has {plane}")
     if "phase" in f.dims:
         f = f.sel(phase="bulk")
-    whole = principal(f, field)  # checks the field
-    names = dict(zip(_TENSOR, (plane, plane), strict=True))
-    tensor = f[field].sel(names).isel({a: slice(None, None, every) for a in plane})
+    of_plane = dict.fromkeys(_TENSOR, plane)
+    tensor = _tensor_of(f, field).sel(of_plane).isel({a: slice(None, None, every) for a in plane})
     tensor = tensor.transpose(*plane, *_TENSOR).compute()
     values, axes = _values_and_axes(tensor.to_numpy())
     x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")
@@ -162,7 +166,7 @@ def plot_principal(
     step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
     if ax is None:
         _, ax = subplots(layout="constrained")
-        units = whole[plane[0]].attrs.get("units", "")
+        units = f[plane[0]].attrs.get("units", "")
         ax.set_xlabel(f"{plane[0]} ({units})")
         ax.set_ylabel(f"{plane[1]} ({units})")
         ax.set_aspect("equal")

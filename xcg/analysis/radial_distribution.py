@@ -24,6 +24,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
+from xcg.steps.labels import phases_of
 
 HALF_BOX = 1 + 1e-12  # share of half a period that distances may reach
 
@@ -215,10 +216,9 @@ class RadialDistribution(FrameAnalysis):
         """Return phases, and the middle of the bins of angle and distance."""
         coords = {}
         if self.by is not None:
-            labels = ["bulk", *map(str, self.groups or ())]
-            about = {"long_name": f"phase by {self.by}"}
-            coords["phase"] = xr.Variable("phase", labels, about)
-            coords["other_phase"] = xr.Variable("other_phase", labels, about)
+            phase = phases_of(self.by, self.groups or ())
+            coords["phase"] = phase
+            coords["other_phase"] = xr.Variable("other_phase", phase, phase.attrs)
         if self.axis is not None:
             theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles
             about = {"units": "rad", "long_name": f"angle of the pair about {self.axis}"}

@@ -21,6 +21,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
+from xcg.steps.labels import phases_of
 
 MOST_NUMBERS = 3e8  # wave vectors that are looked at in a step
 
@@ -172,10 +173,9 @@ class StructureFactor(FrameAnalysis):
         """Return phases, and the middle of the bins of wavenumbers or the numbers of the waves."""
         coords = {}
         if self.by is not None:
-            labels = ["bulk", *map(str, self.groups or ())]
-            about = {"long_name": f"phase by {self.by}"}
-            coords["phase"] = xr.Variable("phase", labels, about)
-            coords["other_phase"] = xr.Variable("other_phase", labels, about)
+            phase = phases_of(self.by, self.groups or ())
+            coords["phase"] = phase
+            coords["other_phase"] = xr.Variable("other_phase", phase, phase.attrs)
         if self.k_max is not None:
             k = self.k_max * (np.arange(self.bins) + 0.5) / self.bins
             unit = units_in("m^-1", scene.setup.unit_system)
