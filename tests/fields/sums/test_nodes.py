@@ -122,6 +122,7 @@ def test_a_support_of_1e20_m_sees_all_grains():
     assert f.sample_count.item() == 3
 
 
+@pytest.mark.filterwarnings("ignore:the grains have .* times the volume of the box")
 def test_too_many_periodic_images_raise():
     ds = scene([[0, 0, 0], [0.001, 0, 0], [0, 0.001, 0]], box=[[0, 0.006]] * 3, periodic="xyz")
     with pytest.raises(
