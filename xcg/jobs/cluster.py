@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import glob
 import os
 import tempfile
@@ -36,22 +37,18 @@ def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
         If no scheduler answers, a worker does not see the files or has another version of xcg, or
         the cluster is lost while it computes.
     """
-    import dask
-
     distributed = extra("distributed", "distributed", "--scheduler")
     from distributed.client import FutureCancelledError
 
     address = job.scheduler
-    before = dask.config.get("scheduler", None)
     try:
-        client = distributed.Client(address, timeout=_ANSWERS_WITHIN)
+        asyncio.run(_connect(address))
     except (OSError, ValueError, TypeError, OverflowError) as error:
-        dask.config.set(scheduler=before)  # a client that finds nobody stays the default
         raise OSError(
             f"no dask scheduler answers at {address} ({_short(error)}); start one with 'dask scheduler' and pass the "
             "address that it prints, such as tcp://10.0.0.1:8786"
         ) from error
-    with client:
+    with distributed.Client(address, timeout=_ANSWERS_WITHIN) as client:
         tell(f"dashboard: {client.dashboard_link}")
         if not client.nthreads():
             tell("the cluster has no workers yet; waiting for the first")
@@ -72,6 +69,18 @@ def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
             raise OSError(
                 f"the scheduler at {address} is lost ({_short(error)}); the same command continues"
             ) from error
+
+
+async def _connect(address: str) -> None:
+    """Connect to a scheduler once, since a Client that fails stays half made.
+
+    It would stay dask's default, and Python may collect it while the next Client starts, where its
+    end waits for ever for the lock of that start.
+    """
+    from distributed import comm
+
+    connection = await comm.connect(address, timeout=_ANSWERS_WITHIN)
+    await connection.close()
 
 
 def _first_files(job: Job) -> list[str]:
