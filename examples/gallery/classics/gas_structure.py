@@ -31,7 +31,7 @@ fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 left.plot(g.r, g, drawstyle="steps-mid")
 left.axhline(1, color="0.6", ls=":")
 left.plot(1, expected, "ko", label="Carnahan & Starling")
-left.set(xlabel="distance $r$ [$d$]", ylabel="radial distribution $g$")
+left.set(xlabel="distance $r$", ylabel="radial distribution $g$")
 left.legend()
 right.plot(S.k, S)
 right.axhline(
