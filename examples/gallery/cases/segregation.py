@@ -43,7 +43,7 @@ fig, ax = plt.subplots()
 c.plot(
     x="time", ax=ax, vmin=0, vmax=1, cmap="RdYlBu", cbar_kwargs={"label": "share of large grains"}
 )
-ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$", ylim=(0, 22))
+ax.set(title="", xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$", ylim=(0, 22))
 plt.show()
 
 # %%

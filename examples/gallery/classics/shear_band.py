@@ -27,7 +27,7 @@ u = u.isel(time=0).compute()
 
 fig, ax = plt.subplots(figsize=(5.2, 6.5))
 image = ax.pcolormesh(u.x, u.y, u.shear_strain.transpose("y", "x"), vmin=0, vmax=0.3)
-fig.colorbar(image, label="shear strain, from 2 to 6 % of shortening")
+fig.colorbar(image, label="shear strain, from 2 to 6 % of shortening", extend="max")
 ax.set(xlabel="$x$", ylabel="$y$", aspect="equal")
 plt.show()
 
