@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import LogNorm
 from scipy import ndimage
 
 import xcg
@@ -385,6 +386,17 @@ def test_a_share_of_zero_is_not_air():
         (mesh,) = g.cg.plot("concentration", shading="flat", **options).collections
         assert (mesh.get_array()[:, :3] == 0).any()
         assert (mesh.get_array() == 1).any()
+
+
+@pytest.mark.parametrize(
+    ("ends", "extend"),
+    [({}, "neither"), ({"vmax": 20.0}, "max"), ({"vmin": 2.0}, "min")],
+)
+def test_bars_of_logarithms_have_arrows_where_they_are_clipped(ends, extend):
+    """Numbers without a logarithm are not drawn, and are not below the bar."""
+    values = np.arange(80.0).reshape(8, 10) - 5
+    (mesh,) = plane(values).cg.plot(norm=LogNorm(**ends)).collections
+    assert mesh.colorbar.extend == extend
 
 
 def test_bars_of_grains_have_arrows_where_they_are_clipped():

@@ -159,6 +159,8 @@ def plot(
                     end: number for end, number in ends.items() if number is not None
                 }
             mesh = _draw_map(picture, name, axes, ax, colours | options, _fastest(picture), shading)
+            if "norm" in options:  # its ends are those of the drawn numbers
+                values = np.ma.compressed(mesh.get_array())
             _draw_colour_bar(picture, name, mesh, values)
     except AttributeError as error:  # of matplotlib, about keywords
         raise TypeError(f"plot: {error}") from None

@@ -95,6 +95,7 @@ def add_colour_bar(drawn: Any, ax: Axes, text: str, values: NDArray, **options: 
     `options` go to matplotlib.
     """
     low, high = drawn.get_clim()
+    values = values[~np.ma.getmaskarray(drawn.norm(values))]  # those that have a logarithm
     is_above = bool((values > high).any())
     is_below = bool((values < low).any())
     extend = {(0, 0): "neither", (0, 1): "max", (1, 0): "min", (1, 1): "both"}[is_below, is_above]
@@ -165,6 +166,16 @@ def ends_of(values: NDArray) -> tuple[float, float]:
     return (low, high) if low < high else (low - 0.5, high + 0.5)
 
 
+def check_ends(low: float, high: float, vmin: float | None, vmax: float | None) -> None:
+    """Raise ValueError unless colours begin at or below their end, as `vmin` and `vmax` choose them."""
+    if low > high:
+        given = f"vmin={vmin!r}" if vmax is None else f"vmax={vmax!r}"
+        raise ValueError(
+            f"{given}: the colours would go from {low:.4g} to {high:.4g}; expected vmin below vmax, and numbers "
+            "between them"
+        )
+
+
 def _has_both_signs(values: NDArray) -> bool:
     """Return whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
     values = values[values != 0]
@@ -182,7 +193,9 @@ def colours_of(
     end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
     if end > 0 and _has_both_signs(values):
         low, high = -end, end
-    low, high = low if vmin is None else vmin, high if vmax is None else vmax
+    low = low if vmin is None else vmin
+    high = high if vmax is None else vmax
+    check_ends(low, high, vmin, vmax)
     about_zero = low == -high and _has_both_signs(values)
     return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.analysis.chain_results import require_chains, steps_of
 from xcg.analysis.plots import without_air
 from xcg.common.checks import extra
+from xcg.common.drawing import check_ends
 from xcg.common.messages import unknown
 from xcg.scene.conform import conform
 from xcg.scene.contacts import Contacts
@@ -331,7 +332,7 @@ def view(
 
 def _show_once(plotter: Any) -> None:
     """Keep a notebook from repeating a picture, as the result of the cell that has shown it."""
-    ipython = sys.modules.get("IPython")
+    ipython: Any = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython else None
     if shell is None:
         return
@@ -361,6 +362,7 @@ def _draw(
         low, high = others.pop("vmin"), others.pop("vmax")
         low = np.nanmin(size) if low is None else low
         high = np.nanmax(size) if high is None else high
+        check_ends(low, high, style["vmin"], style["vmax"])
         drawn = plotter.add_mesh(
             mesh, scalars=array, clim=(low, high), scalar_bar_args=_BAR | {"title": title}, **others
         )
@@ -384,7 +386,7 @@ def _put_ticks(bar: Any, low: float, high: float) -> None:
     from matplotlib.ticker import MaxNLocator  # comes with PyVista
     from vtkmodules.util.numpy_support import numpy_to_vtk
 
-    ticks = MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    ticks = np.asarray(MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     margin = 1e-6 * (high - low)
     inside = ticks[(ticks >= low - margin) & (ticks <= high + margin)]
     if len(inside) > 1:
