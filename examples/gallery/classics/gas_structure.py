@@ -37,7 +37,7 @@ right.plot(S.k, S)
 right.axhline(
     (1 - phi) ** 4 / (1 + 2 * phi) ** 2, color="k", ls="--", label="Percus & Yevick, $S(0)$"
 )
-right.set(xlabel="wavenumber $k$ [$1/d$]", ylabel="structure factor $S$")
+right.set(xlabel="wavenumber $k$", ylabel="structure factor $S$")
 right.legend()
 plt.show()
 
