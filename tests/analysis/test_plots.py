@@ -382,7 +382,8 @@ def test_a_share_of_zero_is_not_air():
     half = (ds.position.sel(component="x", drop=True) > 2.5).astype(int)
     ds = ds.assign(species=half.drop_attrs())
     f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=0.4)
-    for g, options in ((f, {"phase": 1}), (f.sel(phase=1), {})):
+    some = f.sel(phase=["0", "1"])
+    for g, options in ((f, {"phase": 1}), (f.sel(phase="1"), {}), (some, {"phase": 1})):
         (mesh,) = g.cg.plot("concentration", shading="flat", **options).collections
         assert (mesh.get_array()[:, :3] == 0).any()
         assert (mesh.get_array() == 1).any()

@@ -64,11 +64,10 @@ def plot(
     Profiles show one line for each component of a vector or for each phase, and a band of one
     standard error on both sides where the result has errors (`time_average`). The axis z stands
     upright. Maps show numbers as colours, white where the field is unknown or no grains are. A map
-    of a vector shows
-    its magnitude, and its direction as arrows, which are left out where they would be dots (below a
-    tenth of the 98th percentile of all). A map over r and theta lies in the plane of the circle;
-    one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
-    the slice in the middle of its shortest axis is drawn.
+    of a vector shows its magnitude, and its direction as arrows, which are left out where they
+    would be dots (below a tenth of the 98th percentile of all). A map over r and theta lies in the
+    plane of the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no
+    arrows. Of a volume, the slice in the middle of its shortest axis is drawn.
 
     Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
     Their colours show a variable of the particles.
@@ -463,10 +462,11 @@ def without_air(f: xr.Dataset, name: str) -> xr.DataArray:
     for density in map(f.get, _DENSITIES):
         if density is None:
             continue
-        if "phase" in density.dims and "bulk" in density["phase"]:
+        if "phase" in density.coords and "bulk" not in density["phase"].values.astype(str):
+            continue  # a phase may be nowhere where others are
+        if "phase" in density.dims:
             density = density.sel(phase="bulk", drop=True)
-        is_of_bulk = "phase" not in density.coords or density["phase"].item() == "bulk"
-        if is_of_bulk and set(density.dims) <= set(value.dims):
+        if set(density.dims) <= set(value.dims):
             return value.where(density != 0)
     if not _is_sum(name):
         return value
