@@ -96,6 +96,13 @@ def test_a_series_is_opened_as_a_lazy_scene(series):
     assert all({"units", "long_name"} <= set(scene[name].attrs) for name in scene.data_vars)
 
 
+def test_contacts_are_the_second_argument(series):
+    particles, contacts = series
+    xr.testing.assert_identical(
+        open_scene(particles, contacts), open_scene(particles, contacts=contacts)
+    )
+
+
 def test_types_of_the_graph_equal_those_of_the_arrays(series):
     scene = open_scene(
         series[0], contacts=series[1], frozen=2, names={"vx": "colour", "vy": None, "vz": None}

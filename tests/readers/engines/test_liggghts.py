@@ -86,7 +86,7 @@ def test_engine_is_guessed_from_contacts(tmp_path):
     particles = write(tmp_path / "p.dump", dump_text(rows, "id type x y z radius"))
     pairs = write(tmp_path / "pair.txt", pairs_text([PAIR], COLUMNS))
     walls = write(tmp_path / "wall.txt", pairs_text([WALL], COLUMNS.replace("c_3", "c_4")))
-    scene = open_scene(particles, contacts=pairs, walls=walls).compute()
+    scene = open_scene(particles, pairs, walls).compute()
     np.testing.assert_array_equal(scene.contact_j, [[4, -3]])
     np.testing.assert_allclose(scene.contact_point[0], [[1.45, 1, 1], [1, 1, 0]])
     np.testing.assert_array_equal(scene.overlap, [[0.1, 0.05]])
