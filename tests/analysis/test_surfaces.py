@@ -726,6 +726,8 @@ def test_surfaces_are_read_from_files(tmp_path):
         (lambda: xcg.Plane((0, 0, 0), (0, 0, 1), bounds=3), "two pairs"),
         (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), -1.0), "radius=-1"),
         (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), 1.0, low=2, high=1), "first < last"),
+        (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), 1.0, high=np.nan), "high=nan"),
+        (lambda: xcg.Cylinder((0, 0, 0), "w", 1.0), "axis='w': expected 'x', 'y', 'z'"),
         (lambda: xcg.Surface(np.zeros((3, 3)), [[0, 1, 2]]), "no area"),
         (lambda: xcg.Surface(np.eye(3), [[0, 1, 3]]), "there are 3"),
         (lambda: xcg.Surface(np.eye(3), [[0.0, 1, 2]]), "whole numbers"),
