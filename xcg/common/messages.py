@@ -248,6 +248,11 @@ class _Current(threading.local):
 _current = _Current()
 
 
+def active_call() -> Once:
+    """Return the warnings of the call that this thread works for, or of a new one."""
+    return _current.call or Once()
+
+
 def warn_once(about: str, message: str) -> None:
     """Warn of something found in a step, once for all steps of the call that is being computed; see `Once.warn`."""
-    (_current.call or Once()).warn(about, message)
+    active_call().warn(about, message)
