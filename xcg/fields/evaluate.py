@@ -178,8 +178,12 @@ def _compute_step(
     )
     if grid.undirected.size:
         for name, values in rows.items():
-            if registry.row(name, plan.options).rank:
+            rank = registry.row(name, plan.options).rank
+            if rank:  # what is along the axis alone has a direction there
+                along = (grid.undirected, ..., *(2,) * rank)
+                known = values[along]
                 values[grid.undirected] = np.nan
+                values[along] = known
     if plan.is_narrow:
         return  # the plan has warned of the cause of what follows
     if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):

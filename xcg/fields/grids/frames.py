@@ -165,7 +165,7 @@ class Cylindrical:
     are r, theta and z. At each angle the sums are turned into these axes, then they are averaged
     over theta, and fields follow from the averages: so the velocity gradient holds V_theta / r by
     itself, and a rigid rotation has no shear rate and no temperature. On the axis itself r and
-    theta have no direction: vectors and tensors are NaN there.
+    theta have no direction: there, vectors and tensors are NaN but for their part along z.
 
     Examples
     --------
