@@ -168,6 +168,7 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given
     np.testing.assert_array_equal(
         mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
     )
+    assert f.isel(x=slice(None, None, -1)).cg.plot().get_title().startswith("step = 0, y = ")
     plt.figure()
     ax = f.cg.plot(at={"x": 2.0})
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$y$ [m]", "$z$ [m]")

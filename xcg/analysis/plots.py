@@ -446,7 +446,7 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     cut = f.sel(at, method="nearest") if at else f
     if len(axes := axes_of(cut)) < 3:
         return cut
-    shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
+    shortest = min(axes, key=lambda a: abs(float(cut[a][-1] - cut[a][0])))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common import drawing
 from xcg.common.checks import extra
-from xcg.scene.frame import evenly_spaced
+from xcg.scene.frame import evenly_spaced, with_rising
 from xcg.scene.schema import COMPONENTS
 
 LONGEST = 520  # pixels of the longer side of a map
@@ -93,6 +93,7 @@ class Map:
     def draw(self, numbers: xr.DataArray) -> None:
         """Draw numbers (up, across). The view stays as the user zoomed it while the axes stay."""
         up, across = (str(dim) for dim in numbers.dims)
+        numbers = with_rising(numbers, (up, across))
         for axis in (across, up):
             if numbers.sizes[axis] > 2:
                 evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
