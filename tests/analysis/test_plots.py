@@ -14,6 +14,7 @@ import xarray as xr
 
 import xcg
 from tests import ROOT
+from xcg.analysis.plots import _without_empty_parts, numbers_of
 from xcg.common.drawing import unit_text
 from xcg.scene.schema import units_of
 
@@ -158,6 +159,36 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
     assert corners[:, 0].min() == pytest.approx(float((value - error).min()))
     plt.figure()
     assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize(
+    ("field", "parts"),
+    [
+        ("velocity", "xy"),
+        ("spin_density", "z"),
+        ("wall_traction", "xy"),
+        ("contact_force_density", "xy"),
+    ],
+)
+def test_profiles_of_discs_leave_out_components_that_are_zero(field, parts):
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain(field, axes="y", width=1.0)
+    ax = f.cg.plot()
+    assert [line.get_label() for line in ax.lines] == [*parts]
+    assert numbers_of(f, field).component.values.tolist() == [*parts]
+
+
+def test_a_component_that_is_zero_in_some_steps_stays_in_all():
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain("velocity", axes="y", width=1.0)
+    step = f.isel(time=0).assign_attrs(drawn="velocity")
+    along_x = step.assign(velocity=step.velocity * [1, 0, 0])
+    for shown in _without_empty_parts([along_x, step], f):
+        assert shown.component.values.tolist() == ["x", "y"]
+
+
+def test_vectors_of_a_volume_keep_components_that_are_zero():
+    ds = xcg.datasets.random_scene(60)
+    f = ds.assign(velocity=ds.velocity * [1, 0, 0]).cg.coarse_grain("velocity", axes="y", width=1.0)
+    assert [line.get_label() for line in f.cg.plot().lines] == ["x", "y", "z"]
 
 
 def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():

@@ -57,13 +57,14 @@ def plot(
 ) -> Axes:
     """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
 
-    Profiles show one line for each component of a vector or for each phase, and a band of one
-    standard error on both sides where the result has errors (`time_average`). The axis z stands
-    upright. Maps show numbers as colours, white where the field is unknown. A map of a vector shows
-    its magnitude, and its direction as arrows, which are left out where they would be dots (below a
-    tenth of the 98th percentile of all). A map over r and theta lies in the plane of the circle;
-    one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
-    the slice in the middle of its shortest axis is drawn.
+    Profiles show one line for each component of a vector (of a layer, without those that are zero
+    everywhere) or for each phase, and a band of one standard error on both sides where the result
+    has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
+    where the field is unknown. A map of a vector shows its magnitude, and its direction as arrows,
+    which are left out where they would be dots (below a tenth of the 98th percentile of all). A map
+    over r and theta lies in the plane of the circle; one over theta and z, such as a cylindrical
+    wall, is unrolled and has no arrows. Of a volume, the slice in the middle of its shortest axis
+    is drawn.
 
     Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
     Their colours show a variable of the particles.
@@ -138,7 +139,7 @@ def plot(
         ax.set_title(_title(picture))
         return ax
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, index, phase).compute()
+    (picture,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
     ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], axes_of(picture)
     try:
@@ -285,6 +286,7 @@ def movie(
         for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
             bar.update()
+    steps = _without_empty_parts(steps, f)
     with shown(count, progress, what="frames drawn") as bar:
         values = _known([step[name] for step in steps])
         low, high = drawing.ends_of(values)
@@ -422,8 +424,8 @@ def numbers_of(
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
     part = _part(with_time(f), field, component, direction, at, None, "flat")
-    step = _one_step(part, index, phase)
-    return step[field].transpose(*axes_of(step)[::-1], ...).compute()
+    (step,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
+    return step[field].transpose(*axes_of(step)[::-1], ...)
 
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
@@ -456,6 +458,20 @@ def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Datas
     if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
+
+
+def _without_empty_parts(steps: list[xr.Dataset], f: xr.Dataset) -> list[xr.Dataset]:
+    """Leave out components that are zero in all steps of a layer: the one across it, of spins those along it."""
+    values = [step[step.attrs["drawn"]] for step in steps]
+    plane = str(f.attrs.get("plane", "xyz"))
+    if len(plane) > 2 or "component" not in values[0].dims:
+        return steps
+    is_used = np.zeros(values[0].sizes["component"], bool)
+    for value in values:
+        is_used |= (value != 0).any([dim for dim in value.dims if dim != "component"]).to_numpy()
+    if not is_used.any():
+        is_used = values[0]["component"].isin([*plane]).to_numpy()
+    return [step.isel(component=is_used) for step in steps]
 
 
 def _labelled(part: T, dim: str, label: int | str) -> T:
