@@ -17,7 +17,8 @@ from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
-from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, order_of
 from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS, NUMBERED
 from xcg.steps.mapping import each_step, shown
@@ -101,7 +102,10 @@ def plot(
         larger.
     vmin, vmax : float, optional
         Ends of the colours of a map; the smallest and largest number by default. If both signs
-        matter, one end is minus the other.
+        matter, one end is minus the other. A field that is divided by the pressure, such as the
+        inertial number at a free surface, or that is not of xcg, ends at the 98th, 95th or 90th
+        percentile where larger numbers are more than four times the 90th; its label says so, also
+        on a profile. `vmax` or a ``norm`` shows all.
     **options
         For matplotlib: of lines, such as ``color`` and ``linewidth``; of maps and grains, such as
         ``norm="log"`` and ``alpha``.
@@ -142,12 +146,18 @@ def plot(
     (picture,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
     ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], axes_of(picture)
+    values = _known([picture[name]])
+    shown = values
+    if vmax is None and "norm" not in options:
+        (picture,), shown = _without_tail([picture], values)
     try:
         if len(axes) == 1:
+            before = _limits(ax, axes[0]) if ax.has_data() else ()
             _draw_profile(picture, name, axes[0], ax, options)
+            if shown is not values:
+                _set_limits(ax, axes[0], np.concatenate([shown, before]))
         else:
-            values = _known([picture[name]])
-            colours = drawing.colours_of(values, cmap, vmin, vmax)
+            colours = drawing.colours_of(shown, cmap, vmin, vmax)
             if "color" in options:
                 raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
             if "norm" in options:
@@ -289,9 +299,11 @@ def movie(
     steps = _without_empty_parts(steps, f)
     with shown(count, progress, what="frames drawn") as bar:
         values = _known([step[name] for step in steps])
-        low, high = drawing.ends_of(values)
+        shown_values = values
+        if vmax is None:
+            steps, shown_values = _without_tail(steps, values)
         fastest = max(_fastest(step) for step in steps)
-        colours = drawing.colours_of(values, cmap, vmin, vmax)
+        colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
         figure = extra("matplotlib.figure", "plot", "a movie").Figure(
             figsize=(7, 5), layout="constrained"
         )
@@ -302,8 +314,7 @@ def movie(
             ax.clear()
             if len(axes) == 1:
                 _draw_profile(steps[k], name, axes[0], ax)
-                margin = 0.05 * (high - low)
-                (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
+                _set_limits(ax, axes[0], shown_values)
             else:
                 mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
                 if k == 0 and len(figure.axes) == 1:
@@ -501,6 +512,47 @@ def _fastest(picture: xr.Dataset) -> float:
     parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
     size = _known([np.hypot(*parts)] if parts else [[]])
     return float(np.percentile(size, FASTEST)) if size.size else 0.0
+
+
+def _without_tail(steps: list[xr.Dataset], values: NDArray) -> tuple[list[xr.Dataset], NDArray]:
+    """Return steps that say on their label where a picture ends, and the numbers (n,) up to there.
+
+    A field that is divided by the pressure, such as the inertial number, is thousands of times
+    larger at a free surface than elsewhere.
+    """
+    name = steps[0].attrs["drawn"]
+    label = drawing.long_name_of(steps[0][name], name)
+    shown, note = drawing.without_tail(values) if may_diverge(steps[0][name]) else (values, "")
+    if not note:
+        return steps, values
+    steps = [
+        step.assign({name: step[name].assign_attrs(long_name=f"{label}{note}")}) for step in steps
+    ]
+    return steps, shown
+
+
+def may_diverge(value: xr.DataArray) -> bool:
+    """Return whether a field may be a quotient whose denominator vanishes: by the pressure, or of the user's own."""
+    name = str(value.name)
+    if name not in FIELDS:
+        return "source" not in value.attrs  # sums and means of variables have one
+    row = FIELDS[name]
+    if row.additive or row.weight:
+        return False
+    return name in REGISTERED or "pressure" in order_of((name,), Options())
+
+
+def _limits(ax: Axes, axis: str) -> tuple[float, float]:
+    """Return the ends of the numbers in a profile along an axis."""
+    low, high = ax.get_xlim() if axis == "z" else ax.get_ylim()
+    return low, high
+
+
+def _set_limits(ax: Axes, axis: str, values: NDArray) -> None:
+    """Let a profile along an axis end at the smallest and the largest of some numbers."""
+    low, high = drawing.ends_of(values)
+    margin = 0.05 * (high - low)
+    (ax.set_xlim if axis == "z" else ax.set_ylim)(low - margin, high + margin)
 
 
 # --- drawing ---------------------------------------------------------------------------------------------
