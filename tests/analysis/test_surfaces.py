@@ -525,6 +525,25 @@ def test_contacts_farther_than_within_are_left_out(within, taken):
     np.testing.assert_allclose(f.wall_force[0], -force[:taken].sum(axis=0))
 
 
+def test_a_wall_larger_than_the_grains_says_where_its_cells_end():
+    ds = xcg.datasets.random_scene(100, walls=True, periodic="y")
+    x, radius = ds.position[0, :, 0], ds.diameter[0] / 2
+    low, high = float((x - radius).min()), float((x + radius).max())
+    floor = xcg.Plane((0, 0, 0), (0, 0, 1))
+    f = ds.cg.wall_stress(floor)
+    size = f.x[1] - f.x[0]
+    dmax = float(ds.diameter.max()) / 2  # the cells reach as far as the largest grain would
+    assert float(f.x[0] - size / 2) <= low < float(f.x[0] - size / 2) + dmax
+    assert float(f.x[-1] + size / 2) - dmax < high <= float(f.x[-1] + size / 2)
+    assert f"x from {float(f.x[0] - size / 2):.4g}" in f.attrs["comment"]
+    assert "y from" not in f.attrs["comment"]
+    wider = xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((-3, 8), (0, 5)))
+    g = ds.cg.wall_stress(wider)
+    assert "comment" not in g.attrs
+    np.testing.assert_allclose(g.wall_force, f.wall_force)
+    assert not g.normal_traction.sel(x=slice(None, low - 2 * f.attrs["cutoff"])).any()
+
+
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 2, 0), (1, 1, 0.5)])
 def test_hydrostatic_pressure_in_a_cylinder(direction):
     """Pressure that falls along the axis and a friction that holds: both come back but for the ends."""

@@ -307,7 +307,9 @@ def wall_stress(
     ds : xarray.Dataset
         A scene with contacts.
     surface : Plane, Cylinder or Surface
-        The wall, with its normal to the side of the grains.
+        The wall, with its normal to the side of the grains. Cells of a plane without `bounds` and
+        of a cylinder without `low` or `high` end as far as the grains of the first and the last
+        step reach, and the attribute ``comment`` says where.
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
     walls : str, int or list of these, optional
@@ -432,13 +434,35 @@ class _WallStress(FrameAnalysis):
         return _coordinates(self.cells, self.setup.unit_system)
 
     def attrs(self, scene: Description) -> dict[str, Any]:
-        """Return kernel and surface."""
-        return {
+        """Return kernel and surface, and where the cells end if the surface goes on."""
+        attrs = {
             "kernel": self.kernel.name,
             "width": self.kernel.width,
             "cutoff": self.kernel.cutoff,
             "surface": repr(self.surface),
         }
+        ends = [
+            f"{dim} from {low:.6g} to {high:.6g}"
+            for dim, (low, high) in self._open_ends.items()
+            if dim not in scene.periods
+        ]
+        if ends:
+            attrs["comment"] = (
+                f"the surface goes on beyond its cells, which end where the grains do: {', '.join(ends)}; "
+                "bounds= of a plane, low= and high= of a cylinder set their ends"
+            )
+        return attrs
+
+    @property
+    def _open_ends(self) -> dict[str, tuple[float, float]]:
+        """Ends of the cells along dimensions for which the surface names none."""
+        surface = self.surface
+        if getattr(surface, "bounds", None) is not None:
+            return {}
+        if getattr(surface, "low", None) is not None and getattr(surface, "high", None) is not None:
+            return {}
+        dims = [*self.cells.coords][-len(self.cells.bounds) :]
+        return dict(zip(dims, self.cells.bounds, strict=False))
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the tractions of one step."""
