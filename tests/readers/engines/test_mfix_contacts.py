@@ -1,7 +1,9 @@
 """Contact points and rows of MFiX: spheres of unlike sizes, superquadrics that stand once for each side."""
 
 import gzip
+import re
 import shutil
+import warnings
 
 import numpy as np
 import pytest
@@ -287,6 +289,19 @@ def test_superquadrics_count_once(tmp_path):
     for name in two.data_vars:
         size = float(np.abs(two[name]).max())
         np.testing.assert_allclose(one[name], two[name], rtol=0, atol=1e-5 * size, err_msg=name)
+
+
+@pytest.mark.parametrize(("length", "matches"), [(1.0, True), (0.97, False), (1e3, False)])
+def test_a_box_that_contradicts_contacts_across_its_edge_warns(tmp_path, length, matches):
+    write_superquadrics(tmp_path)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        opened(tmp_path, periodic="x", box={"x": (-0.1, length - 0.1)})
+    expected = (
+        f"the period along 'x' is {length:g}, and contacts on both sides of an edge in .* are 1"
+    )
+    found = [one for one in said if re.search(expected, str(one.message))]
+    assert len(found) == (0 if matches else 1)
 
 
 def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contacts(tmp_path):
