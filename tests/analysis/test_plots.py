@@ -16,7 +16,8 @@ from scipy import ndimage
 
 import xcg
 from tests import ROOT
-from xcg.common.drawing import unit_text
+from xcg.analysis.plots import _without_empty_parts, numbers_of
+from xcg.common.drawing import unit_text, without_tail
 from xcg.scene.schema import units_of
 
 mpl.use("agg")
@@ -162,6 +163,88 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
     assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
 
 
+@pytest.mark.parametrize(
+    ("field", "parts"),
+    [
+        ("velocity", "xy"),
+        ("spin_density", "z"),
+        ("wall_traction", "xy"),
+        ("contact_force_density", "xy"),
+    ],
+)
+def test_profiles_of_discs_leave_out_components_that_are_zero(field, parts):
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain(field, axes="y", width=1.0)
+    ax = f.cg.plot()
+    assert [line.get_label() for line in ax.lines] == [*parts]
+    assert numbers_of(f, field).component.values.tolist() == [*parts]
+
+
+def test_a_component_that_is_zero_in_some_steps_stays_in_all():
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain("velocity", axes="y", width=1.0)
+    step = f.isel(time=0).assign_attrs(drawn="velocity")
+    along_x = step.assign(velocity=step.velocity * [1, 0, 0])
+    for shown in _without_empty_parts([along_x, step], f):
+        assert shown.component.values.tolist() == ["x", "y"]
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """A map whose numbers are 0.1 to 0.4 in the bulk, and 2500 at the 2 of 40 nodes of a free surface."""
+    f = xcg.datasets.random_scene(60).cg.coarse_grain(
+        ["inertial_number", "density"], axes="xz", width=1.0, bounds={"x": (0, 4), "z": (0, 4)},
+        spacing={"x": 0.5, "z": 0.1},
+    )  # fmt: skip
+    z = f.z.broadcast_like(f.density)
+    return f.map(lambda old: (0.1 + 0.075 * z).where(z < 3.85, 2500.0).assign_attrs(old.attrs))
+
+
+def test_a_free_surface_does_not_flatten_the_inertial_number(surface):
+    ax = surface.cg.plot("inertial_number")
+    mesh, bar = ax.collections[0], ax.figure.axes[-1]
+    assert mesh.get_clim() == pytest.approx((0.1, 0.385))  # at z = 3.8, below the surface
+    assert bar.get_ylabel() == "inertial number, up to its 95th percentile"
+    assert bar._colorbar.extend == "max"
+    profile = surface.isel(x=0)
+    ax = profile.cg.plot("inertial_number")
+    assert 0.37 < ax.get_xlim()[1] < 0.5
+    assert ax.get_xlabel() == "inertial number, up to its 95th percentile"
+    assert max(ax.lines[0].get_xdata()) == 2500.0
+
+
+def test_a_tail_is_drawn_where_it_is_asked_for_or_the_field_has_a_bound(surface):
+    whole = surface.cg.plot("density")
+    assert whole.collections[0].get_clim()[1] == 2500.0
+    given = surface.cg.plot("inertial_number", vmax=9.0)
+    assert given.collections[0].get_clim() == pytest.approx((0.1, 9.0))
+    log = surface.cg.plot("inertial_number", norm="log")
+    assert log.collections[0].get_clim()[1] == pytest.approx(2500.0)
+    for ax in (whole, given, log):
+        assert "percentile" not in ax.figure.axes[-1].get_ylabel()
+
+
+def test_quotients_of_the_user_are_shown_without_their_tail(surface):
+    f = surface.assign(mine=-surface.density / surface.density.max())
+    mesh = f.cg.plot("mine").collections[0]
+    assert mesh.get_clim()[0] == pytest.approx(float(f.mine.quantile(0.1)), rel=0.05)
+    xcg.register_field("quotient", lambda f, s, o: 1 / f.pressure, fields="pressure", units="Pa^-1")
+    f = surface.assign(quotient=surface.density)
+    assert f.cg.plot("quotient").collections[0].get_clim()[1] < 0.4
+
+
+@pytest.mark.parametrize("values", [[], [0.0], [0.0] * 30 + [1.0], [1.0, 2.0, 3.9], np.arange(50)])
+def test_numbers_without_a_tail_are_shown_whole(values):
+    values = np.array(values)
+    shown, note = without_tail(values)
+    assert shown is values
+    assert note == ""
+
+
+def test_vectors_of_a_volume_keep_components_that_are_zero():
+    ds = xcg.datasets.random_scene(60)
+    f = ds.assign(velocity=ds.velocity * [1, 0, 0]).cg.coarse_grain("velocity", axes="y", width=1.0)
+    assert [line.get_label() for line in f.cg.plot().lines] == ["x", "y", "z"]
+
+
 def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():
     f = xcg.datasets.random_scene(60).cg.coarse_grain(
         "density", width=1.0, bounds={"y": (1.0, 3.0)}
@@ -170,6 +253,7 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given
     np.testing.assert_array_equal(
         mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
     )
+    assert f.isel(x=slice(None, None, -1)).cg.plot().get_title().startswith("step = 0, y = ")
     plt.figure()
     ax = f.cg.plot(at={"x": 2.0})
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$y$ [m]", "$z$ [m]")

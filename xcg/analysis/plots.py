@@ -18,7 +18,8 @@ from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
-from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, order_of
 from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS, NUMBERED
 from xcg.steps.mapping import each_step, shown
@@ -61,13 +62,14 @@ def plot(
 ) -> Axes:
     """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
 
-    Profiles show one line for each component of a vector or for each phase, and a band of one
-    standard error on both sides where the result has errors (`time_average`). The axis z stands
-    upright. Maps show numbers as colours, white where the field is unknown or no grains are. A map
-    of a vector shows its magnitude, and its direction as arrows, which are left out where they
-    would be dots (below a tenth of the 98th percentile of all). A map over r and theta lies in the
-    plane of the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no
-    arrows. Of a volume, the slice in the middle of its shortest axis is drawn.
+    Profiles show one line for each component of a vector (of a layer, without those that are zero
+    everywhere) or for each phase, and a band of one standard error on both sides where the result
+    has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
+    where the field is unknown or no grains are. A map of a vector shows its magnitude, and its
+    direction as arrows, which are left out where they would be dots (below a tenth of the 98th
+    percentile of all). A map over r and theta lies in the plane of the circle; one over theta and
+    z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume, the slice in the
+    middle of its shortest axis is drawn.
 
     Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
     Their colours show a variable of the particles.
@@ -104,7 +106,10 @@ def plot(
         larger.
     vmin, vmax : float, optional
         Ends of the colours of a map; the smallest and largest number by default. If both signs
-        matter, one end is minus the other.
+        matter, one end is minus the other. A field that is divided by the pressure, such as the
+        inertial number at a free surface, or that is not of xcg, ends at the 98th, 95th or 90th
+        percentile where larger numbers are more than four times the 90th; its label says so, also
+        on a profile. `vmax` or a ``norm`` shows all.
     **options
         For matplotlib: of lines, such as ``color`` and ``linewidth``; of maps and grains, such as
         ``norm="log"`` and ``alpha``.
@@ -141,15 +146,22 @@ def plot(
         drawing.set_title(ax, _title(picture))
         return ax
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, index, phase).compute()
-    name, axes = picture.attrs["drawn"], axes_of(picture)
+    (picture,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
+    name = picture.attrs["drawn"]
+    axes = axes_of(picture)
+    values = _known([picture[name]])
+    shown_values = values
+    if vmax is None and "norm" not in options:
+        (picture,), shown_values = _without_tail([picture], values)
     ax = drawing.new_axes(ratio=_ratio(picture, axes)) if ax is None else ax
     try:
         if len(axes) == 1:
+            before = _limits(ax, axes[0]) if ax.has_data() else ()
             _draw_profile(picture, name, axes[0], ax, options)
+            if shown_values is not values:
+                _set_limits(ax, axes[0], np.concatenate([shown_values, before]))
         else:
-            values = _known([picture[name]])
-            colours = drawing.colours_of(values, cmap, vmin, vmax)
+            colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
             if "color" in options:
                 raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
             if "norm" in options:
@@ -291,11 +303,14 @@ def movie(
         for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
             bar.update()
+    steps = _without_empty_parts(steps, f)
     with shown(count, progress, what="frames drawn") as bar:
         values = _known([step[name] for step in steps])
-        low, high = drawing.ends_of(values)
+        shown_values = values
+        if vmax is None:
+            steps, shown_values = _without_tail(steps, values)
         fastest = max(_fastest(step) for step in steps)
-        colours = drawing.colours_of(values, cmap, vmin, vmax)
+        colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
         axes = axes_of(steps[0])
         ratio = _ratio(steps[0], axes)
         size = FRAME if ratio is None else drawing.size_of_figure(FRAME, ratio)
@@ -308,8 +323,7 @@ def movie(
             ax.clear()
             if len(axes) == 1:
                 _draw_profile(steps[k], name, axes[0], ax)
-                margin = 0.05 * (high - low)
-                (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
+                _set_limits(ax, axes[0], shown_values)
             else:
                 mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
                 if k == 0 and len(figure.axes) == 1:
@@ -447,8 +461,8 @@ def numbers_of(
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
     part = _part(with_time(f), field, component, direction, at, None, "flat")
-    step = _one_step(part, index, phase)
-    return step[field].transpose(*axes_of(step)[::-1], ...).compute()
+    (step,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
+    return step[field].transpose(*axes_of(step)[::-1], ...)
 
 
 def without_air(f: xr.Dataset, name: str) -> xr.DataArray:
@@ -508,7 +522,7 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     cut = f.sel(at, method="nearest") if at else f
     if len(axes := axes_of(cut)) < 3:
         return cut
-    shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
+    shortest = min(axes, key=lambda a: abs(float(cut[a][-1] - cut[a][0])))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 
@@ -518,6 +532,20 @@ def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Datas
     if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
+
+
+def _without_empty_parts(steps: list[xr.Dataset], f: xr.Dataset) -> list[xr.Dataset]:
+    """Leave out components that are zero in all steps of a layer: the one across it, of spins those along it."""
+    values = [step[step.attrs["drawn"]] for step in steps]
+    plane = str(f.attrs.get("plane", "xyz"))
+    if len(plane) > 2 or "component" not in values[0].dims:
+        return steps
+    is_used = np.zeros(values[0].sizes["component"], bool)
+    for value in values:
+        is_used |= (value != 0).any([dim for dim in value.dims if dim != "component"]).to_numpy()
+    if not is_used.any():
+        is_used = values[0]["component"].isin([*plane]).to_numpy()
+    return [step.isel(component=is_used) for step in steps]
 
 
 def _labelled(part: T, dim: str, label: int | str) -> T:
@@ -547,6 +575,47 @@ def _fastest(picture: xr.Dataset) -> float:
     parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
     size = _known([np.hypot(*parts)] if parts else [[]])
     return float(np.percentile(size, FASTEST)) if size.size else 0.0
+
+
+def _without_tail(steps: list[xr.Dataset], values: NDArray) -> tuple[list[xr.Dataset], NDArray]:
+    """Return steps that say on their label where a picture ends, and the numbers (n,) up to there.
+
+    A field that is divided by the pressure, such as the inertial number, is thousands of times
+    larger at a free surface than elsewhere.
+    """
+    name = steps[0].attrs["drawn"]
+    label = drawing.long_name_of(steps[0][name], name)
+    shown, note = drawing.without_tail(values) if may_diverge(steps[0][name]) else (values, "")
+    if not note:
+        return steps, values
+    steps = [
+        step.assign({name: step[name].assign_attrs(long_name=f"{label}{note}")}) for step in steps
+    ]
+    return steps, shown
+
+
+def may_diverge(value: xr.DataArray) -> bool:
+    """Return whether a field may be a quotient whose denominator vanishes: by the pressure, or of the user's own."""
+    name = str(value.name)
+    if name not in FIELDS:
+        return "source" not in value.attrs  # sums and means of variables have one
+    row = FIELDS[name]
+    if row.additive or row.weight:
+        return False
+    return name in REGISTERED or "pressure" in order_of((name,), Options())
+
+
+def _limits(ax: Axes, axis: str) -> tuple[float, float]:
+    """Return the ends of the numbers in a profile along an axis."""
+    low, high = ax.get_xlim() if axis == "z" else ax.get_ylim()
+    return low, high
+
+
+def _set_limits(ax: Axes, axis: str, values: NDArray) -> None:
+    """Let a profile along an axis end at the smallest and the largest of some numbers."""
+    low, high = drawing.ends_of(values)
+    margin = 0.05 * (high - low)
+    (ax.set_xlim if axis == "z" else ax.set_ylim)(low - margin, high + margin)
 
 
 # --- drawing ---------------------------------------------------------------------------------------------

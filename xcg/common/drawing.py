@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BOTH_SIGNS = (
     0.1  # of the larger end of a field, which the smaller one has where colours are about zero
 )
+PERCENTILES = (90, 95, 98)  # of sizes, where a picture may end
+FAR = 4.0  # times the first of these: beyond, numbers are so large that others could not be told apart
 SMOOTH = 400  # cells along an axis of a smooth map
 ROUNDED = 1.5  # nodes over which the rim of a smooth map is rounded
 NEAREST = 0.1  # of the distance between nodes: a rim is at least as far from every node
@@ -174,6 +176,21 @@ def check_ends(low: float, high: float, vmin: float | None, vmax: float | None) 
             f"{given}: the colours would go from {low:.4g} to {high:.4g}; expected vmin below vmax, and numbers "
             "between them"
         )
+
+
+def without_tail(values: NDArray) -> tuple[NDArray, str]:
+    """Return numbers without the tail that makes a picture flat, and a note for its label.
+
+    Numbers far beyond the 90th percentile of all sizes are set to the highest of `PERCENTILES` that
+    is not. The note is empty where there are none.
+    """
+    size = np.abs(values)
+    # of few numbers, too, a percentile is one of them
+    levels = np.percentile(size, PERCENTILES, method="lower") if size.size else np.zeros(3)
+    if not 0 < FAR * levels[0] < size.max(initial=0.0):
+        return values, ""
+    k = np.flatnonzero(levels <= FAR * levels[0])[-1]
+    return values.clip(-levels[k], levels[k]), f", up to its {PERCENTILES[k]}th percentile"
 
 
 def _has_both_signs(values: NDArray) -> bool:

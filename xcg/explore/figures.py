@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.plots import may_diverge
 from xcg.common import drawing
 from xcg.common.checks import extra
-from xcg.scene.frame import evenly_spaced
+from xcg.scene.frame import evenly_spaced, with_rising
 from xcg.scene.schema import COMPONENTS
 
 LONGEST = 520  # pixels of the longer side of a map
@@ -93,6 +94,7 @@ class Map:
     def draw(self, numbers: xr.DataArray) -> None:
         """Draw numbers (up, across). The view stays as the user zoomed it while the axes stay."""
         up, across = (str(dim) for dim in numbers.dims)
+        numbers = with_rising(numbers, (up, across))
         for axis in (across, up):
             if numbers.sizes[axis] > 2:
                 evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
@@ -100,6 +102,10 @@ class Map:
         x, width = edges_across[0], edges_across[-1] - edges_across[0]
         y, height = edges_up[0], edges_up[-1] - edges_up[0]
         known = values[np.isfinite(values)]
+        label = label_of(numbers, str(numbers.name))
+        if may_diverge(numbers):
+            known, note = drawing.without_tail(known)
+            label += note
         colours = drawing.colours_of(known, None, None, None)
         palette = self._palettes.Viridis256
         if colours["cmap"] != "viridis":
@@ -117,7 +123,7 @@ class Map:
             figure.frame_height = max(SHORTEST, round(LONGEST * height / longest))
         figure.xaxis.axis_label = label_of(numbers[across], across)
         figure.yaxis.axis_label = label_of(numbers[up], up)
-        figure.title.text = _title(label_of(numbers, str(numbers.name)), place_of(numbers))
+        figure.title.text = _title(label, place_of(numbers))
 
     def draw_grains(self, circles: Mapping[str, NDArray], count: int) -> None:
         """Draw circles of grains, of `count` in all."""
