@@ -40,6 +40,26 @@ INERTIAL = {
     "inertial_number_dbar": "d_bar",
 }
 NAMES = (*QUANTITIES, *STRAIN, *INERTIAL)
+# quantities by the symbols and words that others use for them
+_OTHER_NAMES = {
+    "z": "coordination_number",
+    "phi": "volume_fraction",
+    "nu": "volume_fraction",
+    "porosity": "volume_fraction",
+    "void_fraction": "volume_fraction",
+    "packing_fraction": "volume_fraction",
+    "solid_fraction": "volume_fraction",
+    "p": "mean_stress",
+    "pressure": "mean_stress",
+    "q": "deviator_stress",
+    "eta": "stress_ratio",
+    "rattlers": "rattler_count",
+    "mixing": "lacey_index",
+    "mixing_index": "lacey_index",
+    "segregation": "segregation_index",
+    "inertial_number": "inertial_number_d50",
+    "gsd": "d50",
+}
 
 
 @takes_scene
@@ -324,7 +344,11 @@ def _choose(
             if name not in NAMES:
                 raise ValueError(
                     unknown(
-                        "quantity", name, NAMES, "others are listed on the page on microstructure"
+                        "quantity",
+                        name,
+                        NAMES,
+                        "others are listed on the page on microstructure",
+                        _OTHER_NAMES,
                     )
                 )
         mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
