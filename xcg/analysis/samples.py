@@ -21,7 +21,7 @@ grains of a finite population. That is about ``sqrt(2 / K) / (n - 1)`` for K cel
 cells of ten grains or more are believed.
 
 The index of segregation compares heights of centres, ``(z_a - z_rest) / (z_top - z_bottom)``, with
-those of the same grains sorted so that the phase has the uppermost places (where it is below the
+the heights of the same grains sorted so that the phase has the uppermost places (where it is below the
 rest, the lowest): 1 where the phase lies on top, -1 at the bottom, 0 on average at random, whatever
 its share. Heights weigh by volumes. In a
 uniform bed of height H it is ``2 (z_a - z_rest) / H``.
@@ -465,7 +465,7 @@ class Mixture:
         """Return the standard deviation of Lacey's index in a random mixture, of first order.
 
         Numbers of a phase in cells of n_k grains are taken as binomial, and for the bulk deviations
-        of the phases are added, as those of two phases are equal.
+        of the phases are added, as the two of a mixture of two phases are equal.
         """
         size = np.bincount(self.cells)
         if len(size) < 2:
