@@ -120,8 +120,9 @@ def shorten_methods(app, what, name, obj, options, lines):
 
 
 def link_pages(app, *names_and_text):
-    """Replace links to the gallery and its scripts by links to their pages."""
+    """Replace links to the gallery and its scripts by links to their pages, and comments by index entries."""
     text = names_and_text[-1]
+    text[0] = re.sub(r"<!-- index: (.*?) -->", r"```{index} \1\n```", text[0])
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
     text[0] = re.sub(r"\]\(\.\./(examples/)?gallery\)", "](gallery/index.rst)", text[0])
 
