@@ -196,9 +196,9 @@ def microstructure(
     lacey_noise                        its standard deviation in a random mixture, about                    [11]_
                                        :math:`\sqrt{2 / K} / (n - 1)` for K cells of n grains
     grains_per_cell                    :math:`N / K`, over the K cells that are not empty
-    segregation_index                  :math:`(z_a - z_{rest}) / (z_{top} - z_{bottom})`, heights of        [12]_
-                                       centres, over their difference if the grains were sorted: 1 on
-                                       top, -1 at the bottom, 0 mixed; :math:`2 (z_a - z_{rest}) / H` in a uniform bed
+    segregation_index                  :math:`(z_a - z_{rest}) / (z_{top} - z_{bottom})`, from centres:     [12]_
+                                       1 on top, -1 at the bottom, 0 mixed;
+                                       :math:`2 (z_a - z_{rest}) / H` in a uniform bed
     concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
     random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
     segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
