@@ -204,6 +204,7 @@ def test_misspelt_names_suggest_the_right_ones(scene, method, given, message):
         (lambda ds: ds.cg.coarse_grain("velocity, stress"), r"a list, \['velocity', 'stress'\]"),
         (lambda ds: ds.cg.coarse_grain("density", kernel="tophat"), "did you mean 'heaviside'"),
         (lambda ds: ds.cg.coarse_grain("density", cutoff=1.0), r"kernel=xcg.Lucy\(cutoff=0.01\)"),
+        (lambda ds: ds.cg.coarse_grain("density", walls=[]), "did you mean 'surfaces'"),
         (lambda ds: ds.cg.coarse_grain("density", nx=10), "did you mean 'spacing'"),
         (lambda ds: ds.cg.coarse_grain("density", periodic=True), r"given to xcg\.open_scene"),
         (lambda ds: ds.cg.principal("stress"), r"ds\.cg\.coarse_grain\('stress'\)\.cg\.principal"),

@@ -115,6 +115,7 @@ _OTHER_ARGUMENTS = {
     "slice": "at",
     "points": "at",
     "point": "at",
+    "walls": "surfaces",
     "stiffness": "k_n",
     "kn": "k_n",
     "colour": "cmap",
