@@ -121,9 +121,16 @@ def shorten_methods(app, what, name, obj, options, lines):
         del lines[1:]
 
 
+def main_entries(comment):
+    """Write a comment of words as index entries, which the search ranks highest if they are main ones."""
+    words = [f"! {word}" for word in comment[1].split(", ")]
+    return f"```{{index}} {', '.join(words)}\n```"
+
+
 def link_pages(app, *names_and_text):
-    """Replace links to the gallery and its scripts by links to their pages."""
+    """Replace links to the gallery and its scripts by links to their pages, and comments by index entries."""
     text = names_and_text[-1]
+    text[0] = re.sub(r"<!-- index: (.*?) -->", main_entries, text[0])
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
     text[0] = re.sub(r"\]\(\.\./(examples/)?gallery\)", "](gallery/index.rst)", text[0])
 

@@ -11,16 +11,21 @@ from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 
 HEAD = r"""# Fields
 
-`ds.cg.coarse_grain([...])` takes these fields by name, and without names all fields without a star that need neither
-two steps nor `fluid_viscosity`. Psi is the kernel, and sums run over all grains and periodic images that reach the
-node. [Theory](theory.md) derives the formulas and lists [variants of definitions](theory.md#variants-of-definitions).
-[Custom fields](custom.md) are taken by name as well, and so is [any variable of the scene](custom.md#any-variable).
-Fields under *Displacement and strain* compare two steps; [`ds.cg.displacement`](displacement.md) takes their names
-instead.
+`ds.cg.coarse_grain(["density", "velocity"])` computes fields by name. Without names it computes all fields below that
+the scene and the arguments allow, except those marked \*. Symbols, shapes and missing values are explained [at the
+end](#notation).
+"""
+TABLE = """
+| field | meaning and formula | kind | unit | additive | averages |
+|---|---|---|---|---|---|
+"""
+TAIL = r"""
+## Notation
 
-$f_{ij}$ is the force on i by j, $a_{ij} = r_i - c$ the vector from the contact point c to the centre, n the unit normal
-of a contact, l the length of a branch, $z_i$ the number of partners, D the dimension of the scene. [Standard
-errors](width.md#standard-errors) defines S, $\Theta$ and $N_\mathrm{left}$.
+Psi is the kernel, and sums run over all grains and periodic images that reach the node. $f_{ij}$ is the force on i by
+j, $a_{ij} = r_i - c$ the vector from the contact point c to the centre, n the unit normal of a contact, l the length of
+a branch, $z_i$ the number of partners, D the dimension of the scene. [Standard errors](width.md#standard-errors)
+defines S, $\Theta$ and $N_\mathrm{left}$. In a one-layer scene D = 2, and traces run over the two axes of the plane.
 
 - Vectors have the dimension `component`. Tensors have `component` (of the force or velocity) and `direction` (of the
   face or derivative), so `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
@@ -33,15 +38,13 @@ errors](width.md#standard-errors) defines S, $\Theta$ and $N_\mathrm{left}$.
   grains are too few for its [correction](theory.md), that is, where rho_T (`fluctuation_density`) is less than half
   of what one grain contributes to rho on average.
 - Friction coefficient and inertial number are NaN where p <= 0.
+- Fields under *Displacement and strain* compare two steps; [`ds.cg.displacement`](displacement.md) computes them.
+- `viscous_number` and `effective_viscosity` need `fluid_viscosity=`. `concentration`, `segregation_flux`,
+  `interphase_force` and `contact_stress_by_pair` need `by=`.
 
-In a one-layer scene D = 2, and traces run over the two axes of the plane.
-"""
-TABLE = """
-| field | meaning and formula | kind | unit | additive | averages |
-|---|---|---|---|---|---|
-"""
-TAIL = """
-These tables are made by `python docs/fields.py`; `xcg fields` prints all formulas.
+[Theory](theory.md) derives the formulas and lists [variants of definitions](theory.md#variants-of-definitions). [Custom
+fields](custom.md) and [any variable of the scene](custom.md#any-variable) are computed by name as well. These tables
+are made by `python docs/fields.py`; `xcg fields` prints all formulas.
 """
 # headings of the topics, and pages that say more
 TITLES = {

@@ -193,6 +193,40 @@ def test_misspelt_names_suggest_the_right_ones(scene, method, given, message):
         getattr(scene.cg, method)(given)
 
 
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda ds: ds.cg.coarse_grain("principal"), r"f\.cg\.principal\('stress'\)"),
+        (lambda ds: ds.cg.coarse_grain("eigenvalues"), r"f\.cg\.principal\('stress'\)"),
+        (lambda ds: ds.cg.coarse_grain("lacey_index"), r"microstructure\(\['lacey_index'"),
+        (lambda ds: ds.cg.coarse_grain("rdf"), r"radial_distribution\(r_max\)"),
+        (lambda ds: ds.cg.coarse_grain("all"), "leave fields out"),
+        (lambda ds: ds.cg.coarse_grain("velocity, stress"), r"a list, \['velocity', 'stress'\]"),
+        (lambda ds: ds.cg.coarse_grain("density", kernel="tophat"), "did you mean 'heaviside'"),
+        (lambda ds: ds.cg.coarse_grain("density", cutoff=1.0), r"kernel=xcg.Lucy\(cutoff=0.01\)"),
+        (lambda ds: ds.cg.coarse_grain("density", walls=[]), "did you mean 'surfaces'"),
+        (lambda ds: ds.cg.coarse_grain("density", nx=10), "did you mean 'spacing'"),
+        (lambda ds: ds.cg.coarse_grain("density", periodic=True), r"given to xcg\.open_scene"),
+        (lambda ds: ds.cg.principal("stress"), r"ds\.cg\.coarse_grain\('stress'\)\.cg\.principal"),
+        (lambda ds: ds.cg.profile("z"), "this is a scene"),
+        (lambda ds: ds.cg.microstructure("phi"), "did you mean 'volume_fraction'"),
+        (lambda ds: ds.cg.select("species = 1"), "== compares"),
+        (lambda ds: ds.cg.select("type == 1"), "did you mean 'species'"),
+        (lambda ds: ds.cg.info, r"print\(ds\.cg\)"),
+        (lambda ds: ds.cg.to_dataframe, r"xarray, ds\.to_dataframe"),
+        (lambda ds: ds.cg.mixing_index, r"microstructure\(\['lacey_index'"),
+        (lambda ds: ds.cg.principal_stress, "did you mean 'principal'"),
+        (lambda ds: ds.cg.strain, r"ds\.cg\.displacement\('strain'\)"),
+        (lambda ds: ds.cg.rotate, r"frame=xcg\.Rotated"),
+        (lambda ds: xcg.read_lammps, "did you mean 'open_scene'"),
+        (lambda ds: xcg.scene_from_arrays(ds.position[0], dim=2), "did you mean dimension="),
+    ],
+)
+def test_words_of_others_are_answered_with_the_call(scene, call, message):
+    with pytest.raises((AttributeError, TypeError, ValueError), match=message):
+        call(scene)
+
+
 def test_misspelt_names_of_a_preset_suggest_the_right_ones(scene):
     with pytest.raises(ValueError, match="did you mean 'density_mixture'"):
         scene.cg.coarse_grain("density_mixtur", preset="pysammos", width=1.0)

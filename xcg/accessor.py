@@ -38,27 +38,51 @@ _OTHER_NAMES = {
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
+    "principal_stress": "principal",
+    "eigenvalues": "principal",
+    "slope": "fit_slope",
     "query": "select",
     "where": "select",
     "filter": "select",
+    "crop": "select",
     "to_netcdf": "save",
     "to_zarr": "save",
     "write": "save",
     "export": "save",
     "to_vtk": "to_vtu",
     "to_paraview": "to_vtkhdf",
+    "paraview": "to_vtkhdf",
+    "quiver": "plot",
+    "streamplot": "plot",
+    "contour": "plot",
+    "scatter": "plot",
+    "render": "view",
     "animate": "movie",
     "show": "view",
 }
 
 
+_DESCRIBING = ("info", "describe", "summary", "help")
+_TURNING = ("rotate", "rotated", "tilt", "cylindrical")
+
+
 def _likely_call(name: str) -> str:
-    """Return the method, or the field, that was probably meant, as the end of a message."""
+    """Return the method, call or field that was probably meant, as the end of a message."""
     fields = import_module("xcg.fields.formulas.registry")
+    if name in fields.CALLS and name not in _OTHER_NAMES:
+        return f"; did you mean {fields.CALLS[name]}?"
+    if name in _DESCRIBING:
+        return "; print(ds.cg) describes a Dataset"
+    if name in _TURNING:
+        return "; other axes are an argument, frame=xcg.Rotated(...) or frame=xcg.Cylindrical(...)"
     field = fields.OTHER_NAMES.get(name, name)
     methods = [n for n, m in vars(CoarseGrainAccessor).items() if isinstance(m, Method)]
+    if field in fields.FIELDS and fields.FIELDS[field].option == "lag":
+        return f"; did you mean ds.cg.displacement({field!r})?"
     if field in fields.FIELDS and name not in _OTHER_NAMES:
         return f"; a field is computed by its name, ds.cg.coarse_grain({field!r})"
+    if hasattr(xr.Dataset, name) and name not in _OTHER_NAMES:
+        return f"; it is a method of xarray, ds.{name}"
     messages = import_module("xcg.common.messages")
     return str(messages.did_you_mean(name, methods, synonyms=_OTHER_NAMES))
 

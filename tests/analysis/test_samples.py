@@ -8,6 +8,9 @@ import pytest
 
 import xcg
 
+# scenes here are small, so that their indices scatter
+pytestmark = pytest.mark.filterwarnings("ignore:lacey_index scatters")
+
 MIXING = [
     "lacey_index", "concentration_variance", "random_concentration_variance", "segregated_concentration_variance",
     "mixing_entropy", "nearest_neighbour_index",
@@ -62,6 +65,114 @@ def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
     few = scene(x[:3], [1, 1, 2], box=BOX)
     with pytest.warns(xcg.SceneWarning, match="the region holds too few grains"):
         few.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
+
+
+def mixed(count, share, edges, seed=0):
+    """Grains at random places of a box, a share of them at random of species 2."""
+    rng = np.random.default_rng(seed)
+    species = np.where(rng.permutation(count) < share * count, 2, 1)
+    position = rng.random((count, 3)) * edges
+    return scene(position, species, 0.3, [[0, edge] for edge in edges], periodic="xy"), rng
+
+
+@pytest.mark.parametrize(("share", "cell"), [(0.5, 1.0), (0.25, 2.0), (0.25, {"z": 0.5})])
+def test_the_index_of_random_mixtures_has_mean_one_and_the_noise_of_its_formula(share, cell):
+    ds, rng = mixed(400, share, (4.0, 4.0, 8.0))
+    noise = ds.cg.microstructure("lacey_noise", by="species", cell=cell).lacey_noise[0, 0].item()
+    # each step is another arrangement of the same grains
+    species = np.array([rng.permutation(ds.species.values[0]) for _ in range(150)])
+    many = ds.isel(time=[0] * 150).assign_coords(
+        time=np.arange(150.0), step=("time", np.arange(150))
+    )
+    many["species"] = (("time", "particle"), species)
+    index = many.cg.microstructure("lacey_index", by="species", cell=cell).lacey_index
+    index = index.sel(phase="bulk")
+    assert index.mean().item() == pytest.approx(1.0, abs=4 * noise / np.sqrt(150))
+    assert index.std().item() == pytest.approx(noise, rel=0.25)  # 4 sqrt(1 / 300)
+
+
+@pytest.mark.filterwarnings("default:lacey_index scatters")
+def test_cells_of_few_grains_warn_and_the_named_cell_does_not():
+    ds, _ = mixed(60, 0.5, (4.0, 4.0, 4.0))
+    with pytest.warns(
+        xcg.SceneWarning, match="lacey_index scatters by .* grains on average"
+    ) as found:
+        ds.cg.microstructure("lacey_index", by="species", cell=1.0).compute()
+    cell = float(re.search(r"take cell=([\d.]+) or more", str(found[0].message))[1])
+    m = ds.cg.microstructure(["lacey_index", "lacey_noise"], by="species", cell=cell).compute()
+    assert (m.lacey_noise <= 0.1).all()
+
+
+def test_one_cell_has_no_index():
+    ds, _ = mixed(60, 0.5, (4.0, 4.0, 4.0))
+    with pytest.warns(xcg.SceneWarning, match="one cell holds all 60 grains"):
+        m = ds.cg.microstructure("lacey_index", by="species", cell=9.0).compute()
+    assert np.isnan(m.lacey_index).all()
+
+
+def test_layers_across_a_bed_see_segregation_over_height_alone():
+    """Halves beside each other are mixed over the height, and apart in cells."""
+    x = lattice()
+    beside = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX)
+    above = scene(x, np.where(x[:, 2] < 2, 1, 2), box=BOX)
+    layers, cells = {"cell": {"z": 1.0}}, {"cell": 2.0}
+    assert measured(beside, **layers)["concentration_variance"] == 0.0
+    assert measured(beside, **cells)["lacey_index"] == pytest.approx(0.0, abs=1e-14)
+    assert measured(above, **layers)["lacey_index"] == pytest.approx(0.0, abs=1e-14)
+    grains = beside.cg.microstructure("grains_per_cell", by="species", **layers).grains_per_cell
+    assert (grains == 16.0).all()
+
+
+# --- segregation ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("below", [1, 2, 3])
+def test_layers_have_the_largest_index_of_segregation_and_centres_half_a_height_apart(below):
+    x = lattice()
+    ds = scene(x, np.where(x[:, 2] < below, 1, 2), diameter=0.7, box=BOX, periodic="xy")
+    m = ds.cg.microstructure(["segregation_index", "centre_of_mass"], by="species").isel(time=0)
+    assert m.segregation_index.sel(phase="2").item() == pytest.approx(1.0, rel=1e-14)
+    assert m.segregation_index.sel(phase="1").item() == pytest.approx(-1.0, rel=1e-14)
+    assert np.isnan(m.segregation_index.sel(phase="bulk"))
+    z = m.centre_of_mass.sel(component="z")
+    assert z.sel(phase="bulk").item() == pytest.approx(2.0, rel=1e-14)
+    assert (z.sel(phase="2") - z.sel(phase="1")).item() == pytest.approx(2.0, rel=1e-14)
+    assert np.isnan(m.centre_of_mass.sel(component=["x", "y"])).all()  # they are periodic
+
+
+def test_the_index_of_segregation_is_that_of_the_share_exchanged():
+    """A bed of layers in which a share e of both is exchanged: 1 - 2 e."""
+    x = lattice()
+    species = np.where(x[:, 2] < 2, 1, 2)
+    exchanged = (x[:, 0] < 1) & (x[:, 1] < 1)  # a sixteenth, at all heights
+    ds = scene(x, np.where(exchanged, 3 - species, species), box=BOX)
+    m = ds.cg.microstructure("segregation_index", by="species").segregation_index.isel(time=0)
+    assert m.sel(phase="2").item() == pytest.approx(1 - 2 / 16, rel=1e-13)
+    assert m.sel(phase="1").item() == pytest.approx(-(1 - 2 / 16), rel=1e-13)
+    checkers = scene(x, 1 + (x[:, :2] - 0.5).sum(axis=1).astype(int) % 2, box=BOX)
+    m = checkers.cg.microstructure("segregation_index", by="species").segregation_index
+    assert m.sel(phase="1").item() == pytest.approx(0.0, abs=1e-14)
+
+
+def test_segregation_of_sizes_weighs_heights_by_volume():
+    """Eight small grains above one large one of the same volume: on top, in places of one large one."""
+    position = [[0.0, 0, 1.0], *([k, 0.0, 3.0] for k in range(8))]
+    ds = scene(position, [2, *[1] * 8], diameter=[1.0, *[0.5] * 8])
+    m = ds.cg.microstructure(["segregation_index", "centre_of_mass"], by="species").isel(time=0)
+    assert m.segregation_index.sel(phase="1").item() == pytest.approx(1.0, rel=1e-14)
+    assert m.centre_of_mass.sel(component="z").values == pytest.approx([2.0, 3.0, 1.0])
+    along_x = ds.cg.microstructure("segregation_index", by="species", axis="x").isel(time=0)
+    # the first of the small grains is beside the large one, at the lowest place
+    assert 0 < along_x.segregation_index.sel(phase="1").item() <= 1 + 1e-14
+
+
+def test_a_periodic_axis_has_no_segregation_without_bounds():
+    ds, _ = mixed(60, 0.5, (4.0, 4.0, 4.0))
+    with pytest.raises(ValueError, match="periodic along 'x'"):
+        ds.cg.microstructure("segregation_index", by="species", axis="x")
+    bounds = {"x": (0.0, 4.0)}
+    options = {"by": "species", "axis": "x", "bounds": bounds}
+    assert np.isfinite(ds.cg.microstructure("segregation_index", **options).segregation_index[0, 1])
 
 
 def test_separated_halves_have_a_lacey_index_of_zero():
@@ -212,7 +323,8 @@ def test_one_phase_and_wrong_arguments_raise():
     with pytest.raises(ValueError, match="say which phases are mixed with by="):
         ds.cg.microstructure("lacey_index")
     for options, message in (
-        ({"cell": 0.0}, "cell=0.0"), ({"mixing_weight": "mass"}, "mixing_weight='mass'"),
+        ({"cell": 0.0}, "cell=0.0"), ({"cell": {"q": 1.0}}, "edges by axis"),
+        ({"mixing_weight": "mass"}, "mixing_weight='mass'"),
         ({"neighbours": 0}, "neighbours=0"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):

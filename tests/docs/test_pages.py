@@ -94,6 +94,26 @@ def test_every_public_name_has_a_page():
         assert pkgutil.resolve_name(f"xcg.{name}").__doc__, name
 
 
+def test_names_of_the_api_are_alphabetical_within_their_groups():
+    groups = (ROOT / "docs" / "api.md").read_text().split("\n## ")[1:]
+    for group in groups:
+        paths = re.findall(r"^   ([\w.]+)$", group, re.MULTILINE)
+        names = [path.rpartition(".")[2].lower() for path in paths]
+        assert names == sorted(names), group.partition("\n")[0]
+
+
+def test_words_of_the_index_lead_to_one_answer():
+    """The search of the site finds answers of "How do I ...?" by these words."""
+    page = (ROOT / "docs" / "how_do_i.md").read_text()
+    answers = page.split("\n### ")[1:]
+    words = [re.findall(r"<!-- index: (.*) -->", answer) for answer in answers]
+    assert [answer for answer, lists in zip(answers, words, strict=True) if len(lists) != 1] == []
+    entries = [entry for (line,) in words for entry in line.split(", ")]
+    assert len(entries) == len(set(entries))
+    asked = {"units", "periodic", "volume fraction near wall", "compare two simulations"}
+    assert asked | {"principal stress", "radial distribution", "time average"} <= set(entries)
+
+
 @pytest.mark.parametrize(
     ("formula", "expected"),
     [

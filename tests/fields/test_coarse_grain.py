@@ -605,7 +605,7 @@ def test_labels_and_provenance(tmp_path):
     assert f.stress.attrs["units"] == "Pa"
     assert f.velocity_gradient.attrs["units"] == "s^-1"
     assert float(f.y) == 1.0
-    assert "coarse_grain(width=1.5" in f.attrs["history"]
+    assert "coarse_grain(axes='xz', width=1.5" in f.attrs["history"]
     f.to_netcdf(tmp_path / "f.nc")
     with xr.open_dataset(tmp_path / "f.nc") as again:
         xr.testing.assert_equal(again, f)

@@ -96,6 +96,42 @@ def test_lattices_and_two_layers_do_not_warn(chute):
     assert not said(above, diameter=np.tile(diameter, 2), **SCALED)
 
 
+K = np.arange(8.0)
+CUBIC = np.stack(np.meshgrid(K, K, K), axis=-1).reshape(-1, 3)
+SQUARE = np.stack(np.meshgrid(*[np.arange(20.0)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+HEXAGONAL = SQUARE * [1.0, np.sqrt(0.75), 1.0] + 0.5 * (SQUARE[:, [1]] % 2) * [1.0, 0.0, 0.0]
+FACES = np.concatenate([CUBIC, *(CUBIC + 0.5 * (1 - np.eye(3)[k]) for k in range(3))])
+LATTICES = {  # with a distance of 1 between neighbours
+    "cubic": CUBIC,
+    "body-centred": np.concatenate([CUBIC, CUBIC + 0.5]) / np.sqrt(0.75),
+    "face-centred": FACES * np.sqrt(2),
+    "square": SQUARE,
+    "hexagonal": HEXAGONAL,
+}
+
+
+@pytest.mark.parametrize("name", LATTICES)
+@pytest.mark.parametrize("jitter", [0.003, 0.02, 0.05])
+def test_loose_lattices_with_scatter_do_not_warn(name, jitter):
+    """Grains that a simulation starts from, at distances near which radii as diameters would be."""
+    sites = LATTICES[name]
+    plane = np.array([1.0, 1.0, np.ptp(sites[:, 2]) > 0])
+    scatter = jitter * np.random.default_rng(6).uniform(-1, 1, sites.shape) * plane
+    for distance in (1.9, 1.97, 2.04, 10.0):
+        options = SCALED | {"dimension": int(plane.sum())}
+        place = distance * (sites + scatter)
+        assert not said(place, diameter=np.ones(len(sites)), **options)
+
+
+@pytest.mark.parametrize("sample", ["plane_shear", "shear_cell_0.1", "hopper_6", "suspension"])
+def test_radii_as_diameters_warn_in_other_samples(sample):
+    """The most ordered and the loosest packings of the samples."""
+    ds = xcg.datasets.open(sample).isel(time=0).load()
+    options = SCALED | {"dimension": ds.attrs["dimension"], "plane": ds.attrs.get("plane")}
+    (message,) = said(ds.position.values, diameter=0.5 * ds.diameter.values, **options)
+    assert "radii were given as diameters" in message
+
+
 @pytest.mark.parametrize("apart", [0.3, 0.5, 0.7])
 def test_rods_of_spheres_that_overlap_do_not_warn(apart):
     rng = np.random.default_rng(2)

@@ -40,6 +40,26 @@ INERTIAL = {
     "inertial_number_dbar": "d_bar",
 }
 NAMES = (*QUANTITIES, *STRAIN, *INERTIAL)
+# quantities by the symbols and words that others use for them
+_OTHER_NAMES = {
+    "z": "coordination_number",
+    "phi": "volume_fraction",
+    "nu": "volume_fraction",
+    "porosity": "volume_fraction",
+    "void_fraction": "volume_fraction",
+    "packing_fraction": "volume_fraction",
+    "solid_fraction": "volume_fraction",
+    "p": "mean_stress",
+    "pressure": "mean_stress",
+    "q": "deviator_stress",
+    "eta": "stress_ratio",
+    "rattlers": "rattler_count",
+    "mixing": "lacey_index",
+    "mixing_index": "lacey_index",
+    "segregation": "segregation_index",
+    "inertial_number": "inertial_number_d50",
+    "gsd": "d50",
+}
 
 
 @takes_scene
@@ -57,7 +77,7 @@ def microstructure(
     strain_rate: RateSource | float | xr.DataArray | None = None,
     strain: StrainMeasure = "logarithmic",
     axis: str | None = None,
-    cell: float | None = None,
+    cell: float | Mapping[str, float] | None = None,
     mixing_weight: MixingWeight = "number",
     neighbours: int | None = None,
     on_error: OnError = "raise",
@@ -97,11 +117,14 @@ def microstructure(
     strain : str
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
-        Axis of the axial strain; by default the last of the scene.
-    cell : float, optional
+        Axis of the axial strain, and of heights in ``segregation_index``; by default the last of the
+        scene.
+    cell : float or mapping, optional
         Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
-        fill the region; by default 3 d43 of the region's grains. If no cell holds two grains, or
-        all grains are of one phase, ``lacey_index`` is NaN, with a warning.
+        fill the region; by default 3 d43 of the region's grains. By axis, other axes are not
+        divided: ``{"z": 0.01}`` samples layers, for an index of segregation over height. If no cell
+        holds two grains, one holds all, or all grains are of one phase, ``lacey_index`` is NaN, with
+        a warning; another warns where it scatters by more than 0.1 at random (``lacey_noise``).
     mixing_weight : {"number", "volume"}
         What grains count by in concentrations, their variances and entropy.
     neighbours : int, optional
@@ -163,12 +186,19 @@ def microstructure(
     stress_ratio                       :math:`\eta = q / p'`
     d_max, d50, d_bar                  largest; half of the volume is smaller;                              [2]_
                                        :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
+    centre_of_mass                     :math:`\sum m_i r_i / \sum m_i`, NaN along periodic axes
     particle_density                   :math:`\rho = \sum m_i / \sum V_i`
     strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
                                        2D: :math:`\sqrt{2 e:e}`
     volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
                                        engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
     lacey_index                        :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
+    lacey_noise                        its standard deviation in a random mixture, about                    [11]_
+                                       :math:`\sqrt{2 / K} / (n - 1)` for K cells of n grains
+    grains_per_cell                    :math:`N / K`, over the K cells that are not empty
+    segregation_index                  :math:`(z_a - z_{rest}) / (z_{top} - z_{bottom})`, from centres:     [12]_
+                                       1 on top, -1 at the bottom, 0 mixed;
+                                       :math:`2 (z_a - z_{rest}) / H` in a uniform bed
     concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
     random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
     segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
@@ -203,6 +233,8 @@ def microstructure(
        Conf. on Multiphase Flow.
     .. [10] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
        64.
+    .. [11] From the variance of binomial numbers in the cells, see `xcg.analysis.samples`.
+    .. [12] Staron, L., Phillips, J. C. (2014). Segregation time-scale in bi-disperse granular flows. Phys. Fluids 26.
 
     Examples
     --------
@@ -227,12 +259,27 @@ def microstructure(
     for name, value in counts.items():
         if not (isinstance(value, (int, np.integer)) and value >= 1):
             raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
-    if cell is not None and not is_positive(cell):
-        raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
+    edges = dict(cell) if isinstance(cell, Mapping) else {setup.plane[0]: cell}
+    is_right = all(a in [*setup.plane] and is_positive(edge) for a, edge in edges.items())
+    if cell is not None and not (edges and is_right):
+        raise ValueError(
+            f"cell={cell!r}: expected the edge of a cell (m), such as three diameters, or edges by axis "
+            f"such as {{{setup.plane[-1]!r}: 0.01}} for layers"
+        )
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
     if axis is not None and axis not in setup.plane:
         raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
+    up = axis or setup.plane[-1]
+    if (
+        "segregation_index" in names
+        and up in setup.periodic
+        and not all(up in r for r in regions.values())
+    ):
+        raise ValueError(
+            f"segregation_index: the box is periodic along {up!r}, and has no height there; name another axis=, "
+            "or bounds= along it"
+        )
     measured = _measured(names, rate)
     measure = Measure(
         names=measured,
@@ -248,11 +295,12 @@ def microstructure(
         cell=cell,
         by_volume=mixing_weight == "volume",
         neighbours=neighbours,
+        axis=up,
     )
     require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")
     call = format_call("microstructure", given)
     result = run(ds, measure, call=call, scene=scene, on_error=on_error)
-    return _with_series(ds, result, names, rate, strain, axis or setup.plane[-1])
+    return _with_series(ds, result, names, rate, strain, up)
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:
@@ -324,7 +372,11 @@ def _choose(
             if name not in NAMES:
                 raise ValueError(
                     unknown(
-                        "quantity", name, NAMES, "others are listed on the page on microstructure"
+                        "quantity",
+                        name,
+                        NAMES,
+                        "others are listed on the page on microstructure",
+                        _OTHER_NAMES,
                     )
                 )
         mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]

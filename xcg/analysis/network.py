@@ -133,8 +133,8 @@ def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = Fals
 
     See Also
     --------
-    adjacency : The same network as a sparse matrix, without networkx. microstructure : Clusters,
-    percolation and the distribution of degrees (``connectivity``) over time.
+    adjacency : The same network as a sparse matrix, without networkx.
+    microstructure : Clusters, percolation and the distribution of degrees over time.
 
     Notes
     -----

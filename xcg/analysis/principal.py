@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_whole
 from xcg.common.messages import plain, unknown
+from xcg.fields.formulas.registry import OTHER_NAMES
 from xcg.scene.frame import step_at
 from xcg.scene.schema import COMPONENTS
 
@@ -83,8 +84,13 @@ def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
 def _tensor_of(f: xr.Dataset, field: str) -> xr.DataArray:
     """Return a tensor of a result; raise ValueError unless it is there with all its components."""
     tensors = [str(name) for name in f.data_vars if set(_TENSOR) <= set(f[name].dims)]
+    if field not in tensors and not tensors:
+        raise ValueError(
+            f"principal({field!r}): this Dataset holds no tensor field; call it on a result that does, "
+            f"ds.cg.coarse_grain({field!r}).cg.principal({field!r})"
+        )
     if field not in tensors:
-        raise ValueError(unknown("tensor of this result", field, tensors))
+        raise ValueError(unknown("tensor of this result", field, tensors, synonyms=OTHER_NAMES))
     for dim in _TENSOR:
         if f.sizes[dim] != 3:
             raise ValueError(

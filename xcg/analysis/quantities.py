@@ -18,6 +18,8 @@ virial : (3, 3)
 mixture, which
     All grains of the region by phase (`xcg.analysis.samples`), and the group: 0 the bulk, 1, 2, ...
     the phases.
+is_endless : (3,)
+    Whether the region is a whole period along an axis, so that heights have no meaning.
 region_volume, plane, min_contacts, max_connectivity, force_bins
     Volume (m3), axes of the scene, and options.
 """
@@ -179,6 +181,12 @@ def _of_mixture(method: str, s: Any) -> float:
     return getattr(s.mixture, method)(s.which) if len(s.mixture.phase) else np.nan
 
 
+def _centre_of_mass(s: Any) -> NDArray:
+    """Return the centre of mass (3,), NaN along periodic axes that no bounds end."""
+    centre = ratio((s.mass[:, None] * s.position).sum(axis=0), s.mass.sum())
+    return np.where(s.is_endless, np.nan, centre)
+
+
 def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
     compute = partial(_of_mixture, method)
     return PackingQuantity(
@@ -336,6 +344,14 @@ QUANTITIES: dict[str, PackingQuantity] = {
         units="kg m^-3",
         needs=("mass", "volume"),
     ),
+    "centre_of_mass": PackingQuantity(
+        "centre of mass",
+        "sum m_i r_i / sum m_i",
+        _centre_of_mass,
+        units="m",
+        dims=("component",),
+        needs=("mass",),
+    ),
     "strain_rate": PackingQuantity(
         "deviatoric strain rate",
         "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))",
@@ -345,6 +361,19 @@ QUANTITIES: dict[str, PackingQuantity] = {
     ),
     "lacey_index": _of_phases(
         "lacey", "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)"
+    ),
+    "lacey_noise": _of_phases(
+        "noise",
+        "standard deviation of Lacey's index in a random mixture",
+        "S_r^2 / (S_0^2 - S_r^2) sqrt((2 + (1 - 6 p q) / (p q) <1 / n_k>) (1 - K / N) / (K - 1)), q = 1 - p",
+    ),
+    "grains_per_cell": _of_phases(
+        "grains_per_cell", "mean number of grains in the cells that are not empty", "N / K"
+    ),
+    "segregation_index": _of_phases(
+        "segregation",
+        "height of the centre of a phase above that of the rest, over its largest value",
+        "(z_a - z_rest) / (z_top - z_bottom)",
     ),
     "concentration_variance": _of_phases(
         "variance", "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W"

@@ -15,8 +15,20 @@ share of phase a in cell k, p_a that in the region, W_k = sum w_i over the grain
 Lacey's index ``(S_0^2 - S^2) / (S_0^2 - S_r^2)`` is then 0 where phases are apart and 1 on average
 where they are at random. For the bulk, variances are summed over the phases.
 
+In a random mixture the index scatters by ``S_r^2 / (S_0^2 - S_r^2) sqrt((2 + (1 - 6 p q) / (p q)
+<1 / n_k>) (1 - K / N) / (K - 1))``, q = 1 - p, from the moments of binomial numbers in cells of n_k
+grains of a finite population. That is about ``sqrt(2 / K) / (n - 1)`` for K cells of n grains:
+cells of ten grains or more are believed.
+
+The index of segregation compares heights of centres, ``(z_a - z_rest) / (z_top - z_bottom)``, with
+the heights of the same grains sorted so that the phase has the uppermost places (where it is below the
+rest, the lowest): 1 where the phase lies on top, -1 at the bottom, 0 on average at random, whatever
+its share. Heights weigh by volumes. In a
+uniform bed of height H it is ``2 (z_a - z_rest) / H``.
+
 Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int.
-Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
+Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666; centres:
+Staron & Phillips (2014), Phys. Fluids 26, 033302.
 """
 
 from __future__ import annotations
@@ -48,7 +60,7 @@ Bounds = Mapping[str, Sequence[float]]
 NOT_A_RATTLER = {3: 4, 2: 3}
 _ROUNDING = 1e-9  # of a force, below which its tangential part is none
 CELL = 3.0  # edge of the cells that concentrations are sampled in, in mean diameters d43
-ENOUGH = 5  # grains in a cell, on average, that a warning recommends
+NOISY = 0.1  # scatter of Lacey's index in a random mixture from which a warning is given
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +78,8 @@ class Measure(FrameAnalysis):
         Values of `by`; empty without phases.
     depth : float or str or None
         Thickness of a one-layer scene (m), or the axis whose box extent it is.
+    axis : str
+        Axis that heights are measured along.
     """
 
     name = "microstructure"
@@ -80,9 +94,10 @@ class Measure(FrameAnalysis):
     iterative: bool
     max_connectivity: int
     force_bins: NDArray
-    cell: float | None
+    cell: float | Mapping[str, float] | None
     by_volume: bool
     neighbours: int
+    axis: str
 
     @property
     def needs(self) -> set[str]:
@@ -145,6 +160,9 @@ class Measure(FrameAnalysis):
                 sample = _sample(self, images, contacts, shared, member, volume)
                 sample.mixture = mixture
                 sample.which = p
+                sample.is_endless = [
+                    a in self.setup.periodic and a not in bounds for a in COMPONENTS
+                ]
                 samples.append(sample)
         lengths = [] if "" in self.regions else [len(self.regions)]
         if self.by is not None:
@@ -189,15 +207,18 @@ class Measure(FrameAnalysis):
             row, shift, _ = lattice.images(position, low, high, source)
             return row, (position[row] + shift)[:, axes] - lower
 
-        d43 = float(ratio((size**4).sum(), (size**3).sum()))
+        cell = self.cell or CELL * float(ratio((size**4).sum(), (size**3).sum()))
+        of_axes = cell if isinstance(cell, Mapping) else dict.fromkeys(self.setup.plane, cell)
         return Mixture(
             position=x - lower,
             phase=phase[inside],
             weight=frame["volume"][inside] if self.by_volume else np.ones(len(x)),
             lengths=lengths,
             wraps=whole,
-            cell=self.cell or CELL * d43,
+            cell=np.array([of_axes.get(a, np.inf) for a in self.setup.plane], float),
             neighbours=self.neighbours,
+            height=x[:, self.setup.plane.index(self.axis)],
+            volume=frame["volume"][inside],
             images=None if lattice.vectors is None else images,
         )
 
@@ -328,10 +349,14 @@ class Mixture:
         Extent of the region (m).
     wraps : array (D,)
         Whether the region is a whole period along an axis.
-    cell : float
-        Edge of the cells (m), about.
+    cell : array (D,)
+        Edges of the cells (m), about; infinite along axes that are not divided.
     neighbours : int
         Nearest neighbours that are looked at.
+    height : array (n,)
+        Places along the axis of segregation (m).
+    volume : array (n,)
+        Volumes of the grains (m3).
     images : callable, optional
         In a box that is tilted: takes a distance, and gives all images that are no further from the
         region, as rows of the grains and positions; the grains themselves are among them.
@@ -342,14 +367,16 @@ class Mixture:
     weight: NDArray
     lengths: NDArray
     wraps: NDArray
-    cell: float
+    cell: NDArray
     neighbours: int
+    height: NDArray
+    volume: NDArray
     images: Callable[[float], tuple[NDArray, NDArray]] | None = None
 
     @cached_property
     def cells(self) -> NDArray:
         """Number of each grain's cell, counted over the cells that are not empty; (n,)."""
-        counts = [max(1, round(length / self.cell)) for length in self.lengths.tolist()]
+        counts = [max(1, round(share)) for share in (self.lengths / self.cell).tolist()]
         place = np.zeros(len(self.position), "int64")
         for x, length, count in zip(self.position.T, self.lengths, counts, strict=True):
             place = place * count + np.clip((x / length * count).astype("int64"), 0, count - 1)
@@ -384,47 +411,112 @@ class Mixture:
 
     def random_variance(self, which: int) -> float:
         """S_r^2."""
+        return float(self._random_variances(which).sum())
+
+    def _random_variances(self, which: int) -> NDArray:
+        """S_r^2 of each part (parts,)."""
         members = self.members(which)
         weight, _, share = self.shares(members)
         spread = (self.weight * (members - share[:, None])) ** 2
         count = len(self.phase)
         factor = ratio(len(weight) - 1, count - 1) * count
-        return float(factor * spread.sum() / self.weight.sum() ** 2)
+        return np.asarray(factor * spread.sum(axis=1) / self.weight.sum() ** 2)
+
+    def grains_per_cell(self, which: int) -> float:
+        """Return the mean number of grains of all phases in the cells that are not empty."""
+        return float(ratio(len(self.phase), len(np.unique(self.cells))))
 
     def lacey(self, which: int) -> float:
         """Return Lacey's index.
 
-        NaN, with a warning, if all grains are of one phase, or no cell holds two grains, so that all
-        arrangements are alike.
+        NaN, with a warning, if all grains are of one phase, or no cell holds two grains, or one cell
+        holds all of them, so that all arrangements are alike.
         """
+        count = len(self.phase)
         apart = self.segregated_variance(which)
-        if len(self.phase) > 1 and len(np.unique(self.phase)) == 1:
+        cells = self.cells.max() + 1 if count else 0
+        if count > 1 and len(np.unique(self.phase)) == 1:
             warn_once(
                 "one phase",
-                f"lacey_index is NaN: all {len(self.phase)} grains are of one phase; by= names the variable that "
+                f"lacey_index is NaN: all {count} grains are of one phase; by= names the variable that "
                 "holds the phases, and ds.cg.assign_phases(edges=[...]) makes one from diameters",
             )
-        if apart > 0 and self.cells.max() + 1 == len(self.phase):
-            warn_once("cells below a grain", self._too_small())
+        if apart > 0 and cells == 1:
+            warn_once(
+                "one cell",
+                f"lacey_index is NaN: one cell holds all {count} grains of the region, which extends "
+                f"over {' x '.join(f'{length:.3g}' for length in self.lengths)}; give a smaller cell=",
+            )
             return math.nan
+        if apart > 0 and cells == count:
+            problem = f"no cell {self._edges()} holds more than one of the {count} grains"
+            warn_once("cells below a grain", f"lacey_index is NaN: {problem}; {self._way_out()}")
+            return math.nan
+        noise = self.noise(which)
+        if noise > NOISY:
+            warn_once(
+                "few grains a cell",
+                f"lacey_index scatters by {noise:.2g} in a random mixture, as cells {self._edges()} hold "
+                f"{self.grains_per_cell(which):.2g} grains on average (lacey_noise); {self._way_out()}",
+            )
         return float(ratio(apart - self.variance(which), apart - self.random_variance(which)))
 
-    def _too_small(self) -> str:
-        """Return a warning that names a cell which holds `ENOUGH` grains on average."""
-        count = len(self.phase)
-        problem = (
-            f"lacey_index is NaN: no cell of edge {self.cell:g} holds more than one of the "
-            f"{count} grains"
+    def noise(self, which: int) -> float:
+        """Return the standard deviation of Lacey's index in a random mixture, of first order.
+
+        Numbers of a phase in cells of n_k grains are taken as binomial, and for the bulk deviations
+        of the phases are added, as the two of a mixture of two phases are equal.
+        """
+        size = np.bincount(self.cells)
+        if len(size) < 2:
+            return math.nan
+        share = self.members(which).mean(axis=1)
+        spread = share * (1 - share)
+        fourth = np.zeros(len(spread))
+        np.divide((1 / size).mean() * (1 - 6 * spread), spread, out=fourth, where=spread > 0)
+        finite = 1 - len(size) / len(self.phase)
+        relative = np.sqrt(np.maximum(2 + fourth, 0) * finite / (len(size) - 1))
+        random = self._random_variances(which)
+        return float(
+            ratio((random * relative).sum(), self.segregated_variance(which) - random.sum())
         )
-        if count < ENOUGH:
-            return f"{problem}; the region holds too few grains for an index of mixing"
-        edge = self.cell
-        while (replace(self, cell=edge).cells.max() + 1) * ENOUGH > count:
-            edge = float(f"{1.3 * edge:.2g}")
-        return (
-            f"{problem}; take cell={edge:g} or more, which holds at least {ENOUGH} grains "
-            "on average"
-        )
+
+    def _edges(self) -> str:
+        """Return the edges of the cells, as part of a message."""
+        divided = self.cell[np.isfinite(self.cell)]
+        return f"of edge {' x '.join(f'{edge:g}' for edge in np.unique(divided))}"
+
+    def _way_out(self) -> str:
+        """Return the shortest edges for which the index scatters little, as the end of a message."""
+        shortest = float(self.cell.min())
+        edge = shortest
+        while True:
+            edge = float(f"{1.15 * edge:.2g}")
+            larger = replace(self, cell=self.cell * (edge / shortest))
+            if not larger.cells.any():
+                return "the region holds too few grains for an index of mixing"
+            if larger.cells.max() + 1 < len(self.phase) and larger.noise(0) <= NOISY:
+                return f"take cell={edge:g} or more"
+
+    def segregation(self, which: int) -> float:
+        """Return the index of segregation by centres: 1 on top, -1 at the bottom; NaN for the bulk."""
+        members = self.phase == which - 1
+        if which == 0 or not members.any() or members.all():
+            return math.nan
+        apart = self._rise(members * self.volume)
+        order = np.argsort(self.height if apart < 0 else -self.height)
+        volume = self.volume[order]
+        # the outermost places that the phase fills, the last of them in part
+        left = self.volume[members].sum() - (np.cumsum(volume) - volume)
+        outermost = np.empty(len(order))
+        outermost[order] = np.clip(left, 0.0, volume)
+        return float(ratio(apart, abs(self._rise(outermost))))
+
+    def _rise(self, part: NDArray) -> float:
+        """Return the height of the centre of parts (n,) of the volumes above that of the rest (m)."""
+        rest = self.volume - part
+        height = self.height - self.height.mean()
+        return float((part * height).sum() / part.sum() - (rest * height).sum() / rest.sum())
 
     def entropy(self, which: int) -> float:
         """Return the mean entropy of the cells over the region's: 0 apart, 1 alike in all cells."""

@@ -91,7 +91,7 @@ def free_surface(
         output_dtypes=[float],
         dask_gufunc_kwargs={"output_sizes": {"end": 2}},
     )
-    attrs = {"units": f[axis].attrs.get("units", "m")}
+    attrs = {"units": f[axis].attrs.get("units", "m"), "surface_axis": axis}
     if "cutoff" in f.attrs:
         attrs["cutoff"] = f.attrs["cutoff"]
     where = f"along {axis}, where {field} is {share:g} of its bulk value"
@@ -138,10 +138,11 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level
-        (degrees); and their standard errors ``slope_error`` and ``angle_error``, from the scatter
-        about the fit with one independent node for each support of the kernel (by the attribute
-        ``cutoff``). NaN for fewer nodes than the fit takes.
+        ``slope`` (component), dh/dx and dh/dy, those that exist; ``intercept``, the height of the fit
+        at x = y = 0 (m); ``angle`` against the level (degrees); and standard errors ``slope_error``
+        and ``angle_error``, from the scatter about the fit with one independent node for each
+        support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
+        `Rotated.from_slope` makes axes of it.
 
     Raises
     ------
@@ -181,11 +182,13 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         output_core_dims=[["number"]],
         dask="parallelized",
         output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"number": 2 * count + 2}},
+        dask_gufunc_kwargs={"output_sizes": {"number": 2 * count + 3}},
     )
+    unit = str(height.attrs.get("units", "m"))
     parts: dict[str, tuple[int | slice, str, str]] = {
         "slope": (slice(count), "1", "slope of the surface"),
         "slope_error": (slice(count, 2 * count), "1", "standard error of the slope"),
+        "intercept": (2 * count, unit, f"height of the fit at {' = '.join(axes)} = 0"),
         "angle": (-2, "degree", "angle of the surface"),
         "angle_error": (-1, "degree", "standard error of the angle"),
     }
@@ -193,7 +196,8 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         name: fit.isel(number=numbers).assign_attrs(units=units, long_name=text)
         for name, (numbers, units, text) in parts.items()
     }
-    return xr.Dataset(data).rename(number="component").assign_coords(component=axes)
+    kept = {k: facts.attrs[k] for k in ("surface_axis",) if k in facts.attrs}
+    return xr.Dataset(data, attrs=kept).rename(number="component").assign_coords(component=axes)
 
 
 def nodes_a_support(nodes: xr.Dataset | xr.DataArray, axes: Sequence[str], support: float) -> float:
@@ -211,13 +215,13 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
 
     Returns
     -------
-    array (..., 2 k + 2)
-        Slopes, their errors, the angle and its error (degrees). Errors are those of independent
+    array (..., 2 k + 3)
+        Slopes, their errors, the height at 0, the angle and its error (degrees). Errors are those of independent
         nodes, with `shared` nodes for one of them.
     """
     count = places.shape[1]
     heights = height.reshape(*height.shape[: height.ndim - count], -1)
-    out = np.full((*heights.shape[:-1], 2 * count + 2), np.nan)
+    out = np.full((*heights.shape[:-1], 2 * count + 3), np.nan)
     for at in np.ndindex(heights.shape[:-1]):
         known = np.isfinite(heights[at])
         x = places[known]
@@ -236,7 +240,8 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
         angle_error = np.sqrt(along @ covariance @ along) / (1 + steepness**2)
         slope_error = np.sqrt(np.diag(covariance))
         angle = np.degrees([np.arctan(steepness), angle_error])
-        out[at] = np.concatenate([slope, slope_error, angle])
+        intercept = coefficients[0] - slope @ x.mean(axis=0)
+        out[at] = np.concatenate([slope, slope_error, [intercept], angle])
     return out
 
 

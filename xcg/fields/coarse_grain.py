@@ -40,8 +40,8 @@ Asked = TypeVar("Asked", bound=SharedOptions)
 def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
-    Lazy where the scene is: nothing is read or computed until a result is, one task for each chunk
-    of time.
+    Fields of a lazy scene are lazy: data are read and fields computed when values are needed, with
+    one task for each chunk of time.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
@@ -376,6 +377,14 @@ def _choose_fields(
     ours = {one.name for one in own.values()}
     for name in names:
         if name not in listed and name not in ours:
+            word = str(name).lower()
+            if word in registry.CALLS:
+                raise ValueError(f"{name!r} is no field; did you mean {registry.CALLS[word]}?")
+            if word == "all":
+                raise ValueError("fields='all': leave fields out for all that the scene allows")
+            parts = re.findall(r"\w+", str(name))
+            if len(parts) > 1 and all(part in listed for part in parts):
+                raise ValueError(f"fields={name!r}: give several fields as a list, {parts}")
             known = [*listed, *scene.rows]
             raise ValueError(
                 unknown(

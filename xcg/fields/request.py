@@ -308,11 +308,20 @@ class Request(SharedOptions):
         return plane if self.axes is None and self.at is None else self.axes or ""
 
 
+# arguments that most calls give, in the order in which signatures show them
+_FIRST = ("axes", "width", "spacing", "at", "bounds", "kernel", "by")
+
+
 @cache
 def arguments(request: Any) -> tuple[Field[Any], ...]:
-    """Fields of a class of requests in the order of a call: by position, its own, shared ones."""
+    """Fields of a class of requests in the order of a call: by position, usual, its own, shared ones."""
     shared = {field.name for field in fields(SharedOptions)}
-    return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
+
+    def place(field: Field[Any]) -> tuple[bool, int, bool]:
+        usual = _FIRST.index(field.name) if field.name in _FIRST else len(_FIRST)
+        return field.kw_only, usual, field.name in shared
+
+    return tuple(sorted(fields(request), key=place))
 
 
 def takes(

@@ -387,6 +387,8 @@ _OTHER_NAMES = {
     "t": "time=",
     "contacts": "contact_i=, contact_j=, contact_force= and contact_point=, an array for each",
     "g": "gravity=",
+    "dim": "dimension=",
+    "ndim": "dimension=",
 }
 
 

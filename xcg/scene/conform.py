@@ -116,9 +116,27 @@ _OTHER_ARGUMENTS = {
     "slice": "at",
     "points": "at",
     "point": "at",
+    "walls": "surfaces",
     "stiffness": "k_n",
     "kn": "k_n",
     "colour": "cmap",
+    "nx": "spacing",
+    "ny": "spacing",
+    "nz": "spacing",
+    "n": "spacing",
+    "nbins": "spacing",
+    "threshold": "min_stress",
+}
+# Arguments of other calls, by name: what to do instead.
+_ELSEWHERE = {
+    "cutoff": "it is a part of the kernel, such as kernel=xcg.Lucy(cutoff=0.01)",
+    "color": "pictures take it, ds.cg.coarse_grain(...).cg.plot(color=...)",
+    "periodic": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
+    "box": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
+    "units": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
+    "density": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
+    "timestep": "it is a fact of the scene, given to xcg.open_scene",
+    "dt": "times are those of the scene; timestep= is given to xcg.open_scene",
 }
 
 
@@ -128,7 +146,10 @@ def _likely_argument(word: str, known: Mapping[str, object]) -> str:
         if "index" in known:
             return "; did you mean 'index', the position of a step?"
         return "; select steps before the call, ds.isel(time=-1)"
-    return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
+    likely = did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
+    if not likely and word in _ELSEWHERE:
+        return f"; {_ELSEWHERE[word]}"
+    return likely
 
 
 def require_scene(

@@ -38,6 +38,12 @@ _PILE = (0.93, 1.03)  # range of the distances of grains that touch, over the fa
 _PILED = 0.25  # share of the grains in this range
 _LOWEST = 0.9  # 5th percentile of the distances, over the factor
 _REGULAR = 1e-4  # scatter of the distances in a lattice, which may be as loose as one likes
+# Nearest grains of a lattice, also of one with scatter, lie in few directions: 1/6 (fcc), 1/4 (bcc)
+# or 1/3 (cubic) of all pairs of directions are parallel, in a plane 1/3 (hexagonal) or 1/2. Of
+# directions at random 1/66 are within ten degrees, in a plane 1/9.
+_PARALLEL = np.cos(np.radians(10.0))
+_ALIGNED = {2: 0.22, 3: 0.1}  # least share of parallel pairs in a lattice
+_EVEN = 0.1  # most scatter of nearest distances in a lattice
 _OVERLAPPING = {
     2: 4.0,
     3: 6.0,
@@ -119,10 +125,15 @@ class Particles:
         }
 
     @cached_property
-    def neighbours(self) -> NDArray:
-        """Distances over sums of radii to the nearest grains (n, k), sorted, of grains inside of a small region."""
+    def neighbours(self) -> tuple[NDArray, NDArray]:
+        """Neighbours of the grains inside of a small region.
+
+        Distances over sums of radii to the nearest grains (n, k), sorted, and vectors to the
+        very nearest (n, 3).
+        """
+        nothing = np.empty((0, 0)), np.empty((0, 3))
         if "diameter" not in self.frame or self.count < FEW:
-            return np.empty((0, 0))
+            return nothing
         middle = self.frame["position"][self.count // 2]
         low, high = np.quantile(self.sample["position"][:, self.plane], [0.02, 0.98], axis=0)
         share = min(1.0, _REGION / self.count)
@@ -134,10 +145,11 @@ class Particles:
             reach *= 0.5
             inside = self._around(middle, reach)
         if not FEW <= len(inside) <= 2 * _REGION:  # few, or many in one place
-            return np.empty((0, 0))
+            return nothing
         position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
         to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
         nearest = []
+        directions = []
         # of so few, all pairs are quicker than the import of a tree; in blocks, which take less memory
         for first in range(0, len(inside), _BLOCK):
             rows = np.arange(first, min(first + _BLOCK, len(inside)))
@@ -145,9 +157,23 @@ class Particles:
             away[rows - first, rows] = np.inf
             ratio = 2 * away / (diameter[rows, None] + diameter)
             if len(inside) < self.count:  # the nearest grain may be outside of the region
-                ratio = ratio[to_edge[rows] >= away.min(axis=1)]
+                is_known = to_edge[rows] >= away.min(axis=1)
+                ratio = ratio[is_known]
+                rows = rows[is_known]
             nearest.append(np.sort(ratio, axis=1)[:, :_CROWD])
-        return np.concatenate(nearest)
+            directions.append(position[rows] - position[ratio.argmin(axis=1)])
+        return np.concatenate(nearest), np.concatenate(directions)
+
+    @property
+    def is_lattice(self) -> bool:
+        """Whether nearest grains lie at one distance and in few directions."""
+        _, directions = self.neighbours
+        length = np.linalg.norm(directions, axis=1)
+        if len(length) < FEW or not length.min() > 0 or length.std() > _EVEN * length.mean():
+            return False
+        units = directions / length[:, None]
+        parallel = (np.abs(units @ units.T) > _PARALLEL).sum() - len(units)
+        return bool(parallel > _ALIGNED[len(self.plane)] * len(units) * (len(units) - 1))
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
         """Return the rows of the particles in a cube, axis by axis, as few are left after the first."""
@@ -210,7 +236,7 @@ def _overfilled_space(grains: Particles) -> str | None:
 
 def _factor_of_sizes(grains: Particles) -> str | None:
     """Check that nearest distances pile up at the sum of radii, if they pile up at a factor of it."""
-    distances = grains.neighbours
+    distances, _ = grains.neighbours
     if len(distances) < FEW:
         return None
     nearest = distances[:, 0]
@@ -222,6 +248,8 @@ def _factor_of_sizes(grains: Particles) -> str | None:
         piled = float(((nearest >= low) & (nearest <= high)).mean())
         if lowest < _LOWEST * factor or piled < _PILED:
             continue
+        if factor > 1 and grains.is_lattice:
+            return None
         if (
             factor < 1
             and (distances < 1.8 * factor).sum(axis=1).mean() < _OVERLAPPING[len(grains.plane)]

@@ -17,6 +17,17 @@ from xcg.scene.schema import COMPONENTS, MEASURED, PADDING, variable
 Outside: TypeAlias = Literal["keep", "drop"]
 # vectors whose components expressions name, by the letter before the axis
 _VECTORS = {"": "position", "v": "velocity", "omega_": "angular_velocity"}
+# variables by the words that others use for them
+_OTHER_NAMES = {
+    "type": "species",
+    "id": "particle_id",
+    "radius": "diameter",
+    "d": "diameter",
+    "m": "mass",
+    "u": "vx",
+    "v": "vy",
+    "w": "vz",
+}
 # dimensions as ds.swap_dims may name them
 _OTHER_DIMS = {"particle_id": "particle", "step": "time"}
 
@@ -127,11 +138,14 @@ def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
                     f"{letter}{axis}", ds[name].sel(component=axis, drop=True).variable
                 )
     try:
-        return cast(xr.DataArray, xr.Dataset(known).eval(expression))
+        found = xr.Dataset(known).eval(expression)
+        if isinstance(found, xr.Dataset):
+            raise SyntaxError("= assigns, and == compares")
+        return cast(xr.DataArray, found)
     except NameError as error:
         name = str(error.name or error)
         raise ValueError(
-            f"select({plain(expression)}): {unknown('variable', name, known)}"
+            f"select({plain(expression)}): {unknown('variable', name, known, synonyms=_OTHER_NAMES)}"
         ) from None
     except (SyntaxError, TypeError, ValueError) as error:
         raise ValueError(

@@ -58,6 +58,20 @@ ax.legend()
 plt.show()
 
 # %%
+# Two numbers say the same of each step: the height of the large grains' centre above that of the small ones, over its
+# largest value, and Lacey's index in layers, which goes from 1 (mixed) towards 0.
+
+m = ds.cg.microstructure(
+    ["segregation_index", "lacey_index"], by="phase", cell={"z": 2.0}, mixing_weight="volume"
+)
+fig, ax = plt.subplots()
+ax.plot(m.time, m.segregation_index.sel(phase="2"), "C3o-", label="centres: 0 mixed, 1 apart")
+ax.plot(m.time, m.lacey_index.sel(phase="bulk"), "C0s-", label="Lacey in layers: 1 mixed, 0 apart")
+ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylim=(-0.1, 1.1))
+ax.legend()
+plt.show()
+
+# %%
 # **Check.** Grains move and none is lost: the large ones' density, summed over height and area, is their mass.
 
 area = 14 * 8

@@ -296,3 +296,78 @@ def test_displacements_in_turned_boxes():
     grows.attrs = {k: v for k, v in two.attrs.items() if not k.startswith("box_")}
     with pytest.raises(ValueError, match="leave frame= out"):
         grows.cg.displacement("displacement", at=turned, frame=frame)
+
+
+# --- along a slope -------------------------------------------------------------------------------
+
+
+def tilted(ds, axes):
+    """A scene turned by hand, so that its own axes become the rows of `axes`."""
+    vectors = ["position", "velocity", "contact_point", "contact_force"]
+    turned = {name: (ds[name].dims, ds[name].values @ axes) for name in vectors}
+    return ds.drop_vars("box", errors="ignore").assign(turned)
+
+
+@pytest.mark.parametrize("slope", [(0.4, 0.0), (-0.4, 0.0), (0.3, -0.5), (0.0, 0.0)])
+def test_a_bed_tilted_by_a_slope_has_the_fields_of_the_level_bed(slope):
+    """Its surface is the plane z = 1 + slope . (x, y), 1 above the level one where x = y = 0."""
+    x = xr.DataArray(np.linspace(-3, 3, 7), dims="x", coords={"x": np.linspace(-3, 3, 7)})
+    plane = 1.0 + slope[0] * x + slope[1] * x.rename(x="y")
+    frame = xcg.Rotated.from_slope(xcg.fit_slope(plane))
+    assert frame.axes[2] @ [*slope, -1.0] < 0  # upwards
+    assert frame.axes[2] @ [1.0, 0.0, slope[0]] == pytest.approx(0.0, abs=1e-14)
+    assert frame.axes[2] @ [0.0, 1.0, slope[1]] == pytest.approx(0.0, abs=1e-14)
+    assert frame.axes[0, 2] == pytest.approx(-np.sin(np.arctan(np.hypot(*slope))), abs=1e-14)
+    level = xcg.datasets.random_scene(80, periodic="")
+    scene = tilted(level, frame.axes)
+    scene["position"] = scene.position + np.array([0, 0, 1.0])
+    scene["contact_point"] = scene.contact_point + np.array([0, 0, 1.0])
+    mesh = {
+        "axes": "xz",
+        "at": {"y": 2.0},
+        "width": 1.0,
+        "spacing": 1.0,
+        "bounds": {"x": (1, 4), "z": (1, 4)},
+    }
+    names = ["density", "velocity", "stress"]
+    f = scene.cg.coarse_grain(names, frame=frame, **mesh)
+    expected = level.cg.coarse_grain(names, **mesh)
+    for name in names:
+        size = float(np.abs(expected[name]).max())
+        np.testing.assert_allclose(f[name], expected[name], rtol=1e-10, atol=1e-12 * size)
+
+
+def test_the_surface_of_a_tilted_lattice_gives_its_tilt():
+    """Layers of a lattice in a turned box: the fitted frame is theirs within three standard errors."""
+    sites = np.stack(np.meshgrid(*[np.arange(20.0), np.arange(3.0), np.arange(8.0)]), -1).reshape(
+        -1, 3
+    )
+    turn = np.radians(15.0)
+    axes = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
+    ds = xcg.scene_from_arrays(sites @ axes, diameter=np.ones(len(sites)), density=1.0)
+    f = ds.cg.coarse_grain("volume_fraction", axes="xz", at={"y": 1.0}, width=1.0, spacing=0.5)
+    fit = f.cg.free_surface("z").sel(x=slice(4.0, 16.0)).cg.fit_slope()
+    assert fit.angle.item() == pytest.approx(15.0, abs=max(0.1, 3 * fit.angle_error.item()))
+    frame = xcg.Rotated.from_slope(fit)
+    np.testing.assert_allclose(frame.axes, axes, atol=0.01)
+    # the surface lies at z = 0
+    g = ds.cg.coarse_grain(
+        "volume_fraction", axes="z", frame=frame, width=1.0, at={"x": 11.0, "y": 1.0}
+    )
+    assert g.cg.free_surface("z").height.item() == pytest.approx(0.0, abs=0.1)
+
+
+def test_fits_that_are_no_single_surface_raise():
+    x = np.linspace(0, 1, 5)
+    fits = xcg.fit_slope(xr.DataArray([x, 2 * x], {"time": [0.0, 1.0], "x": x}))
+    with pytest.raises(ValueError, match=r"one fit, and there are {'time': 2}.*fit.mean"):
+        xcg.Rotated.from_slope(fits)
+    assert xcg.Rotated.from_slope(fits.mean("time")).axes[0, 0] == pytest.approx(
+        -1 / np.hypot(1, 1.5)
+    )
+    with pytest.raises(ValueError, match="the fit is NaN"):
+        xcg.Rotated.from_slope(fits.mean("time") * np.nan)
+    with pytest.raises(ValueError, match=r"expected a fit of xcg.fit_slope"):
+        xcg.Rotated.from_slope(30.0)
+    layer = xcg.fit_slope(xr.DataArray(0.75 * x, {"x": x}).assign_attrs(surface_axis="y"))
+    np.testing.assert_allclose(xcg.Rotated.from_slope(layer).axes[2], [0, 0, -1], atol=1e-14)

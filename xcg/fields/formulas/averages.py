@@ -68,6 +68,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
+    _refuse_scene(f, "profile")
     f, beside = _with_sums(with_facts(f))
     f, noise = _without_noise(f)
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
@@ -382,12 +383,16 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
     return rows
 
 
-def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
-    """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+def _refuse_scene(f: xr.Dataset, purpose: str) -> None:
     if "particle" in f.dims:
         raise ValueError(
             f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
         )
+
+
+def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
+    """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+    _refuse_scene(f, purpose)
     rows = _rows_of(f)
     errors = _errors_among(rows)
     if errors:

@@ -64,8 +64,6 @@ OTHER_NAMES = {
     "theta": "granular_temperature",
     "sigma": "stress",
     "total_stress": "stress",
-    "principal": "stress",
-    "principal_stress": "stress",
     "p": "pressure",
     "tau": "shear_stress",
     "mu": "friction_coefficient",
@@ -82,6 +80,33 @@ OTHER_NAMES = {
     "angular_velocity": "spin",
     "fabric_tensor": "fabric",
     "count": "sample_count",
+}
+_PRINCIPAL = "f.cg.principal('stress'), of a result f that holds the stress"
+_MIXING = "ds.cg.microstructure(['lacey_index', 'segregation_index'], by='species')"
+_PAIRS = "ds.cg.radial_distribution(r_max)"
+_SPREADING = "ds.cg.mean_squared_displacement(lags=[1, 2, 4])"
+# Calls that return results which are no fields, by the words for these.
+CALLS = {
+    "principal": _PRINCIPAL,
+    "principal_stress": _PRINCIPAL,
+    "principal_stresses": _PRINCIPAL,
+    "stress_principal": _PRINCIPAL,
+    "eigenvalues": _PRINCIPAL,
+    "lacey": _MIXING,
+    "lacey_index": _MIXING,
+    "mixing": _MIXING,
+    "mixing_index": _MIXING,
+    "segregation": _MIXING,
+    "segregation_index": _MIXING,
+    "rdf": _PAIRS,
+    "g_r": _PAIRS,
+    "gr": _PAIRS,
+    "pair_correlation": _PAIRS,
+    "pair_distribution": _PAIRS,
+    "msd": _SPREADING,
+    "diffusion": _SPREADING,
+    "mass_flow_rate": "ds.cg.flow_rate(surface)",
+    "discharge": "ds.cg.flow_rate(surface)",
 }
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the
 # default.

@@ -102,6 +102,65 @@ class Rotated:
                 f"{self}: the axes {' and '.join(given)} are parallel: give two different directions"
             )
 
+    @classmethod
+    def from_slope(cls, fit: xr.Dataset) -> Rotated:
+        """Return axes along a fitted surface: z is normal to it, upwards, and x points down the slope.
+
+        The origin lies on the surface, so that z is 0 there. If the surface was found along another
+        axis than z, that axis becomes the normal. This computes the fit.
+
+        Parameters
+        ----------
+        fit : xarray.Dataset
+            One fit, from `xcg.fit_slope`: of one step, ``fit.isel(time=-1)``, or the mean of several,
+            ``fit.mean("time")``.
+
+        Returns
+        -------
+        Rotated
+            Axes for the argument ``frame``. A level surface keeps the axes of the scene.
+
+        Raises
+        ------
+        ValueError
+            If it is not a fit, holds several of them, or found no surface.
+
+        Examples
+        --------
+        >>> import numpy as np, xarray as xr, xcg
+        >>> x = np.linspace(0, 1, 11)
+        >>> fit = xcg.fit_slope(xr.DataArray(0.5 - 0.75 * x, {"x": x}))
+        >>> xcg.Rotated.from_slope(fit).axes.round(3).tolist()
+        [[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]
+        """
+        if not (isinstance(fit, xr.Dataset) and {"slope", "intercept"} <= set(fit)):
+            raise ValueError(
+                "from_slope: expected a fit of xcg.fit_slope, such as f.cg.free_surface('z').cg.fit_slope()"
+            )
+        fit = fit.squeeze([dim for dim in fit.dims if fit.sizes[dim] == 1 and dim != "component"])
+        if fit["slope"].dims != ("component",):
+            sizes = {dim: n for dim, n in fit["slope"].sizes.items() if dim != "component"}
+            raise ValueError(
+                f"from_slope: expected one fit, and there are {sizes}: take one, fit.isel(time=-1), or their mean, "
+                "fit.mean('time')"
+            )
+        level = [str(a) for a in fit["component"].values]
+        across = str(fit.attrs.get("surface_axis") or next(a for a in "zyx" if a not in level))
+        slope = fit["slope"].to_numpy()
+        height = float(fit["intercept"])
+        if not (np.isfinite(slope).all() and np.isfinite(height)):
+            raise ValueError(
+                "from_slope: the fit is NaN, as fewer nodes have a surface than it takes"
+            )
+        unit_of = dict(zip(COMPONENTS, np.eye(3), strict=True))
+        rise = sum(s * unit_of[a] for s, a in zip(slope, level, strict=True))
+        normal = unit_of[across] - rise
+        down = -rise - (slope @ slope) * unit_of[across]
+        if not slope.any():
+            down = unit_of[level[0]]
+        axes: dict[str, Any] = {across: tuple(normal.tolist()), level[0]: tuple(down.tolist())}
+        return cls(**axes, origin=tuple((height * unit_of[across]).tolist()))
+
     @property
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""

@@ -349,6 +349,19 @@ _NAMED: dict[str, Callable[..., Kernel]] = {
     _SHIFTED_GAUSSIAN: partial(Gaussian, shifted=True),
     "heaviside": Heaviside,
 }
+# kernels by the words that others use for them
+_OTHER_NAMES = {
+    "tophat": "heaviside",
+    "top_hat": "heaviside",
+    "box": "heaviside",
+    "uniform": "heaviside",
+    "step": "heaviside",
+    "sphere": "heaviside",
+    "normal": "gaussian",
+    "quintic": "lucy",
+    "spline": "lucy",
+    "polynomial": "lucy",
+}
 _OF_THE_PACKAGE = frozenset(get_args(KernelName))
 
 
@@ -450,7 +463,11 @@ def kernel_of(
             raise ValueError(f"kernel={kernel!r} has its own width; leave width= out")
         return kernel.in_dimension(dimension)
     if str(kernel).lower() not in _NAMED:
-        likely = did_you_mean(str(kernel), _NAMED, 0.4) if isinstance(kernel, str) else ""
+        likely = (
+            did_you_mean(kernel, _NAMED, 0.4, synonyms=_OTHER_NAMES)
+            if isinstance(kernel, str)
+            else ""
+        )
         raise ValueError(
             f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as "
             f"xcg.Lucy(width=0.01){likely}"
