@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import xcg
-from tests import raise_if_dask_computes
 from tests.analysis.test_radial_distribution import gas, pair_vectors
 
 
@@ -130,13 +128,6 @@ def test_particles_without_neighbours_are_nan():
     ds = xcg.scene_from_arrays(position, diameter=[1.0] * 3, density=1.0)
     order = ds.cg.bond_order(r_max=2.0)
     np.testing.assert_array_equal(np.isnan(order.q6[0]), [False, False, True])
-
-
-def test_lazy_results_have_the_bits_of_those_in_memory():
-    ds = gas(3, 60, "xyz")
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.bond_order(neighbours=4)
-    xr.testing.assert_equal(lazy.compute(), ds.cg.bond_order(neighbours=4))
 
 
 @pytest.mark.parametrize(

@@ -118,12 +118,6 @@ def test_order_of_ids_and_of_contacts_makes_no_difference():
     np.testing.assert_array_equal(np.diff(count), (expected.births - expected.losses)[1:])
 
 
-def test_lazy_scenes_give_the_same():
-    r = np.random.default_rng(2)
-    ds = _scene(r.uniform(0, 3, (30, 3)) + 0.05 * r.normal(size=(6, 30, 3)).cumsum(axis=0))
-    xr.testing.assert_equal(ds.chunk(time=2).cg.contact_history(), ds.cg.contact_history())
-
-
 def test_gaps_are_named_and_persistence_leaves_them_out():
     ds = _pair([TOUCH, TOUCH, TOUCH, APART, APART], time=[0, 1, 2, 5, 6])
     with pytest.warns(xcg.SceneWarning, match=r"1 intervals are longer .* from 2 to 5 s"):

@@ -5,7 +5,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import raise_if_dask_computes
 from tests.analysis import hard_spheres, percus_yevick_g
 
 
@@ -178,17 +177,6 @@ def test_directions_of_a_crystal_are_resolved():
     assert int(pairs.sum()) == 6
     assert int(pairs[4]) == 2
     assert int(pairs[0] + pairs[-1]) in (2, 4)
-
-
-@pytest.mark.parametrize("options", [{}, {"by": "species", "axis": "z"}, {"scaled": True}])
-def test_lazy_results_have_the_bits_of_those_in_memory(options):
-    ds = gas(3, 60, "xyz")
-    options = {"groups": [1, 2, 3]} | options if "by" in options else options
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.radial_distribution(2.0, bins=5, **options)
-    xr.testing.assert_identical(
-        lazy.compute().drop_attrs(), ds.cg.radial_distribution(2.0, bins=5, **options).drop_attrs()
-    )
 
 
 def test_frozen_particles_are_left_out():

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
-from tests import raise_if_dask_computes
 from tests.analysis import hard_spheres, percus_yevick
 from tests.analysis.test_radial_distribution import gas
 
@@ -95,13 +93,6 @@ def test_compressibility_of_hard_spheres_is_reached_at_small_wavenumbers():
     mean = float((f.structure_factor / expected).mean())
     samples = (f.structure_factor / expected).mean("wave")
     assert abs(mean - 1) < 4 * float(samples.std("time")) / np.sqrt(f.sizes["time"])
-
-
-def test_lazy_results_have_the_bits_of_those_in_memory():
-    ds = gas(3, 60, "xyz")
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.structure_factor(8.0, bins=5)
-    xr.testing.assert_equal(lazy.compute(), ds.cg.structure_factor(8.0, bins=5))
 
 
 @pytest.mark.parametrize(
