@@ -202,7 +202,7 @@ def test_steps_share_threads_with_the_same_bits():
     ("periodic", "arguments", "message"),
     [
         ("xyz", {"r_max": 2.6}, r"r_max=2.6.*nearest image.*5 along 'x'.*r_max=2.5 or less"),
-        ("xy", {"r_max": 1.0}, r"'z' is not periodic.*bounds=\{'z'.*between 0\..* and 6\."),
+        ("xy", {"r_max": 1.0}, r"along z: .*bounds=\{'z': \(low, high\)\}.*0\..* and 6\."),
         ("xy", {"r_max": 2.0, "bounds": {"z": (0, 1)}}, "r_max=2.*1 of bounds.*take r_max=1"),
         ("xyz", {"r_max": 1.0, "bounds": {"z": (0, 1e-9)}}, "region holds 0"),
         ("xyz", {"r_max": 0.0}, "r_max=0"),
@@ -220,6 +220,17 @@ def test_bounds_that_cut_tilted_images_are_an_error():
     ds = gas(1, 40, "xyz", lattice={"xy": 1.0})
     with pytest.raises(xcg.SceneError, match="box is tilted"):
         ds.cg.radial_distribution(1.0, bounds={"x": (0.0, 2.0)})
+
+
+def test_all_open_axes_are_named_in_order():
+    with pytest.raises(xcg.SceneError, match=r"not periodic along x, y, z: .*'x': .*'y': .*'z'"):
+        gas(1, 40, "").cg.contact_value()
+
+
+def test_particles_without_size_have_no_scaled_distances():
+    ds = gas(1, 40, "xyz")
+    with pytest.raises(xcg.SceneError, match="all diameters are zero"):
+        ds.assign(diameter=0 * ds.diameter).cg.contact_value()
 
 
 def test_one_particle_is_an_error():

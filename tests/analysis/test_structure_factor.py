@@ -98,7 +98,7 @@ def test_compressibility_of_hard_spheres_is_reached_at_small_wavenumbers():
 @pytest.mark.parametrize(
     ("periodic", "arguments", "message"),
     [
-        ("xy", {"k_max": 5.0}, "needs periodic axes, and z is open"),
+        ("xy", {"k_max": 5.0}, "needs periodic axes; open: z"),
         ("xyz", {}, "takes one of k_max= .* and vectors="),
         ("xyz", {"k_max": -1.0}, "k_max=-1.0"),
         ("xyz", {"k_max": 5.0, "bins": 0}, "bins=0"),

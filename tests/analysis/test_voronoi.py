@@ -138,6 +138,8 @@ def test_bounds_are_the_ends_of_open_axes():
         ds.cg.voronoi(bounds={"z": (0, 0.005)})
     with pytest.raises(ValueError, match=r"'x' is not an axis with ends; expected one of \['z'\]"):
         ds.cg.voronoi(bounds={"x": (0, 1)})
+    with pytest.raises(ValueError, match=r"bounds=\[0, 1\]: expected ends of axes"):
+        ds.cg.voronoi(bounds=[0, 1])
 
 
 def test_one_particle_has_the_box():
