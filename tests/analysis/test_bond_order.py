@@ -72,6 +72,18 @@ def test_crystals_have_the_values_of_the_literature():
     np.testing.assert_allclose(cubic.q6, 0.35355, atol=5e-6)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_independent_directions_have_the_order_of_a_random_walk(dimension):
+    """The mean square over n neighbours of points at random is 1 / n, whatever the degree."""
+    steps = 40
+    periodic = "xyz"[:dimension]
+    order = gas(steps, 150, periodic, dimension).cg.bond_order([3, 6], neighbours=7)
+    letter = "q" if dimension == 3 else "psi"
+    for degree in (3, 6):
+        square = (order[f"{letter}{degree}"] ** 2).mean("particle")
+        assert abs(float(square.mean()) - 1 / 7) < 4 * float(square.std()) / np.sqrt(steps)
+
+
 def test_a_triangular_lattice_has_one_direction():
     rows, columns = 6, 8
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
