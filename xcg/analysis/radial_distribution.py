@@ -16,7 +16,6 @@ from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
-from xcg.compiled.radial_distribution import count_pairs
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite, phase_of, without_frozen
@@ -338,9 +337,7 @@ class RadialDistribution(FrameAnalysis):
         def count(first: int, last: int) -> NDArray:
             counts = np.zeros(self._shape, "int64")
             images = None if is_original is None else particle
-            count_pairs(
-                first, last, *lists.for_loops, of_record, images, is_original, across, counts
-            )
+            lists.count(first, last, of_record, images, is_original, across, counts)
             return counts
 
         return np.sum(for_parts(len(particle), count, workers, each=8), axis=0)
