@@ -435,8 +435,8 @@ TABLE = [
         "test_the_ideal_gas_is_one_within_its_standard_error",
     ),
     Mutation(
-        "analysis/contact_value.py", "sides = 1 if a != b and a and b else 2", "sides = 1",
-        "test_hard_spheres_follow_carnahan_and_starling",
+        "analysis/contact_value.py", "(number + both)", "number",
+        "test_the_error_of_independent_pairs_is_their_scatter",
     ),
     Mutation(
         "compiled/structure_factor.py", "re * sine[2, c, lane] + im", "re * sine[2, c, lane] - im",
@@ -454,8 +454,8 @@ TABLE = [
         "test_order_is_that_of_brute_force",
     ),
     Mutation(
-        "analysis/voronoi.py", "np.where(inward[:, None], -area, area)", "area",
-        "test_faces_are_those_of_both_cells",
+        "analysis/voronoi.py", "np.cross(away[following], away)", "np.cross(away, away[following])",
+        "test_normals_point_from_the_first_particle_to_the_second",
     ),
     Mutation(
         "analysis/contact_history.py", "lattice.numbers(self.branch[new] - before.branch[old])",

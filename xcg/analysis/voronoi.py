@@ -279,9 +279,7 @@ def _faces_of(cells: Sequence[Mapping[str, Any]]) -> tuple[NDArray, NDArray, NDA
     corner = np.concatenate([face["vertices"] for _, face in faces]) + np.repeat(of_cell[i], size)
     following = np.arange(len(corner)) + 1
     following[start + size - 1] = start
-    # triangles between the first corner of a face and each of its edges
+    # triangles between the first corner of a face and each of its edges; Voro++ lists corners
+    # clockwise as seen from outside of the cell, which the centre of a small particle may be
     away = vertices[corner] - np.repeat(vertices[corner[start]], size, axis=0)
-    area = 0.5 * np.add.reduceat(np.cross(away, away[following]), start)
-    sites = np.array([cell["site"] for cell in cells])
-    inward = ((vertices[corner[start]] - sites[i]) * area).sum(axis=1) < 0
-    return i, j, np.where(inward[:, None], -area, area)
+    return i, j, 0.5 * np.add.reduceat(np.cross(away[following], away), start)
