@@ -177,7 +177,7 @@ TABLE = [
         "test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges",
     ),
     Mutation(
-        "scene/frame.py", "np.searchsorted(share, 0.5 * share[-1])", "np.searchsorted(share, 0.4 * share[-1])",
+        "scene/frame.py", "np.searchsorted(up_to, 0.5 * total)", "np.searchsorted(up_to, 0.4 * total)",
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
