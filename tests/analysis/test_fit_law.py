@@ -175,6 +175,11 @@ def test_fields_of_a_scene_are_fitted_with_units():
         ({}, {"law": "mu_of_j"}, "unknown law 'mu_of_j'; did you mean 'mu_of_I'"),
         ({}, {"x": "inertia_number"}, "did you mean 'inertial_number'"),
         ({}, {"constants": {"d": 1.0}}, "unknown constant 'd'"),
+        ({}, {"constants": [1.0]}, r"constants=\[1.0\]: expected numbers by name"),
+        ({}, {"law": lambda x: x, "x": "inertial_number", "y": "friction_coefficient"},
+         "the law has no parameters"),
+        ({"friction_coefficient": -1.0}, {"law": "fluidity", "x": "inertial_number",
+          "y": "friction_coefficient"}, "needs values above zero, and the largest is -"),
         ({}, {"guess": (1.0, np.nan, 1.0)}, "a finite number for each of mu_s, mu_2, I_0"),
         ({}, {"law": "beverloo", "x": "inertial_number", "y": "friction_coefficient"},
          "needs the constants density, diameter"),
@@ -187,6 +192,14 @@ def test_bad_input_is_named(change, options, message):
     f = f.assign({name: f[name] * value for name, value in change.items()})
     with pytest.raises(ValueError, match=message):
         xcg.fit_law(f, **options)
+
+
+def test_points_that_leave_a_parameter_open_are_named():
+    x = np.linspace(0.1, 1, 9)
+    f = xr.Dataset({"load": ("node", x)}, {"depth": ("node", x)})
+    with pytest.warns(xcg.SceneWarning, match="do not determine all parameters"):
+        fit = f.cg.fit_law(lambda x, a, b: a * x + 0 * b, x="depth", y="load")
+    assert np.isinf(fit.b_error)
 
 
 def test_vectors_need_a_component():
