@@ -125,7 +125,7 @@ class ContactValue(RadialDistribution):
             normal = np.linalg.inv(powers * weight @ powers.T)
             values[a, b] = normal[0] @ powers @ number
             # pairs of a phase with itself are counted from both sides, and vary together
-            both = 0
+            both = np.zeros_like(number)
             if a == b or 0 in (a, b):
                 both = counts[max(a, b), max(a, b), 0, beyond]
             errors[a, b] = np.sqrt(((normal[0] @ powers) ** 2 * (number + both)).sum())
