@@ -159,6 +159,22 @@ def test_scenes_are_saved_under_a_cluster(client, scene, tmp_path, suffix):
     assert_same_bits(here(scene), here(reopen(xcg.save(scene, tmp_path / f"scene{suffix}"))))
 
 
+@pytest.mark.parametrize("suffix", [".nc", ".vtkhdf", ".pvd"])
+def test_saving_under_a_cluster_reports_progress(client, scene, tmp_path, capsys, suffix):
+    f = scene.cg.coarse_grain("density", axes="xz").chunk(time=1)
+    f.cg.save(tmp_path / f"f{suffix}", progress=True)
+    lines = [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()]
+    assert lines == [f"{k} of {STEPS}" for k in range(1, STEPS + 1)]
+
+
+def test_computing_under_a_cluster_reports_progress(client, scene, capsys):
+    f = scene.cg.coarse_grain("density", axes="z")
+    computed = f.persist()
+    distributed.progress(computed, notebook=False)
+    assert "100% Completed" in capsys.readouterr().out
+    assert_same_bits(here(f), computed.compute())
+
+
 def test_xarray_writes_results_to_zarr(client, scene, tmp_path):
     f = scene.cg.coarse_grain(["density"])
     f.to_zarr(tmp_path / "f.zarr", zarr_format=2)

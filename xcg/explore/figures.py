@@ -214,7 +214,7 @@ class Errors:
         (legend,) = self.figure.legend
         legend.orientation = "horizontal"
         self.figure.add_layout(legend, "below")
-        self.figure.title.text = "errors are computed ..."  # an empty title would have no room
+        self._set_title("errors are computed ...")
 
     def draw(self, errors: Mapping[str, NDArray], width: float) -> None:
         """Draw the errors of widths (in d43) by their names, and mark the present width."""
@@ -230,7 +230,7 @@ class Errors:
     def refuse(self, message: str) -> None:
         """Show in place of errors why they are unknown."""
         self.lines.data = _EMPTY_LINES
-        self.figure.title.text = textwrap.fill(message, LETTERS // 2)
+        self._set_title(message)
 
     def mark(self, width: float) -> None:
         """Mark the present width (d43), with its errors in the title."""
@@ -243,4 +243,11 @@ class Errors:
             error = np.interp(np.log(width), np.log(widths), values, np.nan, np.nan)
             if np.isfinite(error):
                 found.append(f"{name} {100 * error:.3g}\N{NO-BREAK SPACE}%")
-        self.figure.title.text = textwrap.fill(", ".join(found), LETTERS // 2)
+        self._set_title(", ".join(found))
+
+    def _set_title(self, text: str) -> None:
+        """Set the title, of two lines or more: browsers may keep the room of a shorter one before."""
+        lines = textwrap.wrap(text, LETTERS // 2)
+        if len(lines) < 2:
+            lines.append(" ")
+        self.figure.title.text = "\n".join(lines)

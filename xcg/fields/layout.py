@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as kinds
@@ -152,8 +151,6 @@ def extents_of(
                 f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
                 f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
             )
-        if length is not None and not is_positive(length):
-            raise ValueError(f"extent[{a!r}]={length!r}: expected a positive length (m)")
         found[a] = None if length is None else float(length)
     return found
 

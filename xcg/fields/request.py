@@ -26,6 +26,7 @@ from typing import (
 import numpy as np
 import xarray as xr
 
+from xcg.common.checks import check_choice, is_finite, is_positive
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
 from xcg.fields.grids.walls import Wall
@@ -34,8 +35,7 @@ from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call
 
-# what arguments are, where another form would be taken for something else, or end in an error about
-# arrays
+# what arguments are, whatever the scene is; what depends on the scene is checked by the plan
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
         lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
@@ -61,6 +61,15 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
         lambda value: isinstance(value, str),
         "the name of a variable of the particles, such as 'species'",
     ),
+    "rtol": (
+        lambda value: is_finite(value) and value >= 0,
+        "0 (closed form) or a positive number such as 1e-3",
+    ),
+    "fluid_viscosity": (is_positive, "a positive viscosity (Pa s), such as 1e-3 for water"),
+    "friction": (
+        lambda value: is_finite(value) and value >= 0,
+        "a coefficient of friction, such as 0.5",
+    ),
     "on_error": (
         lambda value: value in get_args(OnError),
         "'raise' (stop at the first error) or 'skip' (go on without the step)",
@@ -74,6 +83,13 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
 Sampling: TypeAlias = Literal["node", "cell"]
 Preset: TypeAlias = Literal["pysammos", "lammps"]
 Per: TypeAlias = Literal["accessible"]
+_CHOICES: dict[str, Any] = {
+    "gradient": Gradient,
+    "deviatoric": Deviatoric,
+    "size": InertialSize,
+    "temperature": Temperature,
+    "sampling": Sampling,
+}
 # defaults of presets in place of those below
 OF_PRESETS: dict[Any, dict[str, Any]] = {
     "lammps": {"kernel": "shifted gaussian", "gradient": "finite_difference"},
@@ -201,6 +217,11 @@ class SharedOptions:
             value = getattr(self, name, None)
             if not (value is None or fits(value)):
                 raise ValueError(f"{name}={value!r}: expected {expected}")
+        for name, choices in _CHOICES.items():
+            check_choice(name, getattr(self, name), choices)
+        for axis, length in (self.extent or {}).items():
+            if not is_positive(length):
+                raise ValueError(f"extent[{axis!r}]={length!r}: expected a positive length (m)")
 
     def ask(self, **own: Any) -> Request:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""

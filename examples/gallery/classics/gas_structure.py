@@ -31,13 +31,13 @@ fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 left.plot(g.r, g, drawstyle="steps-mid")
 left.axhline(1, color="0.6", ls=":")
 left.plot(1, expected, "ko", label="Carnahan & Starling")
-left.set(xlabel="distance $r$ [$d$]", ylabel="radial distribution $g$")
+left.set(xlabel="distance $r$", ylabel="radial distribution $g$")
 left.legend()
 right.plot(S.k, S)
 right.axhline(
     (1 - phi) ** 4 / (1 + 2 * phi) ** 2, color="k", ls="--", label="Percus & Yevick, $S(0)$"
 )
-right.set(xlabel="wavenumber $k$ [$1/d$]", ylabel="structure factor $S$")
+right.set(xlabel="wavenumber $k$", ylabel="structure factor $S$")
 right.legend()
 plt.show()
 

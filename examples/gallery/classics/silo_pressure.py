@@ -24,7 +24,7 @@ floor = xcg.Plane((0, 0, 0), (0, 0, 1))
 wall = ds.cg.wall_stress(side, "1 d43", walls="side").isel(time=0).mean("theta")
 bottom = ds.cg.wall_stress(floor, "1 d43", walls="floor").isel(time=0)
 names = ["density", "stress"]
-inside = {"walls": [side, floor], "per": "accessible", "spacing": 2.5e-3}
+inside = {"surfaces": [side, floor], "per": "accessible", "spacing": 2.5e-3}
 f = ds.cg.coarse_grain(names, axes="z", width="1 d43", **inside)
 f = f.isel(time=0).compute()
 
