@@ -180,7 +180,7 @@ def _compute_step(
         for name, values in rows.items():
             rank = registry.row(name, plan.options).rank
             if rank:  # what is along the axis alone has a direction there
-                along = (grid.undirected, ..., *(2,) * rank)
+                along: Any = (grid.undirected, ..., *(2,) * rank)
                 known = values[along]
                 values[grid.undirected] = np.nan
                 values[along] = known

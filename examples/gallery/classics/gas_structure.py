@@ -50,5 +50,14 @@ error = float(found.contact_value.std("time")) / np.sqrt(found.sizes["time"])
 print(f"g(d) = {measured:.2f} +- {error:.2f}, Carnahan & Starling {expected:.2f}")
 
 # %%
+# ``bond_order`` compares the directions of the 12 nearest neighbours. If these are independent, the mean of
+# :math:`q_6^2` is 1/12. In a gas it is a little less, as neighbours keep apart from each other; in a face-centred cubic
+# crystal :math:`q_6` is 0.575.
+
+order = ds.cg.bond_order([6])
+root_mean_square = float(np.sqrt((order.q6**2).mean()))
+print(f"q6 = {root_mean_square:.3f}, independent directions {12**-0.5:.3f}")
+
+# %%
 # **For your own data, change** the name in ``xcg.datasets.open`` to your files. Along axes that are not periodic,
 # ``bounds`` say which part the grains fill (:doc:`structure </microstructure>`).
