@@ -161,7 +161,7 @@ def interpolate(table, row, q2):
 
 @inner
 def fill_values(kind, table, norm, by_gradient, q2, count, out):
-    """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise.
+    """Write norm x value, or norm x gradient, at `count` squared distances, in loops that vectorise.
 
     At the rim rounding may leave a squared distance above 1, where the roots of chords are not
     numbers.

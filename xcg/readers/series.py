@@ -403,7 +403,7 @@ def _boxes(
 def _compare_with_contacts(
     box: NDArray, arguments: Arguments, listing: Listing, setup: Setup
 ) -> None:
-    """Warn if edges (t, 3, 2) that the caller gave are not a period apart, as contacts across an edge tell it."""
+    """Warn if edges (t, 3, 2) that the caller gave are not a period apart, as contacts across an edge show."""
     parts = [(row, part) for row, step in enumerate(listing.steps) for part in _parts_of(step)]
     row, ref = next(((row, part) for row, part in parts if part.rows), (0, None))
     if ref is None:
@@ -429,7 +429,7 @@ def _parts_of(step: Step) -> list[StepRef]:
 def _periods_from(
     refs: Sequence[StepRef], arguments: Arguments, listing: Listing, periodic: str
 ) -> dict[str, float]:
-    """Return periods in the files' unit, from the first contacts that tell each of them."""
+    """Return periods in the files' unit, from the first contacts on both sides of each edge."""
     periods: dict[str, float] = {}
     for ref in refs:
         if set(periodic) <= set(periods):

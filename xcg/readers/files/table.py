@@ -150,7 +150,7 @@ class _ColumnBuffer:
         self._rows = rows
 
     def write(self, first: int, numbers: NDArray) -> None:
-        """Write a block (wanted, n) from a row on, which follows those that were written before."""
+        """Write a block (wanted, n) from a row on, behind the rows that were written before."""
         end = first + numbers.shape[1]
         if end > self._rows:  # it doubles, as copying it for each block would take most of the time
             self._resize(first, self._rows + end)
@@ -435,7 +435,7 @@ def split_header(line: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
-    """Yield what is left of a text, and add the byte after each end of a line to `starts`."""
+    """Yield the rest of a text, and add the byte after each end of a line to `starts`."""
     piece = b"\n"
     while block := scanner.block(PIECE):
         piece = block
