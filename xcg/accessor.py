@@ -99,7 +99,8 @@ class Method:
     """
 
     def __init__(self, module: str, *kinds: str) -> None:
-        self.module, self.kinds = module, kinds
+        self.module = module
+        self.kinds = kinds
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name

@@ -263,7 +263,8 @@ def _bonded(
     """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
     from scipy.spatial import cKDTree
 
-    reach, period = bond * (1 + 1e-6), np.full(3, edge)
+    reach = bond * (1 + 1e-6)
+    period = np.full(3, edge)
     if edge <= reach:
         raise ValueError(
             f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells"
@@ -415,7 +416,8 @@ def dense_packing(
     position %= box
     period = np.where([a in periodic for a in COMPONENTS], box, np.inf)
     tree = cKDTree(position, boxsize=np.where(np.isfinite(period), period, 0.0))
-    wanted, reach = round(contacts * particles), 1.2 * edge / np.sqrt(2)
+    wanted = round(contacts * particles)
+    reach = 1.2 * edge / np.sqrt(2)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     while len(pairs) < wanted and reach < box.min() / 2:
         reach *= 1.2
@@ -424,7 +426,9 @@ def dense_packing(
     length = np.linalg.norm(branch, axis=1)
     nearest = np.argsort(length, kind="stable")[:wanted]
     nearest = nearest[np.lexsort((pairs[nearest, 1], pairs[nearest, 0]))]
-    pairs, branch, length = pairs[nearest], branch[nearest], length[nearest]
+    pairs = pairs[nearest]
+    branch = branch[nearest]
+    length = length[nearest]
     push = rng.exponential(size=(len(pairs), 1)) * branch / length[:, None]
     given = {
         "diameter": np.full(particles, diameter),

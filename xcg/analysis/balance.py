@@ -285,9 +285,11 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
 
     given = np.asarray(ds.attrs.get("gravity", (0.0, 0.0, 0.0)), float)
     gravity = xr.DataArray(given, {"component": list(COMPONENTS)}, "component")
-    interval, out = xr.DataArray(np.diff(f.time.values), dims="time"), dict[str, xr.DataArray]()
+    interval = xr.DataArray(np.diff(f.time.values), dims="time")
+    out = dict[str, xr.DataArray]()
     for balanced, law in laws.items():
-        name, parts = f"{balanced}_residual", law.terms(f, divergence, gravity)
+        name = f"{balanced}_residual"
+        parts = law.terms(f, divergence, gravity)
         if law.rate:
             parts = [_halfway(part, lambda one, other: (one + other) / 2) for part in parts]
             parts.insert(0, _halfway(f[law.rate], lambda one, other: (other - one) / interval))

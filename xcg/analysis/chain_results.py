@@ -84,7 +84,8 @@ RESULTS: dict[str, Variable] = (
 
 def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, int]:
     """Sizes of the dimensions of a result: as many chains, and as long ones, as there could be, but at least one."""
-    chains, lengths = max(1, particles // min_length), max(1, particles - min_length + 1)
+    chains = max(1, particles // min_length)
+    lengths = max(1, particles - min_length + 1)
     return {"particle": particles, "contact": contacts, "chain": chains, "length": lengths}
 
 
@@ -224,7 +225,8 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
         chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
         found = {"chain": chain}
         for name, row in CHAINS.items():
-            values, short = step.arrays[name][chain], name.removeprefix("chain_")
+            values = step.arrays[name][chain]
+            short = name.removeprefix("chain_")
             if "component" in row.dims:
                 found |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
             else:
@@ -342,7 +344,8 @@ def plot_chains(
     ]
     (step,) = steps_of(step_at(fc, index), names)
     arrays = step.arrays
-    position, diameter = arrays["position"][:, plane], arrays["diameter"]
+    position = arrays["position"][:, plane]
+    diameter = arrays["diameter"]
     ax = new_axes(ratio=ratio_of_circles(position, diameter / 2)) if ax is None else ax
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
@@ -406,10 +409,8 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     ax = new_axes() if ax is None else ax
     steps = with_time(fc[["length_share", "chain_count"]]).compute()
     steps = steps if "time" in steps.dims else steps.expand_dims("time")
-    share, count = (
-        steps["length_share"].transpose("time", "length").to_numpy(),
-        steps["chain_count"].to_numpy(),
-    )
+    share = steps["length_share"].transpose("time", "length").to_numpy()
+    count = steps["chain_count"].to_numpy()
     length = fc["length"].to_numpy()
     for row in share:
         ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")

@@ -113,7 +113,8 @@ class _Moving(Region):
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Return a mask of the particles whose centre is inside; all False where the followed particle is missing."""
-        position, offset = frame["position"], np.asarray(self.velocity) * time
+        position = frame["position"]
+        offset = np.asarray(self.velocity) * time
         if self.follow is not None:
             row = np.flatnonzero(frame["particle_id"] == self.follow)
             if not row.size:

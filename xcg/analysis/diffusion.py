@@ -199,7 +199,8 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     """Return indices of the lags (n,) in the range of the fit."""
     if fit is None:
         return np.zeros(0, int)
-    ends, hair = floats(fit), 1e-9 * at[-1]
+    ends = floats(fit)
+    hair = 1e-9 * at[-1]
     used = (
         np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair))
         if ends.shape == (2,)
@@ -234,14 +235,17 @@ def _ways(
         for n in ("particle_id", "position", *MOTION, "frozen", by, *OF_STEP)
         if n is not None and n in ds
     ]
-    periodic, before = str(ds.attrs.get("periodic", "")), None
+    periodic = str(ds.attrs.get("periodic", ""))
+    before = None
     for t, step in enumerate(each_step(ds[names])):
         frame, lattice, source = next(
             steps_in({name: step[name].to_numpy() for name in names}, periodic)
         )
         frame = without_frozen(frame)
-        ids, position = frame["particle_id"], frame["position"]
-        place, seen = np.zeros_like(position), np.full(len(ids), t)
+        ids = frame["particle_id"]
+        position = frame["position"]
+        place = np.zeros_like(position)
+        seen = np.full(len(ids), t)
         if before is not None:
             old, old_frame, old_lattice, old_source = before
             rows = partners(old_frame, frame, (old_source, source))
@@ -260,7 +264,8 @@ def _sums(
     ds: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int], remove_drift: bool
 ) -> tuple[NDArray, NDArray]:
     """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
-    steps, phases = ds.sizes["time"], max(1, len(known))
+    steps = ds.sizes["time"]
+    phases = max(1, len(known))
     sums, counts = np.zeros((steps, len(lags), phases, 3, 3)), np.zeros((steps, len(lags), phases))
     recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
     for t, now in enumerate(_ways(ds, by, known, remove_drift)):

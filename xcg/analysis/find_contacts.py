@@ -117,7 +117,9 @@ class _Search(FrameAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Find the contacts of one step."""
-        ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
+        ids = frame["particle_id"]
+        position = frame["position"]
+        radius = frame["diameter"] / 2
         self._refuse_own_images(frame, lattice, source)
         i, j = pairs_of(
             position,
@@ -177,9 +179,11 @@ class _Search(FrameAnalysis):
 
     def _refuse_own_images(self, frame: Frame, lattice: Lattice, source: str) -> None:
         """Raise SceneError for a period that a grain spans: it would touch itself."""
-        ids, diameter = frame["particle_id"], frame["diameter"]
+        ids = frame["particle_id"]
+        diameter = frame["diameter"]
         if "frozen" in frame:
-            ids, diameter = ids[frame["frozen"] != 1], diameter[frame["frozen"] != 1]
+            ids = ids[frame["frozen"] != 1]
+            diameter = diameter[frame["frozen"] != 1]
         period, direction = lattice.closest
         if diameter.max(initial=0.0) + self.skin > period:
             row = int(np.argmax(diameter))

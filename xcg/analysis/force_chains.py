@@ -274,9 +274,12 @@ def find_chains(
     """
     contacts = rule.stress.contacts(frame, lattice, source, threads)
     stress = rule.stress.evaluate(frame, contacts, lattice, source)
-    major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
+    major = stress["major_stress"]
+    onward = np.nan_to_num(stress["major_direction"])
     qualifies = rule.qualifies(frame, stress, lattice)
-    i, j, particles = contacts.i, contacts.j, len(major)
+    i = contacts.i
+    j = contacts.j
+    particles = len(major)
     branch = contacts.between
 
     aligned = np.empty(len(i), bool)
@@ -291,8 +294,10 @@ def find_chains(
     start, contact = loops.rows_of_contacts(i, j, aligned, particles)
     seeds = np.flatnonzero(qualifies)
     chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
-    members, first = np.empty(particles, int), np.empty(particles + 1, int)
-    place, link = frame["position"].copy(), np.full(len(i), loops.UNSEEN)
+    members = np.empty(particles, int)
+    first = np.empty(particles + 1, int)
+    place = frame["position"].copy()
+    link = np.full(len(i), loops.UNSEEN)
     found = (chain, parent, members, first, onward, place, link)
     if rule.linear:
         seeds = seeds[np.argsort(-major[seeds], kind="stable")]
@@ -371,7 +376,9 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     require_rising_times(fc, "track_chains")
     steps = fc.sizes["time"]
     track = np.full((steps, fc.sizes["chain"]), -1)
-    survivors, times, tracks = np.zeros(steps, int), np.zeros(steps), 0
+    survivors = np.zeros(steps, int)
+    times = np.zeros(steps)
+    tracks = 0
     before: tuple[NDArray, NDArray] = (np.zeros(0, int), np.zeros(0, int))
     for t, step in enumerate(steps_of(fc, ["chain_id"])):
         member = step.arrays["chain_id"] >= 0

@@ -148,7 +148,8 @@ def _circles(
     frame: Frame, axes: list[str], cut: Mapping[str, float], lattice: Lattice
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Return centres (n, 2) and radii (n,) of the circles, and the rows of their particles."""
-    position, radius = frame["position"], frame["diameter"] / 2
+    position = frame["position"]
+    radius = frame["diameter"] / 2
     offset = position[:, [COMPONENTS.index(axis) for axis in axes]]
     rows = np.arange(len(position))
     for axis, place in cut.items():

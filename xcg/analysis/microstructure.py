@@ -249,7 +249,8 @@ def microstructure(
     check_choice("strain", strain, StrainMeasure)
     check_choice("mixing_weight", mixing_weight, MixingWeight)
     scene = describe(ds, by)
-    setup, regions = scene.setup, _regions(bounds, scene.setup.plane)
+    setup = scene.setup
+    regions = _regions(bounds, scene.setup.plane)
     neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
     counts = {
         "min_contacts": min_contacts,
@@ -431,10 +432,8 @@ def _with_series(
         )
         first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
         stretch = xr.ufuncs.log(lengths / first)
-        total, axial = (
-            stretch.sum("component", skipna=False),
-            stretch.sel(component=axis, drop=True),
-        )
+        total = stretch.sum("component", skipna=False)
+        axial = stretch.sel(component=axis, drop=True)
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
             attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}

@@ -81,7 +81,8 @@ def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = No
     needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
     require_scene(ds, [*CONTACTS, *needed], "adjacency")
     frame, contacts = _step_at(ds, index, needed)
-    pairs, count = _edges(frame, contacts), len(frame["particle_id"])
+    pairs = _edges(frame, contacts)
+    count = len(frame["particle_id"])
     i, j = pairs["i"], pairs["j"]
     values = np.ones(len(i)) if weight is None else pairs[weight].astype(float)
     values = np.linalg.norm(values, axis=1) if weight == "force" else values
@@ -239,14 +240,17 @@ class Clusters:
     @cached_property
     def _joined(self) -> tuple[NDArray, NDArray]:
         """Root of the cluster of each grain (particles,), and along which lattice vectors that winds (particles, k)."""
-        contacts, known = self.contacts, np.append(self.member, False)  # row -1 is that of a wall
-        lattice, count = contacts.lattice, len(self.member)
+        contacts = self.contacts
+        known = np.append(self.member, False)  # row -1 is that of a wall
+        lattice = contacts.lattice
+        count = len(self.member)
         row_i, row_j = (np.where(known[row], row, -1) for row in (contacts.i, contacts.j))
         # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
         crossed = np.rint(contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)).astype(
             "int64"
         )
-        root, moved = np.arange(count), np.zeros((count, crossed.shape[1]), "int64")
+        root = np.arange(count)
+        moved = np.zeros((count, crossed.shape[1]), "int64")
         winds = np.zeros(moved.shape, bool)
         join_clusters(row_i, row_j, crossed, root, moved, winds)
         return root, winds

@@ -134,7 +134,9 @@ class CellLists:
         """Sort particles into `levels` levels (None: as many as their sizes ask for)."""
         # a layer is sorted along y, so that runs of cells stay long
         axes = [2, 0, 1] if np.ptp(position[:, 2]) <= 2 * radius.max() + skin else [0, 1, 2]
-        position, corner, period = position[:, axes], corner[axes], period[axes]
+        position = position[:, axes]
+        corner = corner[axes]
+        period = period[axes]
         level, largest, members = _by_size(radius, skin, levels)
         lower, upper = _extent(position, corner, period)
         # coordinates as large as these are rounded by no more than this, and so are their
@@ -150,7 +152,8 @@ class CellLists:
         inverse = np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0)
         first_cell = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
         count = len(position)
-        wrapped, cell = np.empty((count, 3)), np.empty(count, "int64")
+        wrapped = np.empty((count, 3))
+        cell = np.empty(count, "int64")
 
         def locate(first: int, last: int) -> None:
             some = slice(first, last)
@@ -169,7 +172,8 @@ class CellLists:
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
-        starts, row = np.zeros(first_cell[-1] + 2, "int32"), np.empty(count, "int32")
+        starts = np.zeros(first_cell[-1] + 2, "int32")
+        row = np.empty(count, "int32")
         sort_by_key(cell, starts[1:], row)
         starts = starts[:-1]
         records = np.empty((count, 4))
@@ -433,7 +437,8 @@ def cells_of(
         corner = np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
     whose = np.arange(len(centres))
     if lattice.vectors is not None:
-        centres, reach = lattice.wrapped(centres, corner, source), 2 * radii.max() + skin
+        centres = lattice.wrapped(centres, corner, source)
+        reach = 2 * radii.max() + skin
         low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
         row, shift, _ = lattice.images(centres, low, high, source)
         others = shift.any(axis=1)

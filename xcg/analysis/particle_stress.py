@@ -118,10 +118,8 @@ class StressRule:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
         values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
-        volumes, axes_of = (
-            self.volumes(frame, lattice, source),
-            principal if self.symmetric else principal_of_any,
-        )
+        volumes = self.volumes(frame, lattice, source)
+        axes_of = principal if self.symmetric else principal_of_any
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)

@@ -297,7 +297,8 @@ def movie(
     if path.suffix == ".mp4":
         settings["animation.ffmpeg_path"] = _ffmpeg(path)
     part = _part(f, field, component, direction, at, arrows, shading)
-    count, name = part.sizes["time"], part.attrs["drawn"]
+    count = part.sizes["time"]
+    name = part.attrs["drawn"]
     steps = []
     with shown(count, progress, what="steps computed") as bar:
         for step in each_step(part):
@@ -390,10 +391,8 @@ def _part(
     cut = _slice(f, at)
     axes = axes_of(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        drawn, dims = (
-            ", ".join(_AXES),
-            [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")],
-        )
+        drawn = ", ".join(_AXES)
+        dims = [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")]
         own = next((dim for dim in dims if dim not in ("time", "phase")), dims[0] if dims else None)
         step = ".isel(time=-1)" if "time" in dims and own != "time" else ""
         raise ValueError(
@@ -626,7 +625,8 @@ def _draw_profile(
 ) -> None:
     nodes = picture[axis].to_numpy()
     value, error = picture[name], picture.get(f"{name}{ERROR}")
-    others, upright = [dim for dim in value.dims if dim != axis], axis == "z"
+    others = [dim for dim in value.dims if dim != axis]
+    upright = axis == "z"
     for labels in product(*(value[dim].to_numpy() for dim in others)):
         place = dict(zip(others, labels, strict=True))
         y = value.sel(place).to_numpy()
@@ -710,7 +710,8 @@ def _draw_circle(
         apart = 2 * rim[-1] / ARROWS
         line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
         x, y = (a.ravel() for a in np.meshgrid(line, line))
-        away, angle = np.hypot(x, y), np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+        away = np.hypot(x, y)
+        angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
         inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
         x, y, away, angle = (a[inside] for a in (x, y, away, angle))
         there = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
@@ -769,6 +770,7 @@ def _title(picture: xr.Dataset) -> str:
         unit = drawing.unit_text(str(picture[name].attrs.get("units", "")))
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         if picture[name].attrs.get("long_name") == NUMBERED:
-            name, text = "step", f"{value:.0f}"
+            name = "step"
+            text = f"{value:.0f}"
         parts.append(f"{name} = {text} {unit}".rstrip())
     return ", ".join(parts)

@@ -196,7 +196,8 @@ def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
 
 def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
     """Mean and distribution of one part of the forces, over the contacts that push."""
-    force, ratios = f"{kind}_force", f"{symbol} / <{symbol}>"
+    force = f"{kind}_force"
+    ratios = f"{symbol} / <{symbol}>"
     return {
         f"mean_{force}": PackingQuantity(
             f"mean {kind} force of contacts that push",

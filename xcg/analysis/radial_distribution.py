@@ -375,7 +375,8 @@ class RadialDistribution(FrameAnalysis):
         inverse = [1 / self._lengths.get(k, np.inf) for k in range(3)]
         turn = np.pi * np.arange(angles + 1) / angles
         step = np.pi / angles
-        sine, is_late = np.sin(turn), turn > np.pi / 2
+        sine = np.sin(turn)
+        is_late = turn > np.pi / 2
         cosines = inverse[first] * np.diff(np.where(is_late, 2 - sine, sine)) / step
         sines = inverse[second] * np.diff(1 - np.cos(turn)) / step
         square = np.where(is_late, 1 - sine**2 / 2, sine**2 / 2)

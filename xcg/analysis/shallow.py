@@ -383,7 +383,8 @@ def depth_average(
 
 def _transport(f: xr.Dataset) -> xr.DataArray:
     """Return the transport of momentum by the mean flow, p p / rho, zero in empty nodes."""
-    p, mass = f["momentum_density"], f["density"]
+    p = f["momentum_density"]
+    mass = f["density"]
     return (p * p.rename(component="direction") / mass.where(mass > 0)).fillna(0.0)
 
 

@@ -257,13 +257,16 @@ class StructureFactor(FrameAnalysis):
         ranges = [np.arange(-n, n + 1) for n in most[1:]]
         plane = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
         random = np.random.default_rng(0)
-        numbers, bins, keys = np.zeros((0, len(most)), "int64"), np.zeros(0, "int64"), np.zeros(0)
+        numbers = np.zeros((0, len(most)), "int64")
+        bins = np.zeros(0, "int64")
+        keys = np.zeros(0)
         for h in range(most[0] + 1):
             # the first number that is not zero is positive
             half = plane if h else plane[len(plane) // 2 + 1 :]
             new = np.column_stack([np.full(len(half), h), half])
             k = np.linalg.norm(2 * np.pi * new @ inverse.T, axis=1)
-            new, k = new[k < k_max], k[k < k_max]
+            new = new[k < k_max]
+            k = k[k < k_max]
             numbers = np.concatenate([numbers, new])
             bins = np.concatenate([bins, (k / k_max * self.bins).astype("int64")])
             keys = np.concatenate([keys, random.random(len(new))])
@@ -272,5 +275,7 @@ class StructureFactor(FrameAnalysis):
                 of_bin = bins[order]
                 rank = np.arange(len(order)) - np.searchsorted(of_bin, of_bin)
                 kept = order[rank < self.samples]
-                numbers, bins, keys = numbers[kept], bins[kept], keys[kept]
+                numbers = numbers[kept]
+                bins = bins[kept]
+                keys = keys[kept]
         return numbers, np.minimum(bins, self.bins - 1)

@@ -119,7 +119,8 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     joined = joined.transpose("width", *(["point"] if several else []), ...)
     if joined.chunks:
         joined = joined.chunk({"width": -1})
-    widths, found = np.array(lengths), dict[str, xr.DataArray]()
+    widths = np.array(lengths)
+    found = dict[str, xr.DataArray]()
     for field in map(str, joined.data_vars):
         found |= _bias(field, joined[field], widths, asked.max_bias)
         if len(lengths) > 2:
@@ -225,7 +226,8 @@ def _plateau(
     best = (rows == inside.argmin("width")) & (inside.min("width") < max_slope)
     value = field.where(best).sum("width", min_count=1)
     width = inside.width.where(best).sum("width", min_count=1)
-    unit, what = field.coords["width"].attrs.get("units", "m"), field.attrs.get("long_name", name)
+    unit = field.coords["width"].attrs.get("units", "m")
+    what = field.attrs.get("long_name", name)
     return {
         f"{name}_slope": slope.assign_attrs(
             units="1", long_name=f"size of the logarithmic slope of {what} by width"
@@ -325,7 +327,8 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     """
     ds, asked = prepare(ds, asked)
     refuse_cylindrical(ds, "choose_width")
-    scene, count = describe(ds), ds.sizes.get("time", 1)
+    scene = describe(ds)
+    count = ds.sizes.get("time", 1)
     widths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
     if len(widths) < 3:
         raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths")
@@ -364,10 +367,8 @@ def _averages(
 ) -> tuple[xr.Dataset, list[str], int]:
     """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
     wanted = [asked.fields] if isinstance(asked.fields, str | Quantity) else list(asked.fields)
-    at, axes = (
-        asked.at or {},
-        plane if asked.axes is None and asked.at is None else asked.axes or "",
-    )
+    at = asked.at or {}
+    axes = plane if asked.axes is None and asked.at is None else asked.axes or ""
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
@@ -392,7 +393,9 @@ def _averages(
 
 def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, NDArray]:
     """Bias and noise of an average at each width, relative to the size of the field."""
-    field, error, widths = mean[name], mean[f"{name}_error"], mean["width"].to_numpy()
+    field = mean[name]
+    error = mean[f"{name}_error"]
+    widths = mean["width"].to_numpy()
     parts = [dim for dim in ("component", "direction", "other_phase") if dim in field.dims]
     count = mean[_COUNT].isel(width=len(widths) // 2, drop=True)
     places = list(count.dims)
@@ -435,7 +438,9 @@ def _integrate(change: NDArray, widths: NDArray) -> NDArray:
 
 def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str, xr.DataArray]:
     """Return the best width with its errors and spacing, and the width and number of frames that reach the target."""
-    frames, target, widths = found.attrs["frames"], found.attrs["target"], found["width"].to_numpy()
+    frames = found.attrs["frames"]
+    target = found.attrs["target"]
+    widths = found["width"].to_numpy()
     fine = np.geomspace(widths[0], widths[-1], STEPS + 1)
 
     def between(name: str) -> NDArray:
@@ -454,14 +459,17 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
             f"choose_width: {', '.join(names)} cannot be judged at any width: unknown at more than a tenth of the "
             "particles, or zero everywhere; choose by other fields, or measure at wider widths="
         )
-    best, fewest = int(np.nanargmin(worst)), int(np.lexsort((worst, needed))[0])
+    best = int(np.nanargmin(worst))
+    fewest = int(np.lexsort((worst, needed))[0])
     end = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}.get(
         best, ""
     )
     leading = int(totals[:, best].argmax())
-    bias, total = biases[leading, best], worst[best]
+    bias = biases[leading, best]
+    total = worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
-    q, dimension = np.linspace(0.0, 1.0, 4001), kernel.dimension or 3
+    q = np.linspace(0.0, 1.0, 4001)
+    dimension = kernel.dimension or 3
     weight = kernel.value(q * kernel.cutoff) * q ** (dimension - 1)
     mean_square = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
     second_moment = mean_square * (kernel.cutoff / kernel.width) ** 2 / dimension * fine[best] ** 2
@@ -516,7 +524,8 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
     if "best_width" not in found:
         raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")
     ax = drawing.new_axes() if ax is None else ax
-    frames, width = found.attrs["frames"], found["width"]
+    frames = found.attrs["frames"]
+    width = found["width"]
     names = [
         str(name).removesuffix("_bias")
         for name in found

@@ -231,7 +231,9 @@ class _CellShares(FrameAnalysis):
                 room=some["diameter"] / 2,
             )
         phase = phase_of(some, self.by, self.groups, source)
-        count, diameter, volume = len(some["position"]), some["diameter"], some["volume"]
+        count = len(some["position"])
+        diameter = some["diameter"]
+        volume = some["volume"]
         momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
         values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
         spheres = self.setup.dimension == 3 or np.allclose(
@@ -339,7 +341,8 @@ def slice_temperature(
     setup = scene.setup
     if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
         raise ValueError(f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}")
-    k, fitted = COMPONENTS.index(axis), None
+    k = COMPONENTS.index(axis)
+    fitted = None
     if width is None:
         width = scene.sizes.get("d43", np.nan)
     if bounds is None and axis in setup.periodic:
@@ -445,7 +448,9 @@ class _Slices(FrameAnalysis):
         k = COMPONENTS.index(self.axis)
         along = np.arange(3) == k
         lattice = lattice.seen(along, source)
-        position, velocity, weight = some["position"], some["velocity"], some[self.weight]
+        position = some["position"]
+        velocity = some["velocity"]
+        weight = some[self.weight]
         row = np.arange(len(position))
         if self.fitted is not None:
             warn_beyond(self.axis, position[:, k], *self.fitted, source)
@@ -456,7 +461,9 @@ class _Slices(FrameAnalysis):
             low = np.where(along, first - reach, -np.inf)
             high = np.where(along, last + reach, np.inf)
             row, shift, drift = lattice.images(position, low, high, source)
-            position, velocity, weight = position[row] + shift, velocity[row] + drift, weight[row]
+            position = position[row] + shift
+            velocity = velocity[row] + drift
+            weight = weight[row]
         of_method = _bins if self.method == "bins" else _planes
         period = float(lattice.period[k])
         out = of_method(self, position[:, k], velocity, weight, row, period)
@@ -518,7 +525,8 @@ def _planes(
     sides = slices.planes
     dims = slices.dims
     count = len(x)
-    radius, grain = diameter / 2, np.arange(count)
+    radius = diameter / 2
+    grain = np.arange(count)
     reach = radius.max(initial=0.0)
     if not reach < _MOST_PERIODS * period:
         raise SceneError(
@@ -530,15 +538,21 @@ def _planes(
         grain = np.tile(grain, len(images))
         x = (np.mod(x, period) + images[:, None]).ravel()
     order = np.argsort(x)
-    grain, x = grain[order], x[order]
-    velocity, radius = velocity[grain], radius[grain]
+    grain = grain[order]
+    x = x[order]
+    velocity = velocity[grain]
+    radius = radius[grain]
     out = np.full((len(slices.nodes), 5), np.nan)
     shifts = np.arange(-sides, sides + 1)
     for k, node in enumerate(slices.nodes):
-        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(count, bool)
+        total = 0.0
+        energy = 0.0
+        momentum = np.zeros(3)
+        seen = np.zeros(count, bool)
         shared = 0.0
         for m in shifts:
-            plane, share = node + m * width / (2 * max(sides, 1)), 1 - abs(m) / (sides + 1)
+            plane = node + m * width / (2 * max(sides, 1))
+            share = 1 - abs(m) / (sides + 1)
             plane = np.mod(plane, period) if np.isfinite(period) else plane
             near = slice(*np.searchsorted(x, (plane - reach, plane + reach)))
             area = np.pi * np.maximum(radius[near] ** 2 - (x[near] - plane) ** 2, 0.0)

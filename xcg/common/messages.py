@@ -232,7 +232,8 @@ class Once:
     @contextmanager
     def active(self) -> Iterator[None]:
         """Let `warn_once` in this thread speak for this call."""
-        before, _current.call = _current.call, self
+        before = _current.call
+        _current.call = self
         try:
             yield
         finally:

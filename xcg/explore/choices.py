@@ -106,7 +106,8 @@ class Pictures:
     has_grains = False
 
     def __init__(self, ds: xr.Dataset, name: str = "f") -> None:
-        self.ds, self.name = with_time(ds), name
+        self.ds = with_time(ds)
+        self.name = name
         self._steps = "time" if "time" in ds.dims else "step"  # dimension in calls
         self.steps = self.ds.sizes.get("time", 1)
         self._describe()
@@ -341,7 +342,8 @@ class ScenePictures(Pictures):
             parts = {part: found[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
         else:
             found = width_sweep(steps, SWEPT, [choice.field, "number_density"], **nodes)
-            bias, field = found[f"{choice.field}_bias"], found[choice.field]
+            bias = found[f"{choice.field}_bias"]
+            field = found[choice.field]
             weight = found["number_density"].where(field.notnull() & bias.notnull(), 0.0)
             others = [dim for dim in field.dims if dim != "width"]
             of_bias = (bias.fillna(0.0) ** 2 * weight).sum(others)

@@ -99,8 +99,10 @@ class Map:
             if numbers.sizes[axis] > 2:
                 evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
         edges_across, edges_up, values = drawing.cells_of(numbers, "smooth")
-        x, width = edges_across[0], edges_across[-1] - edges_across[0]
-        y, height = edges_up[0], edges_up[-1] - edges_up[0]
+        x = edges_across[0]
+        width = edges_across[-1] - edges_across[0]
+        y = edges_up[0]
+        height = edges_up[-1] - edges_up[0]
         known = values[np.isfinite(values)]
         label = label_of(numbers, str(numbers.name))
         if may_diverge(numbers):

@@ -152,7 +152,8 @@ def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Acce
         If the kernel is not of the scene's dimension, groups have different widths, walls do not
         bound an averaged axis, or they vary across the layer of a two-dimensional scene.
     """
-    kernel, plane = plan.kernel, plan.setup.plane
+    kernel = plan.kernel
+    plane = plan.setup.plane
     if len(plan.widths) > 1:
         raise ValueError(
             "surfaces= take one width for all groups, as the accessible fraction is that of one kernel"

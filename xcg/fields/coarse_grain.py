@@ -88,7 +88,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     given = request.given() | framed
     if request.on_error == "raise":
         del given["on_error"]
-    call, rename = format_call("coarse_grain", given), None
+    call = format_call("coarse_grain", given)
+    rename = None
     scene = describe(ds, request.by)
     if request.preset is not None:
         request, rename = _in_own_names(scene, request)
@@ -172,7 +173,8 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
     What is asked for then holds of the bodies, in the axes of the frame.
     """
     if asked.by_body is not None:
-        ds, asked = group_bodies(ds, asked.by_body), replace(asked, by_body=None)
+        ds = group_bodies(ds, asked.by_body)
+        asked = replace(asked, by_body=None)
     if asked.frame is not None:
         ds = ds if is_cylindrical(ds) else in_frame(with_measures(ds), asked.frame)
         if not is_cylindrical(ds):

@@ -160,7 +160,8 @@ def _compute_step(
     reached: list[int] = []
 
     def fill(part: Block) -> None:
-        found, place = sums.over(part), part.places
+        found = sums.over(part)
+        place = part.places
         reached.append(int(np.count_nonzero(~np.isnan(found.velocity[:, 0]))))
         if program:
             program.run(found, place, rows, part.order)
@@ -205,7 +206,8 @@ _NARROW = "narrow kernel"  # a cause that both warnings have, and that one of th
 def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
     """Warn of a volume fraction (nodes, phases) above 1, where the volume of the `largest` grain may be the cause."""
     node = int(fraction.max(axis=1).argmax())
-    grid, kernel = plan.deposit.grid, plan.kernel
+    grid = plan.deposit.grid
+    kernel = plan.kernel
     index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
     coords = {
         name: coord.isel({dim: index[str(dim)] for dim in coord.dims})
@@ -252,7 +254,8 @@ _AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     """Return the coordinates of a result beside time."""
-    options, grid = plan.options, plan.deposit.grid
+    options = plan.options
+    grid = plan.deposit.grid
     length = units_in("m", plan.setup.unit_system)
     facts = {name: scene.attrs[name] for name in ABOUT if name in scene.attrs}
     coords = {SETUP: setup_of(facts | _choices(plan))}
@@ -284,7 +287,8 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
 
 def _choices(plan: Plan) -> dict[str, Any]:
     """Return the options of a plan as attributes of its result."""
-    options, grid = plan.options, plan.deposit.grid
+    options = plan.options
+    grid = plan.deposit.grid
     choices: dict[str, Any] = {
         **grid.attrs,
         "kernel": plan.kernel.name,

@@ -157,7 +157,10 @@ def extents_of(
 
 def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     """Return the kernel of all grains, or of each group where `width` maps groups to widths."""
-    kernel, width, by, dimension = request.kernel, request.width, request.by, scene.setup.dimension
+    kernel = request.kernel
+    width = request.width
+    by = request.by
+    dimension = scene.setup.dimension
     if not isinstance(width, Mapping):
         return [kernel_of(kernel, width, scene.sizes, dimension)]
     if by is None or not isinstance(kernel, str):
@@ -274,7 +277,8 @@ def check_size(
     # all steps, or those of the longest chunk of a lazy scene
     chunks = ds["position"].chunksizes.get("time")
     steps = max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
-    needed, free = 8 * numbers * steps, memory_at_hand()
+    needed = 8 * numbers * steps
+    free = memory_at_hand()
     shown = " x ".join(map(str, grid.sizes))
     if free is not None and needed > free:
         raise ValueError(

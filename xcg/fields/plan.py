@@ -98,7 +98,8 @@ class Plan:
     walls: str | None = None
 
     def __post_init__(self) -> None:
-        deposit, grid = self.deposit, self.deposit.grid
+        deposit = self.deposit
+        grid = self.deposit.grid
         self.phases = 1 + len(deposit.groups)
         self.dims = (*grid.dims, "phase") if deposit.by else grid.dims
         self.widths = [self.kernel.spread * cutoff for cutoff in deposit.cutoffs]
@@ -355,10 +356,8 @@ def _choose_fields(
         name for name, row in rows.items() if row.option and getattr(options, row.option) is None
     }
     if asked is None:
-        here, usual = (
-            scene.columns.keys(),
-            [name for name in listed if rows[name].default and name not in lacking],
-        )
+        here = scene.columns.keys()
+        usual = [name for name in listed if rows[name].default and name not in lacking]
         possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
         if not possible:
             require_scene(scene.columns, ("mass",), "coarse_grain")
@@ -460,7 +459,8 @@ def _options_of(scene: Description, request: Request) -> Options:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
         )
-    axes, at = request.axes_of(setup.plane), request.at or {}
+    axes = request.axes_of(setup.plane)
+    at = request.at or {}
     averaged = {a for a in setup.plane if isinstance(axes, str) and a not in axes and a not in at}
     derivatives = "zero"
     if "lattice_velocity" in scene.columns and averaged & {*setup.periodic}:

@@ -169,7 +169,8 @@ class Columnar(Engine):
         if not there["contact_force"] and not there["normal_force"]:
             raise lacks(ref, "contact force", "contact_force_x")
         if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
-            total, part = filled["contact_force_x"], filled["tangential_force_x"]
+            total = filled["contact_force_x"]
+            part = filled["tangential_force_x"]
             raise SceneError(
                 f"{source_of(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
                 f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "

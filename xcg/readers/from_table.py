@@ -178,7 +178,8 @@ def _with_vectors(
     )
     apart = np.zeros((len(table), 3))
     for key, (_, frame) in grains.items():
-        rows, position = np.flatnonzero(keys == key), frame["position"]
+        rows = np.flatnonzero(keys == key)
+        position = frame["position"]
         ids = frame.get("particle_id", np.arange(len(position)))
         unknown = np.setdiff1d(np.concatenate([ids_i[rows], ids_j[rows]]), ids)
         if unknown.size:

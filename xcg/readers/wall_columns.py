@@ -62,7 +62,8 @@ def wall_contacts_from(
 
     `read_columns` is that of the engine, see `xcg.readers.columns.Columnar`.
     """
-    name, walls = assign(ref, PARTICLE_SLOTS, options)["particle_id"], wall_columns(ref, options)
+    name = assign(ref, PARTICLE_SLOTS, options)["particle_id"]
+    walls = wall_columns(ref, options)
     wanted = {name, *(column for six in walls.values() for column in six)}
     table = read_columns(ref, wanted, ref.rows // len(walls), options)
     parts = []

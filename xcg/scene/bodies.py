@@ -150,7 +150,8 @@ def _bodies(
     frame: dict[str, NDArray], lattice: Lattice, source: str
 ) -> tuple[dict[str, NDArray], NDArray]:
     """Bodies of one frame, and the body's id of each sphere."""
-    ids, body = frame["particle_id"], frame["body"]
+    ids = frame["particle_id"]
+    body = frame["body"]
     own = body < 0
     identity = np.where(own, body.max(initial=-1) + 1 + ids, body)
     found, first, group = np.unique(identity, return_index=True, return_inverse=True)

@@ -171,7 +171,8 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
             "images are taken to be at rest relative to each other; give timestep=, times= or shear_rate="
         )
         return rates
-    cells, largest = vectors[:, axes], 0.0
+    cells = vectors[:, axes]
+    largest = 0.0
     # rates before and after each step, of the vectors as written there
     seen = np.zeros((2, len(time), len(axes), 3))
     for t, (one, two) in enumerate(pairwise(cells)):

@@ -319,7 +319,8 @@ def scene_from_arrays(
         check_scene(particles[0], setup, first)
         if times is not None and total > 1:
             check_motion(particles[0], particles[1], float(times[1] - times[0]), first)
-    measured, arrays = measure_frames(particles), Frame()
+    measured = measure_frames(particles)
+    arrays = Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)
         # so that no more than one variable is there twice

@@ -92,10 +92,8 @@ def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
         if row.dtype == "int64" and array.dtype.kind == "f":
             bad = np.flatnonzero(~((array == np.rint(array)) & (np.abs(array) < _WHOLE)))
             if bad.size:
-                found, why = (
-                    array.flat[bad[0]],
-                    "; tables are read as floats, which hold no larger ones: number them anew",
-                )
+                found = array.flat[bad[0]]
+                why = "; tables are read as floats, which hold no larger ones: number them anew"
                 raise SceneError(
                     f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {found}"
                     f"{why * bool(_WHOLE <= abs(found) < np.inf)}"
@@ -264,7 +262,8 @@ def _images(
     SceneError
         If a difference is no sum of whole periods.
     """
-    images, away = np.zeros((len(ids), 3), "int64"), unwrapped - position
+    images = np.zeros((len(ids), 3), "int64")
+    away = unwrapped - position
     if not away.any():
         return images
     periods = lattice.given
@@ -523,9 +522,11 @@ def _contact_points(
         raise SceneError(
             f"{source}: contact points follow from diameters, but the particles have none; give one of the two"
         )
-    position, radius = particles["position"], particles["diameter"] / 2
+    position = particles["position"]
+    radius = particles["diameter"] / 2
     points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
-    both, only = np.flatnonzero(~alone), np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
+    both = np.flatnonzero(~alone)
+    only = np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
     i, j, k = row_i[both], row_j[both], np.maximum(row_i, row_j)[only]
     seen = None if seen is None else seen[both]
 
@@ -537,7 +538,9 @@ def _contact_points(
                 f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
             )
 
-    centre, radius_i, radius_j = position[i], radius[i], radius[j]
+    centre = position[i]
+    radius_i = radius[i]
+    radius_j = radius[j]
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
     if branch is None:
         return None

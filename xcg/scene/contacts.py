@@ -75,8 +75,11 @@ class Contacts:
         cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1
     ) -> Contacts:
         """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
-        ids, position = frame["particle_id"], frame["position"]
-        key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
+        ids = frame["particle_id"]
+        position = frame["position"]
+        key_i = frame["contact_i"]
+        key_j = frame["contact_j"]
+        point = frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
         check_contacts(frame, row_i, row_j, lattice, source)
         normal = frame.get("contact_normal")
@@ -95,7 +98,8 @@ class Contacts:
 
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
-        out, periods = np.empty_like(self.point), self.lattice.for_loops
+        out = np.empty_like(self.point)
+        periods = self.lattice.for_loops
 
         def write(first: int, last: int) -> None:
             sides(row[first:last], self.position, self.point[first:last], *periods, out[first:last])
@@ -127,7 +131,9 @@ class Contacts:
         and stay as they are.
         """
         both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
-        normal, spheres, branches = self.normal[both], np.ones(len(both), bool), []
+        normal = self.normal[both]
+        spheres = np.ones(len(both), bool)
+        branches = []
         for row, given, sign in ((self.i, self.branch_i, 1.0), (self.j, self.branch_j, -1.0)):
             radius = diameter[row[both]] / 2
             branch = sign * (radius - overlap[both] / 2)[:, None] * normal
@@ -150,7 +156,8 @@ class Contacts:
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
-        out, periods = np.empty_like(self.point), self.lattice.for_loops
+        out = np.empty_like(self.point)
+        periods = self.lattice.for_loops
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
@@ -241,7 +248,8 @@ class Contacts:
 
         Partners that are not particles of the scene (walls) stay.
         """
-        degree, kept = self.partners.copy(), np.ones(len(self.position), bool)
+        degree = self.partners.copy()
+        kept = np.ones(len(self.position), bool)
         k_core(self.i, self.j, self.first, least, degree, kept)
         return kept
 
@@ -275,7 +283,8 @@ class Contacts:
     def at_walls(self) -> tuple[NDArray, NDArray, NDArray]:
         """Particle row, contact point (m) and force on the particle (N) of the contacts with walls."""
         walls = np.flatnonzero((self.i < 0) != (self.j < 0))  # few, if any
-        wall_j, wall_i = walls[self.j[walls] < 0], walls[self.i[walls] < 0]
+        wall_j = walls[self.j[walls] < 0]
+        wall_i = walls[self.i[walls] < 0]
         return (
             np.concatenate([self.i[wall_j], self.j[wall_i]]),
             np.concatenate([self.point[wall_j], self.point[wall_i]]),

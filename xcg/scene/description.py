@@ -187,7 +187,8 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     Nothing is read, but the six numbers of the first box where a lazy box changes.
     """
     ds = with_measures(ds)
-    gravity, edges = ds.attrs.get("gravity"), _edges(ds)
+    gravity = ds.attrs.get("gravity")
+    edges = _edges(ds)
     setup = Setup.make(
         periodic=ds.attrs.get("periodic", ""),
         gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
@@ -251,7 +252,9 @@ def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
 
 def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Edges of the first box: of one in memory; of a lazy one the attributes, which hold a box that does not change."""
-    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    box = None
+    lower = ds.attrs.get("box_lower")
+    upper = ds.attrs.get("box_upper")
     given = ds.variables["box"] if "box" in ds else None
     if (
         given is not None
@@ -411,7 +414,8 @@ _SIDES = {
 def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
     """Rows on where data come from and what holds for all of them: engine, files, times, gravity, units."""
     gravity = ds.attrs.get("gravity")
-    system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
+    system = ds.attrs.get("unit_system")
+    skipped = str(ds.attrs.get("skipped_files", ""))
     pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
     unit = units_in("m s^-2", system or "SI").removesuffix("1")
     assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""

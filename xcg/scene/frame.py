@@ -151,7 +151,8 @@ def step_at(ds: xr.Dataset, index: int) -> xr.Dataset:
 
 def frame_at(ds: xr.Dataset, index: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
     """Compute some variables of the step at a position: its frame, periodic images and name; errors as `step_at`."""
-    step, wanted = step_at(ds, index), {*names, *OF_STEP}
+    step = step_at(ds, index)
+    wanted = {*names, *OF_STEP}
     step = step[[name for name in step.variables if name in wanted]].compute()
     arrays = {
         str(name): values.to_numpy()[None]
@@ -256,7 +257,8 @@ def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -
     count = len(frame["position"])
     if by is None:
         return np.zeros(count, "int64")
-    values, known = frame[by], np.asarray(groups)
+    values = frame[by]
+    known = np.asarray(groups)
     row = np.minimum(np.searchsorted(known, values), len(known) - 1)
     strange = np.flatnonzero(known[row] != values)
     if strange.size:
@@ -335,7 +337,8 @@ _BINS = 4096  # of values, to find those that their median by weight is among
 
 def _median_by(values: NDArray, weights: NDArray) -> float:
     """Return the smallest of the values up to which half of the weight lies. Only those near it are sorted."""
-    near, below = np.arange(len(values)), 0.0
+    near = np.arange(len(values))
+    below = 0.0
     total = weights.sum()
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         per_value = (_BINS - 1) / (values.max() - values.min())
@@ -430,10 +433,8 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     )
     if lost:
         ds = without_attrs(ds, lost)
-    order, given = (
-        ("time", "particle", ...),
-        {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds},
-    )
+    order = ("time", "particle", ...)
+    given = {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds}
     arrays = {
         name: v.transpose(*order).to_numpy()
         for name, v in given.items()

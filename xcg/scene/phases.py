@@ -240,12 +240,15 @@ def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float
     rng = np.random.default_rng(seed)
     sample = points if len(points) <= MAX_GRAINS else rng.permutation(points)[:MAX_GRAINS]
     distinct = len(np.unique(np.round(sample, 6), axis=0))
-    labels, best, scores = np.zeros(len(points), int), MIN_SILHOUETTE, []
+    labels = np.zeros(len(points), int)
+    best = MIN_SILHOUETTE
+    scores = []
     for k in range(2, min(most, distinct) + 1):
         model = KMeans(k, n_init=5, random_state=seed).fit(sample)
         scores.append(_silhouette(sample, model.labels_, rng))
         if scores[-1] > best + 1e-6:  # of equal ones the fewest clusters
-            best, labels = scores[-1], model.predict(points)
+            best = scores[-1]
+            labels = model.predict(points)
     return labels, scores
 
 

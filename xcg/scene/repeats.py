@@ -210,7 +210,9 @@ def _copies(repeats: _Repeats, number: NDArray, source: str) -> tuple[NDArray, N
         other = one + distance
         gap = repeats.gap(one, other)
         near = gap <= _SAME_POINT * radius[other]
-        one, other, gap = one[near], other[near], gap[near]
+        one = one[near]
+        other = other[near]
+        gap = gap[near]
         at_one_point = gap <= _ROUNDED * radius[other]
         turned = repeats.mirrored[one] != repeats.mirrored[other]
         rounding = _ROUNDED * size[other]
@@ -220,7 +222,8 @@ def _copies(repeats: _Repeats, number: NDArray, source: str) -> tuple[NDArray, N
         has_both_sides[one[at_one_point & turned & opposite]] = True
         wrong = np.flatnonzero(turned & same & ~opposite)
         if wrong.size:
-            first, second = one[wrong[0]], other[wrong[0]]
+            first = one[wrong[0]]
+            second = other[wrong[0]]
             raise SceneError(
                 f"{source}: contact rows {number[repeats.rows[first]]} and "
                 f"{number[repeats.rows[second]]} list one contact from both sides with the same force, "

@@ -379,7 +379,8 @@ def _large_volumes(grains: Particles) -> str | None:
     named = {"diameter", "volume", "mass"} <= set(grains.frame)
     if not named or grains.setup.shape != "sphere" or "half_axis_x" in grains.frame:
         return None
-    d, volume = grains.sample["diameter"], grains.sample["volume"]
+    d = grains.sample["diameter"]
+    volume = grains.sample["volume"]
     ratio = np.median(volume / (np.pi / 6 * d**3))
     if ratio <= 1 + _DIGITS:
         return None
@@ -541,7 +542,8 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
         if lattice.vectors is not None:
             periods = np.full(3, np.linalg.norm(lattice.given, axis=1).min())
         known = np.abs(expected).max(axis=0) < 0.5 * periods
-        moved, expected = moved[:, known], expected[:, known]
+        moved = moved[:, known]
+        expected = expected[:, known]
     along = float((moved * expected).sum())
     of_velocities = float((expected**2).sum())
     of_positions = float((moved**2).sum())

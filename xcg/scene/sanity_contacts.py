@@ -36,7 +36,9 @@ def check_contacts(
     if not len(frame["position"]) or not len(row_i):
         return
     some = sample_of(len(row_i))
-    row_i, row_j, point = row_i[some], row_j[some], frame["contact_point"][some]
+    row_i = row_i[some]
+    row_j = row_j[some]
+    point = frame["contact_point"][some]
     side_i = _side(frame["position"], row_i, point, lattice)
     side_j = _side(frame["position"], row_j, point, lattice)
     if "diameter" in frame:
@@ -80,7 +82,8 @@ def _warn_of_far(frame: Frame, some: slice, far: NDArray, distance: NDArray, sou
 
 def _check_tension(along: NDArray, source: str) -> None:
     """Warn if nearly all forces on a particle point to the contact, by their component `along` (n,) away from it."""
-    pulling, pushing = int((along < 0.0).sum()), int((along > 0.0).sum())
+    pulling = int((along < 0.0).sum())
+    pushing = int((along > 0.0).sum())
     if pulling + pushing >= FEW and pulling > _MOST * (pulling + pushing):
         warn_once(
             "tension",

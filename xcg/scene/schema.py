@@ -364,7 +364,8 @@ class Setup:
 
         `units` are a mapping, "reduced", the name of a unit system of LAMMPS, or None for SI.
         """
-        scales, unit_system = (1.0, 1.0, 1.0), "SI"
+        scales = (1.0, 1.0, 1.0)
+        unit_system = "SI"
         if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
             units = units_of_system(units.lower(), f"units={units!r} is")
         if units == "reduced":

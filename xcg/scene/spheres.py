@@ -253,7 +253,8 @@ class SphereContacts:
         """
         rows = rows[(self.row_i[rows] >= 0) & (self.row_j[rows] >= 0)]
         i, j = self.row_i[rows], self.row_j[rows]
-        centre_i, centre_j = self.particles["position"][i], self.particles["position"][j]
+        centre_i = self.particles["position"][i]
+        centre_j = self.particles["position"][j]
         seen = None if self.seen is None else self.seen[rows]
         branch = nearest_branches(centre_i - centre_j, seen, self.lattice)
         side_sum = None
@@ -276,7 +277,8 @@ class SphereContacts:
 
     def _depths(self, rows: NDArray) -> NDArray:
         """Depths (n,) of contact points with walls below the surface of the sphere."""
-        i, point = self.row_i[rows], self.contacts["contact_point"][rows]
+        i = self.row_i[rows]
+        point = self.contacts["contact_point"][rows]
         to_point = self.lattice.shortest(self.particles["position"][i] - point)
         return self.particles["diameter"][i] / 2 - np.linalg.norm(to_point, axis=1)
 

@@ -39,7 +39,8 @@ class SkippedStep(SceneWarning):
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(step, cause)
-        self.step, self.cause = step, printable(cause)
+        self.step = step
+        self.cause = printable(cause)
 
     def __str__(self) -> str:
         return f"step {self.step} is skipped: {self.cause}"
@@ -66,7 +67,8 @@ _recorded = _Recorded()
 @contextmanager
 def collecting() -> Iterator[dict[Any, str]]:
     """Yield a dict of the faults noted in this thread instead of raised, by number of the step or by file."""
-    before, _recorded.faults = _recorded.faults, {}
+    before = _recorded.faults
+    _recorded.faults = {}
     try:
         yield _recorded.faults
     finally:

@@ -245,7 +245,8 @@ def _lazy_results(
     chunks = next(iter(lazy.values())).chunks[0]
     # a key of its own, so that what all tasks share, such as a million points, travels to a worker
     # once
-    call, skip = f"call-{name}", SKIPPED in results
+    call = f"call-{name}"
+    skip = SKIPPED in results
     tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
     gathered = Gathered.of(lazy)
     # tasks that record faults hold the graphs of their inputs, whose faults they record, too
@@ -296,7 +297,8 @@ class _LogLines:
     """A stream in which every state of a bar is a line of its own."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream, self._last = stream, ""
+        self._stream = stream
+        self._last = ""
 
     def write(self, text: str) -> None:
         line = text.strip("\r\n ")
@@ -353,7 +355,9 @@ def count_tasks(bar: tqdm, is_counted: Callable[[Any], bool]) -> Callback:
     """Return a dask callback that counts the tasks whose keys are chosen, and updates a bar of steps."""
     from dask.callbacks import Callback
 
-    first, done, tasks = bar.n, 0, 1
+    first = bar.n
+    done = 0
+    tasks = 1
 
     def begin(graph: Mapping[Any, Any]) -> None:
         nonlocal tasks

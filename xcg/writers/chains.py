@@ -116,7 +116,8 @@ def _fcf_rows(arrays: Frame) -> Iterator[str]:
 
 def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) -> list[Path]:
     """Name the file of each step, and refuse names that are taken, before any step is computed; errors as `to_csv`."""
-    pattern, count = os.fspath(path), with_time(fc).sizes.get("time", 1)
+    pattern = os.fspath(path)
+    count = with_time(fc).sizes.get("time", 1)
     if count > 1 and "{step}" not in pattern:
         raise ValueError(
             f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"

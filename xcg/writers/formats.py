@@ -67,8 +67,12 @@ class Hdf5Store:
         self, path: Path, arrays: Sequence[StoredArray], layout: StoreLayout, root: str = "/"
     ) -> None:
         recover(path)
-        self.path, self.arrays, self.root = path, arrays, root
-        self.encoding, self.threads, self.lock = layout.encoding, layout.threads, lock_for(path)
+        self.path = path
+        self.arrays = arrays
+        self.root = root
+        self.encoding = layout.encoding
+        self.threads = layout.threads
+        self.lock = lock_for(path)
 
     def __call__(self, parts: Parts, steps: slice) -> None:
         """Write the values of these steps."""
@@ -157,7 +161,9 @@ class Sink(io.FileIO):
 
     def write(self, data: Any) -> int:
         """Write all of the data, or remember why not."""
-        view, at, place = memoryview(data).cast("B"), 0, self.tell()
+        view = memoryview(data).cast("B")
+        at = 0
+        place = self.tell()
         if place < self._end:
             at = min(len(view), self._end - place)
             self._changes.append((place, bytes(view[:at])))
@@ -171,7 +177,8 @@ class Sink(io.FileIO):
 
     def readinto(self, buffer: Any) -> int:
         """Read; zeros in place of what was lost."""
-        view, place = memoryview(buffer).cast("B"), self.tell()
+        view = memoryview(buffer).cast("B")
+        place = self.tell()
         got = super().readinto(view) or 0
         for first, data in self._changes:
             low, high = max(first, place), min(first + len(data), place + got)
@@ -228,7 +235,9 @@ def recover(path: Path) -> None:
     journal = _journal(path)
     if not journal.exists():
         return
-    held, changes, at = journal.read_bytes(), [], 8
+    held = journal.read_bytes()
+    changes = []
+    at = 8
     while at < len(held):
         place, size = struct.unpack_from("<qq", held, at)
         changes.append((place, held[at + 16 : at + 16 + size]))
@@ -245,7 +254,8 @@ def _apply(changes: list[tuple[int, bytes]], file: int) -> None:
 
 
 def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
-    ds, level = layout.ds, layout.encoding.level
+    ds = layout.ds
+    level = layout.encoding.level
     if not begun:
         packed = {"zlib": True, "complevel": level, "shuffle": True} if level else {}
         how: dict[str, Any] = {
@@ -305,7 +315,8 @@ class _Plain:
     def of(cls, folder: Path) -> _Plain | None:
         """Read the metadata of a variable; None where its chunks are something else."""
         said = json.loads((folder / "zarr.json").read_text())
-        dtype, fill = said["data_type"], said["fill_value"]
+        dtype = said["data_type"]
+        fill = said["fill_value"]
         as_they_are = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
         known = dtype in ("float32", "float64", "int64") and (
             fill == "NaN" or not isinstance(fill, str)
@@ -397,7 +408,8 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
 
 def _steps_together(layout: StoreLayout) -> int:
     """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
-    chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
+    chunk = layout.steps
+    count = max(1, layout.ds.sizes.get("time", 1))
     size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
     return chunk * max(
         1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk))

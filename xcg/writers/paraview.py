@@ -78,7 +78,8 @@ def image_of(step: xr.Dataset, encoding: Encoding = _AS_THEY_ARE) -> Any:
     from vtkmodules.vtkCommonCore import vtkDataArray
     from vtkmodules.vtkCommonDataModel import vtkImageData
 
-    frame, image = Image.of(step), vtkImageData()
+    frame = Image.of(step)
+    image = vtkImageData()
     image.SetDimensions(frame.nodes)
     image.SetOrigin(frame.origin)
     image.SetSpacing(frame.spacing)
@@ -212,7 +213,8 @@ def to_vtu(
     path = Path(path)
     if path.suffix != ".vtu":
         raise ValueError(f"{path}: expected a name that ends with .vtu")
-    fields, data = with_time(with_components(fields)), read_mesh(mesh)
+    fields = with_time(with_components(fields))
+    data = read_mesh(mesh)
     dim, cells = _place_of(fields, data, mesh)
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
     bare = _bare_grid(data)
@@ -238,10 +240,8 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
         raise ValueError(
             f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars"
         )
-    size, counts = (
-        fields.sizes[dims[0]],
-        {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()},
-    )
+    size = fields.sizes[dims[0]]
+    counts = {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()}
     fits = [
         kind
         for kind, count in counts.items()

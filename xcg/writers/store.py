@@ -159,10 +159,8 @@ class StoreLayout:
         empty = {}
         for name in self.over:
             data = self.ds[name].variable
-            chunks, tasks = (
-                tuple((n,) for n in data.shape),
-                {(f"empty-{name}", *(0,) * data.ndim): None},
-            )
+            chunks = tuple((n,) for n in data.shape)
+            tasks = {(f"empty-{name}", *(0,) * data.ndim): None}
             nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
             empty[name] = data.copy(data=nothing)
         return self.ds.assign(empty)
@@ -378,13 +376,15 @@ def _begin_all(
 
 def _laid_out(output: Output, *, is_resumed: bool) -> tuple[StoreLayout, dict[str, str]]:
     """Return the layout of an output, and its state, by which a later run recognises it."""
-    ds, together = output.ds, None
+    ds = output.ds
+    together = None
     # without `work` nothing is resumed, and values in memory need not be hashed
     state: dict[str, str] = {}
     if is_resumed:
         state = state_of(ds, output.encoding, [kind.name for kind in output.files.values()])
     for kind in output.files.values():
-        ds, together = kind.check(ds), kind.together
+        ds = kind.check(ds)
+        together = kind.together
     layout = StoreLayout.of(ds, output.encoding, together)
     return layout, state | {"steps in a chunk": str(layout.steps)}
 
@@ -465,7 +465,8 @@ def _note_cause(logs: Sequence[Log], event: tuple[float, Mapping[str, Any]]) -> 
 
 def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generator[int, None, None]:
     """Write what is not there: from memory, `layout.steps` at a time, and the rest by tasks."""
-    ds, done = layout.ds, write.log.steps()
+    ds = layout.ds
+    done = write.log.steps()
     yield sum(stop - first for first, stop in done)
     now = {name: ds[name].to_numpy() for name in layout.over if ds.variables[name].chunks is None}
     arrays = {name: ds.variables[name].data for name in layout.lazy}
@@ -564,7 +565,8 @@ class Mismatch(SceneError):
 
     def __init__(self, folder: Path, message: str, changed: Sequence[str] = ()) -> None:
         super().__init__(message)
-        self.folder, self.changed = folder, changed
+        self.folder = folder
+        self.changed = changed
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,8 @@ def _blocks(pv: Any, ds: xr.Dataset, index: int, *, shapes: bool, chains: xr.Dat
         for dim in ("particle", "contact")
     }
     frame, lattice, source = frame_at(ds, index, [*rows["particle"], *rows["contact"]])
-    step, found = step_at(ds, index), pv.MultiBlock()
+    step = step_at(ds, index)
+    found = pv.MultiBlock()
     grains = pv.PolyData(frame["position"])
     for name in rows["particle"] if grains.n_points else ():  # PyVista takes no empty vectors
         grains.point_data[name] = frame[name]

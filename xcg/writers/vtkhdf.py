@@ -296,7 +296,8 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
 
 
 def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
-    image, rows = Image.of(layout.ds), arrays_of(layout.ds)
+    image = Image.of(layout.ds)
+    rows = arrays_of(layout.ds)
     found = []
     for row in rows:
         chunk = _blocks(

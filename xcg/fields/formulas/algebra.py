@@ -81,14 +81,10 @@ class Symbol:
 
     __add__ = __radd__ = partialmethod(_with, loops.ADD)
     __mul__ = __rmul__ = partialmethod(_with, loops.MULTIPLY)
-    __sub__, __rsub__ = (
-        partialmethod(_with, loops.SUBTRACT),
-        partialmethod(_with, loops.SUBTRACT, reflected=True),
-    )
-    __truediv__, __rtruediv__ = (
-        partialmethod(_with, loops.DIVIDE),
-        partialmethod(_with, loops.DIVIDE, reflected=True),
-    )
+    __sub__ = partialmethod(_with, loops.SUBTRACT)
+    __rsub__ = partialmethod(_with, loops.SUBTRACT, reflected=True)
+    __truediv__ = partialmethod(_with, loops.DIVIDE)
+    __rtruediv__ = partialmethod(_with, loops.DIVIDE, reflected=True)
 
     def __neg__(self) -> Symbol:
         return self * -1.0
@@ -159,7 +155,8 @@ def _each(array: NDArray, operation: int) -> NDArray:
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """As `xcg.compiled.matrices.fit_gradient`, for symbols."""
-    record, flags = sums[0, 0].record, flags_of(active, about_node)
+    record = sums[0, 0].record
+    flags = flags_of(active, about_node)
     fits = [
         record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T
     ]

@@ -364,7 +364,8 @@ def read_quantity(text: str) -> Quantity | None:
     call = _CALL.fullmatch(text)
     if call is None:
         return None
-    kind, given = call[1].lower(), [part.strip() for part in call[2].split(",")]
+    kind = call[1].lower()
+    given = [part.strip() for part in call[2].split(",")]
     named: dict[str, Any] = dict(
         re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part
     )

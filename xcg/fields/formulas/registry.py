@@ -163,7 +163,8 @@ class OwnRow:
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the rows needed for some fields, each after its own inputs."""
-    found, waiting = dict[str, None](), [*fields][::-1]
+    found = dict[str, None]()
+    waiting = [*fields][::-1]
     while waiting:
         lacking = [need for need in row(waiting[-1], options).fields if need not in found]
         if lacking:
@@ -442,7 +443,8 @@ def _try_out(name: str, row: Field) -> _Trial:
         raise ValueError(
             f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
         ) from error
-    values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
+    values = np.asarray(found[name])
+    expected = (_PHASES, _NODES, *(3,) * row.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":
         _refuse(
             name,
@@ -465,7 +467,8 @@ def _try_out(name: str, row: Field) -> _Trial:
 
 def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:
     """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
-    rng, found = np.random.default_rng(0), {}
+    rng = np.random.default_rng(0)
+    found = {}
     for name, row in moments.items():
         tail = (_PHASES,) * row.paired + row.shape
         values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))

@@ -404,9 +404,11 @@ def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) ->
     if isinstance(quantity, Variance):
         return _times(unit, 2, "1")
     length, mass, time = powers_of(WEIGHTS[weight][1])
-    length, time = length - 3, 0  # in a unit of volume
+    length -= 3  # in a unit of volume
+    time = 0
     if isinstance(quantity, Flux):  # times a velocity
-        length, time = length + 1, -1
+        length += 1
+        time = -1
     if isinstance(quantity, Conduction):  # times a branch
         length += 1
     return _times(unit, 1, units_in(units_of((length, mass, time)), system))
@@ -435,7 +437,10 @@ _ABOUT = (
     *(loops.MOMENTUM + k for k in range(3)),
     *(loops.KINETIC + k for k in range(6)),
 )
-_FIRST, _SQUARES, _PRODUCTS, _OF_WEIGHTS = 1, (4, 7, 9), (5, 6), 10
+_FIRST = 1
+_SQUARES = (4, 7, 9)
+_PRODUCTS = (5, 6)
+_OF_WEIGHTS = 10
 
 
 def _text(part: _Number) -> str:

@@ -164,10 +164,8 @@ class Rotated:
     @property
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
-        first, others = (
-            self._chosen[0],
-            self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]],
-        )
+        first = self._chosen[0]
+        others = self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]]
         second, beside = next(
             (a, part) for a in others if (part := self._second(first, a)) is not None
         )

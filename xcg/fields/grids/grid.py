@@ -112,7 +112,8 @@ def nodes_along(
             "(of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
         )
     elif a in period:
-        first, count = automatic[a][0], max(1, np.floor(period[a] / step + 0.5))
+        first = automatic[a][0]
+        count = max(1, np.floor(period[a] / step + 0.5))
         step = period[a] / count
         first += 0.5 * step if cells else 0.0
     else:
@@ -234,7 +235,9 @@ def check_mesh(
     axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and open_axes[k]]
     if not len(position) or not axes or not grid.count:
         return
-    first, last, x = grid.lower, grid.upper, position
+    first = grid.lower
+    last = grid.upper
+    x = position
     if not np.all(
         [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0
     ).any():
@@ -326,7 +329,9 @@ class PointBlock:
     @classmethod
     def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
         """Sort some points (3, n), which have these places (n,) among all, in ascending order."""
-        lower, upper, many = position.min(axis=1), position.max(axis=1), len(rows)
+        lower = position.min(axis=1)
+        upper = position.max(axis=1)
+        many = len(rows)
         extent = upper - lower
         spread = extent[extent > _NARROWEST]
         width = (spread.prod() * _IN_A_CELL / many) ** (1 / max(1, len(spread)))
@@ -348,10 +353,8 @@ class PointBlock:
         place = self.position * share
         begin, end = self.lower * share, self.upper * share
         many = np.array(self.shape) > 1
-        size, per_size = (
-            np.where(many, self.size * share, 0.0),
-            np.where(many, 1.0 / (self.size * share), 0.0),
-        )
+        size = np.where(many, self.size * share, 0.0)
+        per_size = np.where(many, 1.0 / (self.size * share), 0.0)
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
         cells = PointCells(
@@ -485,9 +488,11 @@ def _sorted(
     (n,), these (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are
     unsigned.
     """
-    many, count = len(rows), math.prod(shape.tolist())
+    many = len(rows)
+    count = math.prod(shape.tolist())
     start, (cell, order, rank) = np.zeros(count + 2, "int64"), np.empty((3, many), "int64")
-    place, sorted_rows = np.empty((3, many + PAD)), np.empty_like(rows)
+    place = np.empty((3, many + PAD))
+    sorted_rows = np.empty_like(rows)
     place[:, many:] = 0.0
     cells = triple(lower), triple(per_size), triple(shape)
     sort_by_cell(*position, rows, *cells, start, cell, order, rank, place, sorted_rows)
@@ -509,7 +514,8 @@ def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArr
     if many <= most and not sparse:
         yield rows, position
         return
-    wanted, parts = max(2, math.ceil(many / most)), np.ones(3, int)
+    wanted = max(2, math.ceil(many / most))
+    parts = np.ones(3, int)
     if not (extent > 1e-9).any():  # all in one place
         for k in np.array_split(np.arange(many), wanted):
             yield rows[k], position[:, k]

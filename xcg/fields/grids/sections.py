@@ -177,7 +177,8 @@ class AveragedFraction:
     @cached_property
     def _slabs(self) -> list[_SeenCells]:
         """Cells around nodes, divided across the first axis, so that their number is limited."""
-        places, cutoff = self.nodes[:, list(self.seen)], self.kernel.cutoff
+        places = self.nodes[:, list(self.seen)]
+        cutoff = self.kernel.cutoff
         if not self.seen or not len(places):
             return []
         a_cutoff = _CELLS[len(self.seen)]

@@ -192,7 +192,8 @@ class Plane(Wall):
     @property
     def _origin(self) -> NDArray:
         """Origin of its two coordinates."""
-        point, k = vector("point", self.point), axis_of(self._frame[0])
+        point = vector("point", self.point)
+        k = axis_of(self._frame[0])
         return point if k is None else np.where(np.arange(3) == k, point, 0.0)
 
     def distance(self, points: NDArray) -> NDArray:
@@ -224,7 +225,8 @@ class Plane(Wall):
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
-        up, here = self._frame[0][axis], float(self.point[axis])
+        up = self._frame[0][axis]
+        here = float(self.point[axis])
         across = axis_of(self._frame[0]) == axis
         return here if across and up > 0 else -np.inf, here if across and up < 0 else np.inf
 
@@ -234,7 +236,8 @@ class Plane(Wall):
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
-        k, reached = axis_of(self._frame[0]), self.coordinates(corners(lower, upper))
+        k = axis_of(self._frame[0])
+        reached = self.coordinates(corners(lower, upper))
         bounds = (
             np.transpose([reached.min(0), reached.max(0)])
             if self.bounds is None
@@ -398,7 +401,8 @@ class Cylinder(Wall):
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across the side, around it and along the axis."""
-        radial, axis = self._radial(points), self._frame[0]
+        radial = self._radial(points)
+        axis = self._frame[0]
         around = np.cross(axis, radial)
         normal = self._sign * (vectors * radial).sum(axis=1)
         return normal, np.stack([(vectors * around).sum(axis=1), vectors @ axis], axis=1)
@@ -472,7 +476,8 @@ class Surface(Wall):
 
     def _nearest(self, points: NDArray) -> tuple[NDArray, NDArray]:
         """Signed distance (n,), and the number of the nearest triangle (n,)."""
-        distance, triangle = np.empty(len(points)), np.empty(len(points), "int64")
+        distance = np.empty(len(points))
+        triangle = np.empty(len(points), "int64")
         points = np.ascontiguousarray(points, "float64")
         loops.nearest(
             points,
@@ -506,7 +511,8 @@ class Surface(Wall):
         """Return True if each edge is shared by two triangles, so that the surface has an inside and an outside."""
         _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         rows = number.reshape(-1, 3)
-        first, second = rows.ravel(), np.roll(rows, -1, axis=1).ravel()
+        first = rows.ravel()
+        second = np.roll(rows, -1, axis=1).ravel()
         count = len(number)
         return np.array_equal(np.sort(first * count + second), np.sort(second * count + first))
 

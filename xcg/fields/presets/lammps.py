@@ -241,7 +241,9 @@ def lammps_mesh(
     scene = describe(ds)
     sizes = delta if isinstance(delta, Mapping) else dict.fromkeys(axes, delta)
     check_axes(scene.setup.plane, axes=axes, delta=sizes, origin=origin or {})
-    edges, bounds, spacing = scene.edges, {}, {}
+    edges = scene.edges
+    bounds = {}
+    spacing = {}
     for a in axes:
         if a not in edges:
             raise ValueError(

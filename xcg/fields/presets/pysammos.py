@@ -161,7 +161,8 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
                 (False, "", f"{label}, restricted to {dims}"),
                 (True, "_dev", f"deviator over {dims}"),
             ):
-                name, given = f"{label}_{dims}{end}", (tensor, index[dims], deviatoric)
+                name = f"{label}_{dims}{end}"
+                given = (tensor, index[dims], deviatoric)
                 add(name, label, (tensor,), what, _part, *given, rank=2, like=tensor)
                 add(
                     f"{name}_mag",
@@ -185,10 +186,8 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
             like="stress",
         )
     for dims in ("xyz", *axes):
-        family, formula = (
-            "granular_temperature",
-            f"mean of fluctuation_stress_aa / density, a in {dims}",
-        )
+        family = "granular_temperature"
+        formula = f"mean of fluctuation_stress_aa / density, a in {dims}"
         needs = ("fluctuation_stress", "density")
         add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], like=family)
     pressures = ("xyz", plane, plane[1])
@@ -211,10 +210,8 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     for kind, shear in (("Dxyz", "xyz"), (f"D{plane}", plane), ("01", plane)):
         for dims in pressures:
             top = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{shear}_dev_mag"
-            name, formula = (
-                f"frictional_coefficient_{kind}_P{dims}",
-                f"{top} / pressure_{dims}, pressure > 0",
-            )
+            name = f"frictional_coefficient_{kind}_P{dims}"
+            formula = f"{top} / pressure_{dims}, pressure > 0"
             ways = (index[shear], index[dims], kind == "01")
             add(name, "frictional_coefficient", ("stress",), formula, _friction, *ways)
     return table

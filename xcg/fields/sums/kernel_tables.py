@@ -34,7 +34,8 @@ _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest va
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many
 # times that of a value.
 _LARGEST_TERMS = 5e3
-_JUMP, _AT_END = 1e-4, 1.0 - 1e-12  # relative to the largest value; where the last jump shows
+_JUMP = 1e-4  # relative to the largest value
+_AT_END = 1.0 - 1e-12  # where the last jump shows
 _NEARLY = 0.97  # of the way that a piece may reach: as far as this the lowest degree is taken
 _BISECTED = 1e-12  # to which ends of pieces are found
 _DEGREES = (3, 5, 7, 9, 11, 13, 15, 19, 23)
@@ -151,7 +152,8 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     quotient is as smooth up to the cutoff as the profile. With them come the shells that lines
     take, where there are any.
     """
-    degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
+    degree = codes.PIECE - 1
+    table = np.zeros((3, _INTERVALS, codes.PIECE))
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
     value = np.vectorize(_integrated(profile, codimension))
     pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
@@ -254,7 +256,9 @@ def _farthest(
     degrees: tuple[int, ...],
 ) -> tuple[float, Polynomial | None]:
     """Largest radius up to which there is a polynomial of one of these degrees, and that polynomial."""
-    piece, end, failed = fits(1.0, degrees), begin, 1.0
+    piece = fits(1.0, degrees)
+    end = begin
+    failed = 1.0
     if piece is not None:
         return 1.0, piece
     while failed - end > _BISECTED:

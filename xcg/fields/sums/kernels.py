@@ -76,7 +76,8 @@ class Kernel:
             raise ValueError(f"dimension={dimension!r}: expected 1, 2 or 3")
         self.width = float(width if width is not None else cutoff / self.ratio)  # type: ignore[operator]
         self.cutoff = float(cutoff if cutoff is not None else self.ratio * self.width)
-        self.dimension, self.spread = dimension, self.width / self.cutoff
+        self.dimension = dimension
+        self.spread = self.width / self.cutoff
         if not self._any_ratio and not math.isclose(
             self.cutoff, self.ratio * self.width, rel_tol=1e-9
         ):
@@ -215,7 +216,10 @@ class Lucy(Kernel):
         The number of dimensions in which it integrates to 1; by default that of the scene.
     """
 
-    name, code, ratio, smoothness = "lucy", codes.LUCY, 2.0, 2
+    name = "lucy"
+    code = codes.LUCY
+    ratio = 2.0
+    smoothness = 2
     _norms = 5 / 4, 5 / math.pi, 105 / (16 * math.pi)
 
 
@@ -243,7 +247,10 @@ class Gaussian(Kernel):
         As `Kernel`.
     """
 
-    name, code, ratio, _any_ratio = "gaussian", codes.TABLE, 3.0, True
+    name = "gaussian"
+    code = codes.TABLE
+    ratio = 3.0
+    _any_ratio = True
 
     def __init__(
         self,
@@ -261,7 +268,8 @@ class Gaussian(Kernel):
                 "Gaussian is 1.5e-8 of its peak; the usual cutoff is 3 w"
             )
         if self.shifted:
-            self.name, self.smoothness = _SHIFTED_GAUSSIAN, 0
+            self.name = _SHIFTED_GAUSSIAN
+            self.smoothness = 0
         self.profile = _gaussian_profile(self.spread, self.shifted)
 
     def __repr__(self) -> str:
@@ -272,7 +280,8 @@ class Gaussian(Kernel):
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
-        tail, core = math.exp(-0.5 / s**2), math.erf(1 / (math.sqrt(2) * s))
+        tail = math.exp(-0.5 / s**2)
+        core = math.erf(1 / (math.sqrt(2) * s))
         integral = {
             1: math.sqrt(2 * math.pi) * s * core,
             2: 2 * math.pi * s**2 * (1 - tail),
@@ -325,7 +334,8 @@ class Heaviside(Kernel):
         The number of dimensions in which it integrates to 1; by default that of the scene.
     """
 
-    name, code = "heaviside", codes.HEAVISIDE
+    name = "heaviside"
+    code = codes.HEAVISIDE
     _norms = 1 / 2, 1 / math.pi, 3 / (4 * math.pi)
 
 

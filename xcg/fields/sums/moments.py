@@ -100,7 +100,8 @@ def surface_velocities(
     """
     found = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
-        there, u = row >= 0, frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
+        there = row >= 0
+        u = frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
         u[there] = frame["velocity"][row[there]]
         if "angular_velocity" in frame:
             u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
@@ -181,7 +182,8 @@ def rotational_energies(frame: Frame, _: Contacts) -> NDArray:
 
 def carried(of: Column, frame: Frame, contacts: Contacts) -> NDArray:
     """Return a number or vector of each particle times its velocity; (particles, ..., 3)."""
-    values, velocity = of(frame, contacts), frame["velocity"]
+    values = of(frame, contacts)
+    velocity = frame["velocity"]
     return values[..., None] * velocity.reshape(len(velocity), *(1,) * (values.ndim - 1), 3)
 
 

@@ -224,7 +224,8 @@ class Grid:
         """
         if self.parts is not None:
             return self.parts
-        parts, shape = np.ones(3, int), np.array(self.shape)
+        parts = np.ones(3, int)
+        shape = np.array(self.shape)
         wanted = max(math.ceil(self.count / size), 2 * threads if threads > 1 else 1)
         while parts.prod() < min(wanted, self.count):
             # rows of nodes run along the last axis: cut them later
@@ -293,14 +294,13 @@ class Mesh:
     """
 
     def __init__(self, grid: Grid, period: NDArray, cutoff: float) -> None:
-        self.origin, self.active, self.nodes, self.cutoff = (
-            grid.origin,
-            grid.active,
-            grid.count,
-            cutoff,
-        )
+        self.origin = grid.origin
+        self.active = grid.active
+        self.nodes = grid.count
+        self.cutoff = cutoff
         self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
-        self.half, self.reach = grid.half / cutoff, 2.0 + 2.0 * grid.half / cutoff
+        self.half = grid.half / cutoff
+        self.reach = 2.0 + 2.0 * grid.half / cutoff
         self.lower, self.upper = (
             (grid.lower - grid.origin) / cutoff,
             (grid.upper - grid.origin) / cutoff,
@@ -384,9 +384,11 @@ class Mesh:
         """
         used = np.flatnonzero(segments[:, GROUP] >= 0.0)
         long = used[(np.abs(segments[used, _BRANCHES][:, self.active]) > _LONG).any(axis=1)]
-        start, branch = segments[long, :BRANCH], segments[long, _BRANCHES]
+        start = segments[long, :BRANCH]
+        branch = segments[long, _BRANCHES]
         open_axes = self.active & np.isinf(self.period)
-        end, ends = start - branch, (ends[:, long] - self.origin) / self.cutoff
+        end = start - branch
+        ends = (ends[:, long] - self.origin) / self.cutoff
         point_is_nearer = (((ends - end) ** 2 * open_axes).sum(axis=2)).argmin(axis=0) == 0
         end = np.where(open_axes, np.where(point_is_nearer[:, None], *ends), end)
         first, last, part = self._part_near(start, end, open_axes)

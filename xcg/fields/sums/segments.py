@@ -70,7 +70,8 @@ def _limits(
     def kept(length: float, order: int) -> bool:
         return largest_error(length, order, rows, kind, array) <= 0.95 * rtol
 
-    limits, limit = [], 0.0
+    limits = []
+    limit = 0.0
     for order in _quicker(kind, array, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
@@ -150,7 +151,8 @@ Branches: TypeAlias = ListedOnce | ListedAnew
 
 def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
-    records, longest = np.empty((len(contacts), SEGMENT)), np.empty(4)
+    records = np.empty((len(contacts), SEGMENT))
+    longest = np.empty(4)
     more = list_segments(*listing, contacts, records, None, longest)
     return records, longest, more
 
@@ -169,7 +171,8 @@ def along_branches(step: StepRows) -> list[Pass]:
 def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass:
     """Branches of the contacts, in an order in space, each with its force or what is in its place."""
     spec = step.spec
-    others, carried = spec.others if row.paired else 0, _carried(step, row, step.frame)
+    others = spec.others if row.paired else 0
+    carried = _carried(step, row, step.frame)
     fill: list[Fill] = []
     for cutoff in spec.distinct:
         mesh = step.meshes[cutoff]
@@ -208,11 +211,14 @@ def _segments(
 ) -> tuple[Branches, NDArray, bool]:
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
-    mesh, tilted, limits = step.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
+    mesh = step.meshes[cutoff]
+    tilted = step.lattice.vectors is not None
+    limits = step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
-        bounds, longest = no_bounds(len(contacts), RUN), np.empty(4)
+        bounds = no_bounds(len(contacts), RUN)
+        longest = np.empty(4)
         more = list_segments(*listing, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
@@ -224,7 +230,8 @@ def _segments(
         used = np.flatnonzero(segments[:, GROUP] >= 0.0)
         start = segments[used, :BRANCH] * cutoff + step.spec.origin
         image, shift, drifts = step.near_mesh(start, (1.0 + longest[3]) * cutoff)
-        segments, contacts = segments[used[image]], contacts[used[image]]
+        segments = segments[used[image]]
+        contacts = contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
             # as seen in images that drift

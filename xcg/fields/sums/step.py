@@ -157,7 +157,8 @@ class Layout:
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
         column, factor = self._rows
-        out, first = np.empty((column.size, *records.shape[:2])), 0
+        out = np.empty((column.size, *records.shape[:2]))
+        first = 0
         np.multiply(records.transpose(2, 0, 1)[column], factor[:, :, None], out=out)
         for name, (columns, _) in self.moments.items():
             yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
@@ -240,7 +241,8 @@ class StepRows:
         if not len(self.frame["position"]):
             # nor contacts of theirs
             frame = self.frame = {name: values[:0] for name, values in self.frame.items()}
-        self.spec, self.source = spec, source
+        self.spec = spec
+        self.source = source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
@@ -259,7 +261,8 @@ class StepRows:
         self.meshes = {
             cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
         }
-        self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
+        self.kernels = dict[float, AnyKernel]()
+        seen = int(spec.grid.active.sum())
         for cutoff, mesh in self.meshes.items():
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
                 mesh.check_reach(
@@ -274,7 +277,8 @@ class StepRows:
                 )
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
-        flow, drift = self.velocity[self.grains.row], self.grains.drift
+        flow = self.velocity[self.grains.row]
+        drift = self.grains.drift
         self.flow = flow if drift is None else flow + drift, self.mass[self.grains.row]
 
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
@@ -350,7 +354,8 @@ class StepRows:
         mixed = (c.i >= 0) & (c.j >= 0) & (self.phase[c.i] != self.phase[c.j])
         contact = np.concatenate([first, np.flatnonzero(mixed)])
         phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
-        images, share = self.images(c.point[contact]), np.where(mixed[contact], 0.5, 1.0)
+        images = self.images(c.point[contact])
+        share = np.where(mixed[contact], 0.5, 1.0)
         return images, phase[images.row], share[images.row], contact[images.row]
 
     def in_space(self, position: NDArray) -> NDArray:

@@ -224,7 +224,8 @@ def _shape_of_row(
     by_step = shape[:2] in stacks
     of_row = shape[2:] if by_step else shape[1:]
     if by_step and f"{name}_x" in slots and len(shape) == 2:  # as many rows as steps
-        by_step, of_row = False, shape[1:]
+        by_step = False
+        of_row = shape[1:]
     if shape and not of_row:
         return 0, by_step
     if len(of_row) == 1 and of_row[0] in (2, 3) and name not in slots:

@@ -208,7 +208,8 @@ def is_twice(names: Sequence[str]) -> bool:
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
-    form, units = form_of(path), None
+    form = form_of(path)
+    units = None
     if form and not atoms:
         raise SceneError(
             f"{path}: LAMMPS writes particles in this form, and contacts as text; is this a file for particles=?"
@@ -259,7 +260,8 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
             file.seek(ref.offset + place)
             block = file.read(_SAMPLE)
             begin, end = (block.find(b"\n") + 1 if place else 0), block.rfind(b"\n") + 1
-            lines, length = lines + block.count(b"\n", begin, end), length + end - begin
+            lines = lines + block.count(b"\n", begin, end)
+            length = length + end - begin
         file.seek(ref.offset + max(0, rest - max(_TAIL, rest // 32)))
         return (
             lines > 0
@@ -317,7 +319,8 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
-    label, names = words[0] if words else "", words[1:]
+    label = words[0] if words else ""
+    names = words[1:]
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
         msg = f"{source_of(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
@@ -357,10 +360,8 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
             f"{ref.path}: the box is written by vectors in any direction ('{item}'); write it by tilts, which LAMMPS "
             "does after 'dump_modify ... triclinic/general no'"
         )
-    tilted, flags = (
-        flags[:3] == ["xy", "xz", "yz"],
-        [flag for flag in flags if flag not in ("xy", "xz", "yz")],
-    )
+    tilted = flags[:3] == ["xy", "xz", "yz"]
+    flags = [flag for flag in flags if flag not in ("xy", "xz", "yz")]
     try:
         low, high, *tilts = numbers = np.array([[float(word) for word in line] for line in lines]).T
         if len(tilts) != tilted or not np.isfinite(numbers).all():

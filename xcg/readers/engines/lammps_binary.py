@@ -56,7 +56,9 @@ class _Header:
     """Numbers of a header, one after the other."""
 
     def __init__(self, file: BinaryIO, path: str) -> None:
-        self.file, self.path, self.start = file, path, file.tell()
+        self.file = file
+        self.path = path
+        self.start = file.tell()
         self.order = "<"
 
     def refuse(self, problem: str) -> NoReturn:
@@ -88,7 +90,8 @@ def steps_of(path: str) -> Iterator[StepRef]:
     SceneError
         If a header or its blocks are not as described above, or the file ends within one.
     """
-    size, units = os.path.getsize(path), None
+    size = os.path.getsize(path)
+    units = None
     with open(path, "rb") as file:
         while file.tell() < size:
             ref = _read_header(_Header(file, path))
@@ -144,7 +147,9 @@ def _read_header(header: _Header) -> StepRef:
 def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
     """Byte after the last block of a step, whose rows are counted."""
     header = _Header(file, ref.path)
-    header.order, values, wide = _order_of(ref.path), 0, len(ref.columns)
+    header.order = _order_of(ref.path)
+    values = 0
+    wide = len(ref.columns)
     (processes,) = header.numbers("i")
     for _ in range(processes):
         (count,) = header.numbers("i")
@@ -182,7 +187,8 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     with open(ref.path, "rb") as file:
         file.seek(ref.offset)
         body = file.read(ref.length)
-    blocks, at = [], 4
+    blocks = []
+    at = 4
     while at < len(body):
         count = struct.unpack_from(f"{order}i", body, at)[0] if at + 4 <= len(body) else -1
         if count < 0 or count % wide or at + 4 + 8 * count > len(body):

@@ -210,16 +210,19 @@ class ClassicFile:
     """
 
     def __init__(self, path: str) -> None:
-        self.path, self._size = path, os.path.getsize(path)
+        self.path = path
+        self._size = os.path.getsize(path)
         with open(path, "rb") as file:
             self._file: BinaryIO = file
             head = self._bytes(4)
             if head not in MARKS:
                 self.refuse("is no NetCDF in a classic format")
-            self._wide, self._far = head[3] == 5, head[3] > 1
+            self._wide = head[3] == 5
+            self._far = head[3] > 1
             told = self._count(most=None)
             pairs = [(self._name(), self._count(most=None)) for _ in range(self._list(_DIMENSIONS))]
-            self.dims, self.attrs = dict(pairs), self._attributes()
+            self.dims = dict(pairs)
+            self.attrs = self._attributes()
             found = [
                 self._variable([name for name, _ in pairs]) for _ in range(self._list(_VARIABLES))
             ]
@@ -289,7 +292,9 @@ class ClassicFile:
     def _attributes(self) -> dict[str, object]:
         found: dict[str, object] = {}
         for _ in range(self._list(_ATTRIBUTES)):
-            name, dtype, count = self._name(), self._type(), self._count(_LONGEST)
+            name = self._name()
+            dtype = self._type()
+            count = self._count(_LONGEST)
             data = self._padded(count * dtype.itemsize)
             found[name] = (
                 data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)

@@ -204,7 +204,8 @@ def _way_out(ref: StepRef) -> str:
 
 def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
     """Raise SceneError if the first rows do not fit guessed words: ids, and directions of forces and torques."""
-    places, rows = _places(ref, words), _first_rows(ref)
+    places = _places(ref, words)
+    rows = _first_rows(ref)
     if not len(rows):
         return
     ids = rows[:, places["id"] :][:, :3]

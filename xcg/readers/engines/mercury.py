@@ -284,7 +284,8 @@ def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) ->
         vectors[axis] = vector
     images = run.lees_edwards
     if images is not None:
-        length, height = vectors[0, 0], vectors[1, 1]
+        length = vectors[0, 0]
+        height = vectors[1, 1]
         shift = _shift_at(run, ref.time)
         vectors[1, 0] += shift - length * np.rint(shift / length)
         ref = replace(ref, shear_rates=(("xy", images.velocity / height),))

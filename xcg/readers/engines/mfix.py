@@ -231,13 +231,15 @@ class _Rows:
     @classmethod
     def of(cls, ref: StepRef, options: ReadOptions, found: Mapping[str, str]) -> _Rows:
         header = open_step(ref)
-        points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
+        points = header.names[0]
+        more = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         arrays = read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
         frame: Frame = {name: arrays[array] for name, array in found.items()}
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
-        place, length = arrays[points], arrays.get(_LENGTH, np.zeros(header.rows))
+        place = arrays[points]
+        length = arrays.get(_LENGTH, np.zeros(header.rows))
         superquadric = np.zeros(header.rows, bool)
         if {_POINT, _LENGTH} <= set(arrays):
             superquadric = of_superquadrics(place, arrays[_POINT], length)

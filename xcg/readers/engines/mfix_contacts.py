@@ -62,7 +62,9 @@ def distances_of_twins(
     Parameters as in `each_contact_once`, and which rows are contacts of superquadrics (n,).
     """
     i, j = contacts["contact_i"], contacts["contact_j"]
-    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
+    low = np.minimum(i, j)
+    high = np.maximum(i, j)
+    swapped = i > j
     apart = [np.empty((0, 3))]
     for rows, marks, mirrored in (
         (np.flatnonzero(superquadric), [], False),
@@ -121,16 +123,21 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
         One row a contact, in the given order. Of mirrored rows the one with the lower id first is
         kept, with the mean of the two forces: ``(F - F_mirrored) / 2``.
     """
-    i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
+    i = contacts["contact_i"]
+    j = contacts["contact_j"]
+    force = contacts["contact_force"]
     shared = _of_shared_pairs(i, j)  # most pairs stand once: no need to sort them further
     if not len(shared):
         return contacts
-    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
+    low = np.minimum(i, j)
+    high = np.maximum(i, j)
+    swapped = i > j
     marks = _without_sign(mark, swapped)
 
     order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
     first = np.diff(row, prepend=-1) > 0
-    copies, shared = shared[order[~first]], shared[order[first]]
+    copies = shared[order[~first]]
+    shared = shared[order[first]]
 
     contact_keys = [key[shared] for key in (low, high, *marks)]
     order, _ = _runs([*contact_keys, swapped[shared], *place[shared].T])
@@ -190,7 +197,8 @@ def both_sides_once(
         away = np.linalg.norm(minimum_image(place[shared] - place[to], period), axis=1)
         same = (away <= _SAME_PLACE * length[to]) | (shared == to)
         first[shared[same]] = to[same]
-        shared, pair = shared[~same], pair[~same]
+        shared = shared[~same]
+        pair = pair[~same]
 
     joined = contacts | {
         "contact_force": np.where(i == i[first], 1.0, -1.0)[:, None] * contacts["contact_force"]

@@ -99,7 +99,9 @@ def _steps(path: str) -> Iterator[StepRef]:
         ref = StepRef(path, 0, columns=columns, offset=scanner.offset)
         length, rows, last = 0, 0, b"\n"
         for piece in filter(None, scanner.until(b"#")):
-            length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
+            length = length + len(piece)
+            rows = rows + piece.count(b"\n")
+            last = piece
         rows += not last.endswith(b"\n")
         if scanner.line():
             raise SceneError(

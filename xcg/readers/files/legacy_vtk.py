@@ -255,7 +255,8 @@ def _read(file: BinaryIO, array: Array, rows: int, path: str) -> NDArray[np.floa
 
 def _contents_of(scanner: _Scanner) -> _Contents:
     """Find the sections of a file; of data sets that are no points, the kind alone."""
-    contents, place = _Contents(), ""
+    contents = _Contents()
+    place = ""
     while words := scanner.words():
         keyword = words[0].upper()
         if _is_array_of_field(words):
@@ -300,7 +301,8 @@ def _cells(scanner: _Scanner, words: list[str]) -> _CellsOfKind:
 
 def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
     """Find an array of a section of its own."""
-    keyword, name = words[0].upper(), unquote(words[1] if len(words) > 1 else "")
+    keyword = words[0].upper()
+    name = unquote(words[1] if len(words) > 1 else "")
     if keyword == "SCALARS":
         kind = scanner.kind(words, 2)
         components = scanner.number(words, 3) if len(words) > 3 else 1
@@ -329,8 +331,11 @@ class _Scanner:
     """Lines of words of a file, and the places of the values between them."""
 
     def __init__(self, file: BinaryIO, path: str) -> None:
-        self._file, self._path, self._most = file, path, most_text(path)
-        self._at, self._waiting = 0, b""
+        self._file = file
+        self._path = path
+        self._most = most_text(path)
+        self._at = 0
+        self._waiting = b""
         first = self._line()
         self._line()  # the title
         form = self._line().strip().upper()
@@ -403,7 +408,8 @@ class _Scanner:
     def array_of_field(self, words: list[str]) -> tuple[Array | None, int]:
         """Return an array of a field, None if it holds bits or strings, and its rows."""
         components, rows = self.number(words, 1), self.number(words, 2)
-        name, kind = unquote(words[0]), words[3].lower()
+        name = unquote(words[0])
+        kind = words[3].lower()
         if kind in _KINDS:
             return self.values(name, _KINDS[kind], rows, components), rows
         if kind == "bit":

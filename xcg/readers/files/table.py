@@ -203,9 +203,11 @@ def _in_order(
 
 def _parse(columns: int, places: NDArray, separator: bytes, block: bytes) -> tuple[NDArray, bool]:
     """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty."""
-    text, size = np.frombuffer(block, np.uint8), len(block) - BEYOND
+    text = np.frombuffer(block, np.uint8)
+    size = len(block) - BEYOND
     out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
-    edges, lines = np.empty(text.size + 2 * columns + 2, np.int32), np.empty(text.size, np.int32)
+    edges = np.empty(text.size + 2 * columns + 2, np.int32)
+    lines = np.empty(text.size, np.int32)
     left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
     row = done = 0
     while done < size:

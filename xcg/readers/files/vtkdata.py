@@ -155,7 +155,8 @@ def _uncompressed(
             sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0,
         )
     )
-    parts, at = [], 0
+    parts = []
+    at = 0
     for k, taken in enumerate(sizes):
         expected = size if k < whole else last
         part = _inflate(packed[at : at + taken], encoding.compressor, expected)

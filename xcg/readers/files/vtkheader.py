@@ -161,7 +161,8 @@ def _type(header: Header, array: Array) -> np.dtype[Any]:
 
 def _check_size(header: Header, piece: Piece, array: Array) -> None:
     """Compare what the header promises with the bytes that there are."""
-    values, room = piece.rows * array.components, max(0, array.stop - array.start)
+    values = piece.rows * array.components
+    room = max(0, array.stop - array.start)
     needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
     there = room
     if array.form == "base64":

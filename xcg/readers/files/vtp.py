@@ -97,7 +97,9 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
     """
     parser = expat.ParserCreate("iso-8859-1")  # all bytes are characters; see `_utf8`
     elements: list[_Element] = []
-    opened, complete, comments = [""], Counter[str](), list[str]()
+    opened = [""]
+    complete = Counter[str]()
+    comments = list[str]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
         elements.append(

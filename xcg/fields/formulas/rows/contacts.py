@@ -56,7 +56,8 @@ def _fabric_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _redundancy(f: Any, s: Any, o: Options) -> NDArray:
-    d, constraints = o.dimension, o.dimension * s.load_bearing_contacts
+    d = o.dimension
+    constraints = o.dimension * s.load_bearing_contacts
     if o.sliding:
         constraints = constraints - (d - 1) * s.sliding_contacts
     return ratio(constraints, d * (d + 1) / 2 * s.load_bearing)

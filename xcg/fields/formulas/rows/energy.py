@@ -24,7 +24,10 @@ from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
 
 # of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I
 # Psi)^2
-WEIGHT, _FIRST, _SECOND, SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
+WEIGHT = 0
+_FIRST = slice(1, 4)
+_SECOND = ((4, 5, 6), (5, 7, 8), (6, 8, 9))
+SQUARE = 10
 
 
 def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
@@ -37,7 +40,8 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
 
 def _fluctuation(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of I Psi (o - b)(o - b), with b the mean of the bulk, expanded as the kinetic stress is."""
-    weight, first = s.rotation[..., WEIGHT], s.rotation[..., _FIRST]
+    weight = s.rotation[..., WEIGHT]
+    first = s.rotation[..., _FIRST]
     second = np.stack(
         [np.stack([s.rotation[..., k] for k in row], axis=-1) for row in _SECOND], axis=-2
     )
@@ -47,7 +51,8 @@ def _fluctuation(f: Any, s: Any, o: Options) -> NDArray:
 
 def _fluctuation_inertia(f: Any, s: Any, o: Options) -> NDArray:
     """Return the inertia of what fluctuates: less what the mean of the bulk takes from independent spins."""
-    weight, square = s.rotation[..., WEIGHT], s.rotation[..., SQUARE]
+    weight = s.rotation[..., WEIGHT]
+    square = s.rotation[..., SQUARE]
     whole = where_positive(weight[:1])
     taken = zero_if_unknown(2 * square / whole - weight * square[:1] / (whole * whole))
     return at_least_zero(weight - taken)
@@ -72,7 +77,8 @@ def _bulk(f: Any, s: Any) -> NDArray:
 
 def _mean_energy(f: Any, s: Any, o: Options) -> NDArray:
     """Return V.p - rho V^2 / 2: of the bulk rho V^2 / 2, and phases add up to it."""
-    v, momentum = _bulk(f, s), s.momentum + s.mass[..., None] * s.reference
+    v = _bulk(f, s)
+    momentum = s.momentum + s.mass[..., None] * s.reference
     return dot(v, momentum) - 0.5 * s.mass * dot(v, v)
 
 
@@ -83,7 +89,8 @@ def _kinetic_heat_flux(f: Any, s: Any, o: Options) -> NDArray:
     sum m) b
     """
     b = zero_if_unknown(f._drift[:1])
-    square, first = dot(b, b), s.momentum
+    square = dot(b, b)
+    first = s.momentum
     around = times(s.kinetic, b[..., None])[..., 0]
     cubes = (
         s.cubes

@@ -74,7 +74,9 @@ def _rate(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
-    theta, slopes, found = f._covariance, f._slopes, []
+    theta = f._covariance
+    slopes = f._slopes
+    found = []
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         found.append(
@@ -142,12 +144,14 @@ def _squares(tensor: NDArray) -> NDArray:
 
 
 def _spin(f: Any, s: Any, o: Options) -> NDArray:
-    free, weight = where_positive(f.fluctuation_inertia), where_positive(s.rotation[..., WEIGHT])
+    free = where_positive(f.fluctuation_inertia)
+    weight = where_positive(s.rotation[..., WEIGHT])
     share = s.rotation[..., SQUARE] / (weight * weight)
     return _root(_diagonal(f.spin_fluctuation) * (share / free)[..., None])
 
 
-_COVARIANCE, _SLOPES = ("_covariance",), ("_covariance", "_slopes")
+_COVARIANCE = ("_covariance",)
+_SLOPES = ("_covariance", "_slopes")
 _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
     "velocity": (_velocity, ("_covariance", "_share"), "sqrt(T_k / N_eff)"),
     "velocity_gradient": (_gradient, (*_SLOPES, "_fit"), "sqrt(T_k S_ll)"),

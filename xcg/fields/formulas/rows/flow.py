@@ -120,9 +120,12 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     zero = sum(x - x for x in unknown)  # or NaN
     # v'' = u - c - G x, and G x, G x x and u G x summed over the grains
     c = zero_if_unknown(f._drift[:1]) - times(g, f._fit.mean[:1, ..., None])[..., 0]
-    gx, gxx = times(g, s.offset[..., None])[..., 0], times(g, s.spread)
-    ugx, gxgx = times(s.shear, transposed(g)), times(gxx, transposed(g))
-    rest, out = gx - s.momentum, np.empty((3, 3, *s.mass.shape), s.mass.dtype)
+    gx = times(g, s.offset[..., None])[..., 0]
+    gxx = times(g, s.spread)
+    ugx = times(s.shear, transposed(g))
+    gxgx = times(gxx, transposed(g))
+    rest = gx - s.momentum
+    out = np.empty((3, 3, *s.mass.shape), s.mass.dtype)
     for i in range(3):
         for j in range(i, 3):
             total = s.kinetic[..., i, j] + s.mass * c[..., i] * c[..., j] + gxgx[..., i, j]
@@ -139,7 +142,8 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of m Psi (u - b)(u - b) = sum m Psi u u - b p - (p - b sum m Psi) b, with b the mean velocity of the bulk."""
-    b, out = zero_if_unknown(f._drift[:1]), np.empty((3, 3, *s.mass.shape), s.mass.dtype)
+    b = zero_if_unknown(f._drift[:1])
+    out = np.empty((3, 3, *s.mass.shape), s.mass.dtype)
     for i in range(3):
         rest = s.momentum[..., i] - b[..., i] * s.mass  # nothing but for phases
         for j in range(i, 3):
@@ -172,7 +176,8 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     fluctuations it takes, from the grains i of a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for
     the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
     """
-    point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
+    point = f._fit.mean[:1]
+    inverse = f._fit.inverse[:1]
     centre = zero_if_unknown(mean_of(s.offset[:1], s.mass[:1]))
     squares = s.square, s.square_offset, s.square_spread
     shift, bulk = about(tuple(a[:1] for a in squares), centre, centre)
