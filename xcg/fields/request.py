@@ -318,7 +318,7 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
 
     def place(field: Field[Any]) -> tuple[bool, int, bool]:
         usual = _FIRST.index(field.name) if field.name in _FIRST else len(_FIRST)
-        return field.kw_only, usual, field.name in shared
+        return bool(field.kw_only), usual, field.name in shared
 
     return tuple(sorted(fields(request), key=place))
 

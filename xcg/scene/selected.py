@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, TypeAlias, cast
+from typing import Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -141,7 +141,7 @@ def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
         found = xr.Dataset(known).eval(expression)
         if isinstance(found, xr.Dataset):
             raise SyntaxError("= assigns, and == compares")
-        return cast(xr.DataArray, found)
+        return found
     except NameError as error:
         name = str(error.name or error)
         raise ValueError(
