@@ -166,7 +166,7 @@ class Particles:
 
     @property
     def is_lattice(self) -> bool:
-        """Whether nearest grains lie at one distance and in few directions."""
+        """Return True if nearest grains lie at one distance and in few directions."""
         _, directions = self.neighbours
         length = np.linalg.norm(directions, axis=1)
         if len(length) < FEW or not length.min() > 0 or length.std() > _EVEN * length.mean():
