@@ -80,7 +80,6 @@ def view() -> None:
     volume = xcg.datasets.open("plane_shear").cg.coarse_grain(["velocity", "density"], spacing=0.3)
     plotter = pyvista.Plotter(off_screen=True, window_size=(620, 420))
     volume.cg.view("velocity", plotter=plotter)
-    plotter.camera.zoom(1.3)
     write("view", Image.fromarray(np.asarray(plotter.screenshot(return_img=True))))
 
 

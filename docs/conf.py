@@ -53,6 +53,8 @@ pyvista.BUILDING_GALLERY = True
 
 # The gallery: each script of examples/gallery is run and becomes a page; one that has not changed is not run again.
 sys.path.append(str(Path(__file__).parents[1]))
+from docs.figures import SCENES  # noqa: E402
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples/gallery",
     "gallery_dirs": "gallery",
@@ -60,7 +62,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "reset_modules": ("docs.figures.legible",),
     "image_srcset": ["2x"],
-    "image_scrapers": ("matplotlib", "pyvista"),
+    "image_scrapers": ("matplotlib", "docs.figures.draw_3d"),
     "capture_repr": (),
     "remove_config_comments": True,
     "download_all_examples": False,
@@ -141,8 +143,15 @@ def copy_mathjax(app, error):
             copy_asset(MATHJAX / name, target.parent if target.suffix else target)
 
 
+def copy_scenes(app, error):
+    """Copy the pictures that can be turned, which the pages of the gallery frame."""
+    if error is None and app.builder.format == "html":
+        copy_asset(Path(app.srcdir, SCENES), Path(app.outdir, SCENES))
+
+
 def setup(app):
     app.connect("source-read", link_pages)
     app.connect("include-read", link_pages)
     app.connect("build-finished", copy_mathjax)
+    app.connect("build-finished", copy_scenes)
     app.connect("autodoc-process-docstring", shorten_methods, priority=1)  # before numpydoc

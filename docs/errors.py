@@ -6,7 +6,7 @@ import numpy as np
 
 import xcg
 from docs.marks import write_between
-from tests.fields.formulas.rows.test_errors import (
+from tests.ensembles import (
     CASES,
     OF_MOTION,
     OF_VARIABLES,

@@ -97,17 +97,9 @@ def main() -> None:
     figure, (left, middle, right, last) = plt.subplots(
         1, 4, figsize=(14, 3.9), layout="constrained"
     )
-    speed = np.sqrt((plane**2).sum("component", skipna=False))
-    image = left.pcolormesh(plane.x * 1e3, plane.z * 1e3, speed.T, cmap="viridis")
-    figure.colorbar(image, label="speed [m s$^{-1}$]")
-    every = plane.isel(x=slice(None, None, 4), z=slice(None, None, 4))
-    left.quiver(every.x * 1e3, every.z * 1e3, *(every.sel(component=c).T for c in "xz"), color="w")
-    left.set(
-        xlabel="$x$ [mm]",
-        ylabel="$z$ [mm]",
-        aspect="equal",
-        title=f"a drum, slope {slope:.0f} degrees",
-    )
+    in_mm = {axis: (axis, plane[axis].values * 1e3, {"units": "mm"}) for axis in "xz"}
+    plane.assign_coords(in_mm).to_dataset(name="velocity").cg.plot(ax=left)
+    left.set(title=f"a drum, slope {slope:.0f} degrees")
     seen = profile.where(profile.volume_fraction > 0.1)
     middle.plot(seen.velocity.sel(component="x"), seen.z * 1e3)
     middle.plot(OMEGA * seen.z, seen.z * 1e3, "k--", label=r"$\Omega z$")

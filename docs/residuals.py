@@ -1,21 +1,21 @@
 """Residuals of the identities that hold on any scene, for the sample data: writes a table of docs/stability.md.
 
-Run from the root of the repository, with the folder of the sample data::
+Run from the root of the repository::
 
-    python -m docs.residuals DATA
+    python -m docs.residuals
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from pathlib import Path
 
 from docs.marks import write_between
+from tests import real_data
 from tests.identities import residuals
 from tests.identities.scenes import OPEN, Case
 
-STATIC = ("lammps_polydisperse", "liggghts_box", "yade_periodic")
+STATIC = ("liggghts_box",)
 
 
 def columns(name: str) -> dict[str, Callable[[Case], str]]:
@@ -43,15 +43,12 @@ def columns(name: str) -> dict[str, Callable[[Case], str]]:
     }
 
 
-def table(data: Path, count: int) -> str:
-    """Return the table in markdown: a row for each folder that is there."""
+def table(count: int) -> str:
+    """Return the table in markdown: a row for each scene."""
     heads = ["scene", *columns("")]
     lines = ["{.numbers}", "| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, opened in OPEN.items():
-        if not (data / name).is_dir():
-            print(f"{name}: not in {data}, left out")
-            continue
-        case = Case.of(name, opened(data / name), count=count)
+        case = Case.of(name, opened(real_data(name)), count=count)
         row = [name, *(compute(case) for compute in columns(name).values())]
         lines.append("| " + " | ".join(row) + " |")
         print(lines[-1], flush=True)
@@ -60,12 +57,9 @@ def table(data: Path, count: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument(
-        "data", type=Path, help="folder of the sample data, with one folder a scene"
-    )
     parser.add_argument("--points", type=int, default=5, help="points a scene (default 5)")
     given = parser.parse_args()
-    write_between("stability.md", "residuals", table(given.data, given.points))
+    write_between("stability.md", "residuals", table(given.points))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-import pytest
 import xarray as xr
 
 import xcg
@@ -20,18 +19,10 @@ import xcg
 ROOT = Path(__file__).parents[1]
 
 
-def shared_data(name: str) -> Path:
-    """Folder of real output beside the repository; the test is skipped where it is absent."""
-    path = ROOT.parent / "shared" / "data" / name
-    if not path.exists():
-        pytest.skip(f"needs the shared data '{name}'")
-    return path
-
-
 def real_data(name: str) -> Path:
-    """Folder of real output that ships with the project, else the one beside the repository."""
-    shipped = [ROOT / "tests" / "data" / name, ROOT / "examples" / "data" / name]
-    return next((path for path in shipped if path.exists()), None) or shared_data(name)
+    """Folder of real output of DEM codes that ships with the project."""
+    folders = [ROOT / "tests" / "data" / name, ROOT / "examples" / "data" / name]
+    return next(path for path in folders if path.exists())
 
 
 @contextmanager

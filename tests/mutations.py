@@ -177,7 +177,7 @@ TABLE = [
         "test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges",
     ),
     Mutation(
-        "scene/frame.py", "np.searchsorted(share, 0.5 * share[-1])", "np.searchsorted(share, 0.4 * share[-1])",
+        "scene/frame.py", "np.searchsorted(up_to, 0.5 * total)", "np.searchsorted(up_to, 0.4 * total)",
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
@@ -385,7 +385,7 @@ TABLE = [
         "test_grains_that_come_back_count_as_new",
     ),
     Mutation(
-        "analysis/derived.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
+        "analysis/derived.py", "position[stays] @ motion.gradient.T", "position[stays] @ motion.gradient",
         "test_velocities_across_edges_and_in_a_sheared_box",
     ),
     Mutation(
@@ -416,6 +416,73 @@ TABLE = [
     Mutation(
         "analysis/pairs.py", "length < 3 * reach * np.maximum(edges, 1)", "length < 1 * reach * np.maximum(edges, 1)",
         "test_pairs_equal_those_of_brute_force",
+    ),
+    # --- structure and rheology ---
+    Mutation(
+        "compiled/radial_distribution.py", "whose[low] > whose[high]", "whose[low] < whose[low]",
+        "test_pairs_are_those_of_brute_force",
+    ),
+    Mutation(
+        "compiled/radial_distribution.py", "d[across[1]], d[across[0]]", "d[across[0]], d[across[1]]",
+        "test_pairs_are_those_of_brute_force",
+    ),
+    Mutation(
+        "analysis/radial_distribution.py", "2 / 3 * both + along / 3", "2 / 3 * both + along / 2",
+        "test_accessible_shells_are_those_of_quadrature",
+    ),
+    Mutation(
+        "analysis/radial_distribution.py", "- np.diag(2.0**n * powers[n])", "",
+        "test_the_ideal_gas_is_one_within_its_standard_error",
+    ),
+    Mutation(
+        "analysis/contact_value.py", "(number + both)", "number",
+        "test_the_error_of_independent_pairs_is_their_scatter",
+    ),
+    Mutation(
+        "compiled/structure_factor.py", "re * sine[2, c, lane] + im", "re * sine[2, c, lane] - im",
+        "test_waves_are_sums_of_exponentials",
+    ),
+    Mutation(
+        "analysis/structure_factor.py", "half = plane if h else plane[len(plane) // 2 + 1 :]", "half = plane",
+        "test_the_isotropic_one_is_the_mean_over_all_vectors",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "(2 if m else 1)", "1", "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "reach = min(reach, half) if", "reach = 0.1 * half if",
+        "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/voronoi.py", "np.cross(away[following], away)", "np.cross(away, away[following])",
+        "test_normals_point_from_the_first_particle_to_the_second",
+    ),
+    Mutation(
+        "analysis/contact_history.py", "lattice.numbers(self.branch[new] - before.branch[old])",
+        "lattice.numbers(0 * self.branch[new])", "test_another_image_is_another_contact",
+    ),
+    Mutation(
+        "analysis/contact_history.py", "(now.first <= t - lag).sum()", "(now.first < t - lag).sum()",
+        "test_ages_births_losses_and_lifetimes_of_one_contact",
+    ),
+    Mutation(
+        "analysis/contact_history.py", "before.first[is_lost & (before.first > 0)]", "before.first[is_lost]",
+        "test_contacts_of_the_first_step_have_no_lifetime",
+    ),
+    Mutation(
+        "analysis/fit_law.py", "self.shared * covariance", "covariance",
+        "test_nodes_closer_than_a_support_are_fewer_points",
+    ),
+    Mutation(
+        "analysis/fit_law.py", "absolute_sigma=self.are_weighted", "absolute_sigma=False",
+        "test_parameters_are_within_two_errors_in_95_of_100_draws",
+    ),
+    Mutation(
+        "analysis/fit_law.py", "(2 * step)", "step", "test_errors_of_x_count_by_the_slope_of_the_law",
+    ),
+    Mutation(
+        "analysis/laws.py", "/ (h - first)) ** 1.5", "/ (h - first)) ** 0.5",
+        "test_laws_have_the_properties_that_define_them",
     ),
     # --- chains ---
     Mutation(

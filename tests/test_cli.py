@@ -14,7 +14,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import ROOT, shared_data
+from tests import ROOT, real_data
 from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
@@ -108,7 +108,7 @@ def few(series):
 
 
 def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
-    folder = shared_data("mfix_chute")
+    folder = real_data("mfix_chute")
     text = changed(
         particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out"
     )
@@ -117,10 +117,9 @@ def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
     assert "x: 0.04, z: 0.02, in the files' unit" in said
     out = tmp_path / "out"
     assert sorted(p.name for p in out.iterdir()) == [
-        "CG_GranularTemperature_slices.h5", "CG_Lucy_Monodisperse.h5", "CG_Lucy_Monodisperse_0002.vtkhdf",
-        "CG_Lucy_Monodisperse_0004.vtkhdf", "CG_Lucy_Monodisperse_0006.vtkhdf",
+        "CG_GranularTemperature_slices.h5", "CG_Lucy_Monodisperse.h5", "CG_Lucy_Monodisperse_0004.vtkhdf",
     ]  # fmt: skip
-    numbers = [2, 4, 6]
+    numbers = [4]
     ds = xcg.open_scene(
         [folder / f"P_FB1_{n:04d}.vtp" for n in numbers], contacts=[folder / f"FC_{n:04d}.vtp" for n in numbers],
         periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)},
@@ -132,7 +131,7 @@ def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
         bounds=ends, spacing={a: high / np.ceil(2 * high / c) for a, (_, high) in ends.items()},
     ).compute()  # fmt: skip
     with xr.open_dataset(out / "CG_Lucy_Monodisperse.h5") as f:
-        assert f.sizes["time"] == 3
+        assert f.sizes["time"] == 1
         for name in direct:
             # the period is recovered in single precision
             size = float(np.abs(direct[name]).max())

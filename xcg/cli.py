@@ -393,12 +393,12 @@ def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any)
     "contacts.*.dump"
     """
     from xcg.explore.app import serve
+    from xcg.explore.choices import written_call
     from xcg.readers.open import open_scene
-    from xcg.steps.labels import format_call
 
     with plain_messages(quiet=False):
         arguments = {"particles": list(files), **said(options)}
-        opened = f"import xcg\n\nds = {format_call('xcg.open_scene', arguments)}\n"
+        opened = f"import xcg\n\nds = {written_call('xcg.open_scene', arguments)}\n"
         serve(open_scene(**arguments), opened, port=port, show=not no_browser)
 
 

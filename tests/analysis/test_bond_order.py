@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import xcg
-from tests import raise_if_dask_computes
 from tests.analysis.test_radial_distribution import gas, pair_vectors
 
 
@@ -74,6 +72,18 @@ def test_crystals_have_the_values_of_the_literature():
     np.testing.assert_allclose(cubic.q6, 0.35355, atol=5e-6)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_independent_directions_have_the_order_of_a_random_walk(dimension):
+    """The mean square over n neighbours of points at random is 1 / n, whatever the degree."""
+    steps = 40
+    periodic = "xyz"[:dimension]
+    order = gas(steps, 150, periodic, dimension).cg.bond_order([3, 6], neighbours=7)
+    letter = "q" if dimension == 3 else "psi"
+    for degree in (3, 6):
+        square = (order[f"{letter}{degree}"] ** 2).mean("particle")
+        assert abs(float(square.mean()) - 1 / 7) < 4 * float(square.std()) / np.sqrt(steps)
+
+
 def test_a_triangular_lattice_has_one_direction():
     rows, columns = 6, 8
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -125,18 +135,19 @@ def test_freud_agrees_within_its_single_precision(dimension):
         np.testing.assert_allclose(found[name][0], np.abs(kind.particle_order), atol=1e-4)
 
 
+def test_a_neighbour_at_the_same_place_is_an_error():
+    position = [[0.0, 0, 0], [1, 0, 0], [1, 0, 0]]
+    ds = xcg.scene_from_arrays(position, diameter=[1.0] * 3, density=1.0)
+    for arguments in ({"r_max": 2.0}, {"neighbours": 2}):
+        with pytest.raises(xcg.SceneError, match="particle 1 has a neighbour at its own place"):
+            ds.cg.bond_order(**arguments)
+
+
 def test_particles_without_neighbours_are_nan():
     position = [[0.0, 0, 0], [1, 0, 0], [9, 0, 0]]
     ds = xcg.scene_from_arrays(position, diameter=[1.0] * 3, density=1.0)
     order = ds.cg.bond_order(r_max=2.0)
     np.testing.assert_array_equal(np.isnan(order.q6[0]), [False, False, True])
-
-
-def test_lazy_results_have_the_bits_of_those_in_memory():
-    ds = gas(3, 60, "xyz")
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.bond_order(neighbours=4)
-    xr.testing.assert_equal(lazy.compute(), ds.cg.bond_order(neighbours=4))
 
 
 @pytest.mark.parametrize(

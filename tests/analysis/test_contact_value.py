@@ -5,6 +5,7 @@ import pytest
 
 import xcg
 from tests.analysis import hard_spheres
+from tests.analysis.test_radial_distribution import gas
 
 
 def test_hard_spheres_follow_carnahan_and_starling():
@@ -24,6 +25,17 @@ def test_phases_of_one_size_have_the_value_of_all():
     whole = float(f.contact_value[:, 0, 0].mean())
     error = f.contact_value.std("time") / np.sqrt(f.sizes["time"])
     assert (abs(f.contact_value.mean("time") - whole) < 4 * error).all()
+
+
+def test_the_error_of_independent_pairs_is_their_scatter():
+    """Of points at random, for pairs of all, of one phase, of all with one, and of two phases."""
+    steps = 300
+    ds = gas(steps, 150, "xyz")
+    f = ds.cg.contact_value(by="species", groups=[1, 2, 3])
+    scatter = f.contact_value.std("time", ddof=1)
+    mean_square = np.sqrt((f.contact_value_error**2).mean("time"))
+    # the relative error of a standard deviation is the root of 1 / 2 (n - 1)
+    assert (np.abs(mean_square / scatter - 1) < 4 / np.sqrt(2 * (steps - 1))).all()
 
 
 def test_distances_are_over_the_mean_diameter():

@@ -103,6 +103,18 @@ def test_a_wave_is_a_cosine():
     np.testing.assert_allclose(c.correlation_length, fall, rtol=1e-12)
 
 
+@pytest.mark.parametrize("axes", ["x", "y", "xy"])
+def test_reversed_axes_have_the_same_correlations(axes):
+    f = result(np.random.default_rng(5).normal(size=(4, 8, 6)), "x")
+    backwards = f.isel(dict.fromkeys(axes, slice(None, None, -1)))
+    xr.testing.assert_allclose(
+        backwards.cg.spatial_correlation("a").drop_attrs(),
+        f.cg.spatial_correlation("a").drop_attrs(),
+    )
+    late = backwards.isel(time=slice(None, None, -1)).cg.time_correlation("a").sortby(["x", "y"])
+    xr.testing.assert_allclose(late.drop_attrs(), f.cg.time_correlation("a").drop_attrs())
+
+
 def test_white_noise_is_a_spike_within_its_errors():
     values = np.random.default_rng(1).normal(size=(64, 16, 16))
     c = result(values, "xy").cg.spatial_correlation("a")

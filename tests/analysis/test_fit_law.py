@@ -39,6 +39,37 @@ def _exact(law):
     return x, LAWS[law].function(x, *parameters.values(), **keywords)
 
 
+def test_laws_have_the_properties_that_define_them():
+    law = {name: row.function for name, row in LAWS.items()}
+    # half of the rise from mu_s to mu_2 at I_0
+    np.testing.assert_allclose(
+        law["mu_of_I"](np.array([0, 0.3, 1e12]), 0.4, 0.6, 0.3), [0.4, 0.5, 0.6]
+    )
+    np.testing.assert_allclose(law["mu_of_I_line"](np.array([0, 0.5]), 0.4, 2.0), [0.4, 1.4])
+    np.testing.assert_allclose(law["phi_of_I"](np.array([0, 0.5]), 0.6, 0.2), [0.6, 0.5])
+    # falls by e over a length
+    np.testing.assert_allclose(
+        law["fluidity"](np.array([1.0, 3.5]), 2.0, 2.5, first=1.0), [2, 2 / np.e]
+    )
+    # the rate of shear is the root of the depth, and zero above the surface
+    z = np.array([1.0, 4.0, 8.0, 9.0])
+    v = law["bagnold"](z, 5.0, 2.0, 8.0, first=1.0)
+    np.testing.assert_allclose(v[[0, 2, 3]], [2, 5, 5])
+    rate = np.diff(
+        [law["bagnold"](z[:2] + h, 5.0, 2.0, 8.0, first=1.0) for h in (-1e-6, 1e-6)], axis=0
+    )
+    assert rate[0, 0] / rate[0, 1] == pytest.approx(np.sqrt(7 / 4))
+    # a quarter of the temperature after tau
+    np.testing.assert_allclose(law["haff"](np.array([3.0, 10.0]), 2.0, 7.0, first=3.0), [2, 0.5])
+    # nothing through an opening of k diameters, 2^5/2 as much through twice what is beyond it
+    flow = law["beverloo"](
+        np.array([0.01, 0.014, 0.016, 0.018]), 0.58, 1.4, density=1500.0, diameter=0.01
+    )
+    np.testing.assert_allclose(flow[:2], 0, atol=1e-15)
+    assert flow[3] / flow[2] == pytest.approx(2**2.5)
+    assert flow[3] == pytest.approx(0.58 * 1500 * np.sqrt(9.81) * 0.004**2.5)
+
+
 @pytest.mark.parametrize("law", CASES)
 def test_exact_points_give_the_parameters_back(law):
     x, y = _exact(law)
@@ -144,6 +175,11 @@ def test_fields_of_a_scene_are_fitted_with_units():
         ({}, {"law": "mu_of_j"}, "unknown law 'mu_of_j'; did you mean 'mu_of_I'"),
         ({}, {"x": "inertia_number"}, "did you mean 'inertial_number'"),
         ({}, {"constants": {"d": 1.0}}, "unknown constant 'd'"),
+        ({}, {"constants": [1.0]}, r"constants=\[1.0\]: expected numbers by name"),
+        ({}, {"law": lambda x: x, "x": "inertial_number", "y": "friction_coefficient"},
+         "the law has no parameters"),
+        ({"friction_coefficient": -1.0}, {"law": "fluidity", "x": "inertial_number",
+          "y": "friction_coefficient"}, "needs values above zero, and the largest is -"),
         ({}, {"guess": (1.0, np.nan, 1.0)}, "a finite number for each of mu_s, mu_2, I_0"),
         ({}, {"law": "beverloo", "x": "inertial_number", "y": "friction_coefficient"},
          "needs the constants density, diameter"),
@@ -156,6 +192,14 @@ def test_bad_input_is_named(change, options, message):
     f = f.assign({name: f[name] * value for name, value in change.items()})
     with pytest.raises(ValueError, match=message):
         xcg.fit_law(f, **options)
+
+
+def test_points_that_leave_a_parameter_open_are_named():
+    x = np.linspace(0.1, 1, 9)
+    f = xr.Dataset({"load": ("node", x)}, {"depth": ("node", x)})
+    with pytest.warns(xcg.SceneWarning, match="do not determine all parameters"):
+        fit = f.cg.fit_law(lambda x, a, b: a * x + 0 * b, x="depth", y="load")
+    assert np.isinf(fit.b_error)
 
 
 def test_vectors_need_a_component():

@@ -13,8 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import xcg
-from tests import shared_data
-from tests.networks import chains_of, fork, network, nine_particles, read_fcf
+from tests.networks import chains_of, fork, network, nine_particles
 
 
 def columns():
@@ -206,47 +205,6 @@ def test_tables_of_chains_and_links():
     }  # fmt: skip
     np.testing.assert_allclose(links["force"], [2, 2, 1.1, 1, 1, 1.1, 1, 1])
     assert links["contact"].tolist() == list(range(8))
-
-
-# --- Force Chain Finder ----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def compression():
-    folder = shared_data("force_chain_finder")
-    return xcg.open_scene(folder / "compress*.liggghts", contacts=folder / "pair*.txt").compute()
-
-
-@pytest.mark.parametrize(("alpha", "name"), [(45, "pi_4"), (22.5, "pi_8")])
-@pytest.mark.parametrize(("t", "step"), [(0, 1500), (1, 3500)])
-def test_chains_equal_those_of_force_chain_finder(compression, t, step, alpha, name):
-    """Every chain of the shipped files, under its number, with the particle that each was reached from."""
-    rows = read_fcf(shared_data("force_chain_finder") / f"forceChains_{step}_{name}.csv")
-    fc = compression.cg.force_chains(alpha=alpha, symmetric=False).isel(time=t)
-    row = np.searchsorted(fc.particle_id.values, [int(r["LiggghtsId"]) for r in rows])
-    assert (fc.chain_id.values >= 0).sum() == len(rows)
-    assert fc.chain_id.values[row].tolist() == [int(r["chainId"]) for r in rows]
-    links = ["starting" if k < 0 else str(k) for k in fc.parent_id.values[row]]
-    assert links == [r["linkNodes"] for r in rows]
-    np.testing.assert_allclose(
-        -fc.major_stress.values[row], [float(r["minorStress"]) for r in rows], rtol=5e-6
-    )
-    theirs = np.array([[float(r[f"minorDir{a}"]) for a in "XYZ"] for r in rows])
-    np.testing.assert_allclose(
-        np.abs((fc.major_direction.values[row] * theirs).sum(axis=1)), 1, atol=1e-5
-    )
-
-
-def test_symmetric_stress_makes_other_chains(compression):
-    """The differences that the documentation lists: friction turns the principal directions."""
-    agree = []
-    for t, alpha in ((0, 45), (0, 22.5), (1, 45), (1, 22.5)):
-        raw, symmetric = (
-            chains_of(compression.cg.force_chains(alpha=alpha, symmetric=s), t)
-            for s in (False, True)
-        )
-        agree.append((len(raw), len(symmetric), len(raw & symmetric)))
-    assert agree == [(31, 31, 31), (17, 17, 17), (49, 54, 37), (29, 28, 22)]
 
 
 # --- invariance ------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import ROOT, shared_data, steps_of_random_scenes
+from tests import ROOT, steps_of_random_scenes
 from xcg.analysis.microstructure import NAMES
 from xcg.analysis.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
@@ -487,32 +487,6 @@ def test_without_a_box_volumes_come_from_bounds():
 def test_wrong_arguments_raise(options, message):
     with pytest.raises(ValueError, match=message):
         xcg.datasets.random_scene(20).cg.microstructure(**options)
-
-
-# --- a real packing --------------------------------------------------------------------------------------
-
-
-def test_pressure_of_a_polydisperse_packing_is_100_kpa():
-    folder = shared_data("lammps_polydisperse")
-    ds = xcg.open_scene(folder / "particles.*", contacts=folder / "contacts.*")
-    m = ds.cg.microstructure().compute()
-    assert m.mean_stress.values[0] == pytest.approx(100e3, rel=1e-3)
-    assert m.stress_ratio.values[0] < 0.1 < 0.6 < m.stress_ratio.values[1] < 0.9
-    assert ((m.volume_fraction > 0.6) & (m.volume_fraction < 0.72)).all()
-    # small grains rattle: Z_mech is above Z, and most of the volume bears load
-    assert (m.mechanical_coordination_number > m.coordination_number + 0.5).all()
-    assert ((m.non_rattler_fraction > 0.6) & (m.non_rattler_fraction < 0.9)).all()
-    assert (m.d50 < m.d_bar).all()
-    assert (m.d_bar < m.d_max).all()
-    # sheared at 5 /s for 0.01 s
-    assert m.axial_strain.values[1] == pytest.approx(0.05, rel=0.05)
-    assert m.strain_rate.values[1] == pytest.approx(5.0, rel=0.1)
-    assert m.fabric_anisotropy.values[0] < 0.05 < m.fabric_anisotropy.values[1]
-    iterative = ds.cg.microstructure("non_rattler_fraction", rattlers="iterative").compute()
-    assert (iterative.non_rattler_fraction < m.non_rattler_fraction).all()
-    # Hertz forces from positions alone give the pressure back
-    estimated = ds.cg.find_contacts(E=2e8, nu=0.2).cg.microstructure("mean_stress").compute()
-    np.testing.assert_allclose(estimated.mean_stress, m.mean_stress, rtol=0.05)
 
 
 def test_a_scene_without_steps_has_results_without_steps():

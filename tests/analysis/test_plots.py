@@ -11,10 +11,13 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import LogNorm
+from scipy import ndimage
 
 import xcg
 from tests import ROOT
-from xcg.common.drawing import unit_text
+from xcg.analysis.plots import _without_empty_parts, numbers_of
+from xcg.common.drawing import unit_text, without_tail
 from xcg.scene.schema import units_of
 
 mpl.use("agg")
@@ -160,6 +163,88 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
     assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
 
 
+@pytest.mark.parametrize(
+    ("field", "parts"),
+    [
+        ("velocity", "xy"),
+        ("spin_density", "z"),
+        ("wall_traction", "xy"),
+        ("contact_force_density", "xy"),
+    ],
+)
+def test_profiles_of_discs_leave_out_components_that_are_zero(field, parts):
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain(field, axes="y", width=1.0)
+    ax = f.cg.plot()
+    assert [line.get_label() for line in ax.lines] == [*parts]
+    assert numbers_of(f, field).component.values.tolist() == [*parts]
+
+
+def test_a_component_that_is_zero_in_some_steps_stays_in_all():
+    f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain("velocity", axes="y", width=1.0)
+    step = f.isel(time=0).assign_attrs(drawn="velocity")
+    along_x = step.assign(velocity=step.velocity * [1, 0, 0])
+    for shown in _without_empty_parts([along_x, step], f):
+        assert shown.component.values.tolist() == ["x", "y"]
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """A map whose numbers are 0.1 to 0.4 in the bulk, and 2500 at the 2 of 40 nodes of a free surface."""
+    f = xcg.datasets.random_scene(60).cg.coarse_grain(
+        ["inertial_number", "density"], axes="xz", width=1.0, bounds={"x": (0, 4), "z": (0, 4)},
+        spacing={"x": 0.5, "z": 0.1},
+    )  # fmt: skip
+    z = f.z.broadcast_like(f.density)
+    return f.map(lambda old: (0.1 + 0.075 * z).where(z < 3.85, 2500.0).assign_attrs(old.attrs))
+
+
+def test_a_free_surface_does_not_flatten_the_inertial_number(surface):
+    ax = surface.cg.plot("inertial_number")
+    mesh, bar = ax.collections[0], ax.figure.axes[-1]
+    assert mesh.get_clim() == pytest.approx((0.1, 0.385))  # at z = 3.8, below the surface
+    assert bar.get_ylabel() == "inertial number, up to its 95th percentile"
+    assert bar._colorbar.extend == "max"
+    profile = surface.isel(x=0)
+    ax = profile.cg.plot("inertial_number")
+    assert 0.37 < ax.get_xlim()[1] < 0.5
+    assert ax.get_xlabel() == "inertial number, up to its 95th percentile"
+    assert max(ax.lines[0].get_xdata()) == 2500.0
+
+
+def test_a_tail_is_drawn_where_it_is_asked_for_or_the_field_has_a_bound(surface):
+    whole = surface.cg.plot("density")
+    assert whole.collections[0].get_clim()[1] == 2500.0
+    given = surface.cg.plot("inertial_number", vmax=9.0)
+    assert given.collections[0].get_clim() == pytest.approx((0.1, 9.0))
+    log = surface.cg.plot("inertial_number", norm="log")
+    assert log.collections[0].get_clim()[1] == pytest.approx(2500.0)
+    for ax in (whole, given, log):
+        assert "percentile" not in ax.figure.axes[-1].get_ylabel()
+
+
+def test_quotients_of_the_user_are_shown_without_their_tail(surface):
+    f = surface.assign(mine=-surface.density / surface.density.max())
+    mesh = f.cg.plot("mine").collections[0]
+    assert mesh.get_clim()[0] == pytest.approx(float(f.mine.quantile(0.1)), rel=0.05)
+    xcg.register_field("quotient", lambda f, s, o: 1 / f.pressure, fields="pressure", units="Pa^-1")
+    f = surface.assign(quotient=surface.density)
+    assert f.cg.plot("quotient").collections[0].get_clim()[1] < 0.4
+
+
+@pytest.mark.parametrize("values", [[], [0.0], [0.0] * 30 + [1.0], [1.0, 2.0, 3.9], np.arange(50)])
+def test_numbers_without_a_tail_are_shown_whole(values):
+    values = np.array(values)
+    shown, note = without_tail(values)
+    assert shown is values
+    assert note == ""
+
+
+def test_vectors_of_a_volume_keep_components_that_are_zero():
+    ds = xcg.datasets.random_scene(60)
+    f = ds.assign(velocity=ds.velocity * [1, 0, 0]).cg.coarse_grain("velocity", axes="y", width=1.0)
+    assert [line.get_label() for line in f.cg.plot().lines] == ["x", "y", "z"]
+
+
 def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():
     f = xcg.datasets.random_scene(60).cg.coarse_grain(
         "density", width=1.0, bounds={"y": (1.0, 3.0)}
@@ -168,6 +253,7 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given
     np.testing.assert_array_equal(
         mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
     )
+    assert f.isel(x=slice(None, None, -1)).cg.plot().get_title().startswith("step = 0, y = ")
     plt.figure()
     ax = f.cg.plot(at={"x": 2.0})
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$y$ [m]", "$z$ [m]")
@@ -213,20 +299,47 @@ def test_a_smooth_map_interpolates_linearly_between_the_nodes():
     )  # as far as the cells of the nodes
 
 
-def test_a_smooth_map_is_white_where_the_nearest_node_is_unknown_and_nothing_bleeds():
+def test_a_smooth_map_is_white_at_unknown_nodes_and_nothing_bleeds():
     """Beside unknown nodes the numbers are those of the known ones."""
     values = np.full((4, 5), 3.0)
     values[1, 2] = values[3, 0] = np.nan
     values[0, 4] = np.inf
     (mesh,) = plane(values).cg.plot().collections
     mesh.axes.figure.canvas.draw()
-    rng = np.random.default_rng(0)
-    x, z = rng.uniform(0, 5, 500), rng.uniform(0, 4, 500)
-    drawn = numbers_at(mesh, x, z)
-    known = np.isfinite(values[z.astype(int), x.astype(int)])
-    np.testing.assert_array_equal(np.ma.getmaskarray(drawn), ~known)
-    np.testing.assert_allclose(drawn[known], 3.0, rtol=1e-14)
+    z, x = (axis.ravel() + 0.5 for axis in np.mgrid[0:4, 0:5])
+    at_nodes = numbers_at(mesh, x, z)
+    np.testing.assert_array_equal(np.ma.getmaskarray(at_nodes), ~np.isfinite(values).ravel())
+    np.testing.assert_allclose(mesh.get_array().compressed(), 3.0, rtol=1e-14)
     plane(np.full((4, 5), np.nan)).cg.plot().figure.canvas.draw()
+
+
+@pytest.mark.parametrize("radius", [5.0, 9.3, 14.0])
+def test_the_rim_of_a_smooth_map_has_no_stairs(radius):
+    """The rim of a disc is within half a spacing of its circle, and so smooth that its length is that of the circle."""
+    z, x = np.mgrid[0:40, 0:40] + 0.5
+    inside = np.hypot(x - 20, z - 20) < radius
+    (mesh,) = plane(np.where(inside, 1.0, np.nan)).cg.plot().collections
+    line = np.linspace(0.05, 39.95, 400)
+    columns, rows = np.meshgrid(line, line)
+    drawn = ~np.ma.getmaskarray(numbers_at(mesh, columns, rows))
+    from contourpy import contour_generator  # comes with matplotlib
+
+    (rim,) = contour_generator(line, line, ndimage.gaussian_filter(drawn.astype(float), 2)).lines(
+        0.5
+    )
+    away = np.hypot(*(rim - 20).T)
+    assert abs(away - radius).max() < 0.5
+    assert np.hypot(*np.diff(rim, axis=0).T).sum() < 1.03 * 2 * np.pi * away.mean()
+    flat = plane(np.where(inside, 1.0, np.nan)).cg.plot(shading="flat").collections[0]
+    assert flat.get_array().count() == inside.sum()
+
+
+def test_straight_rims_stay_between_the_nodes():
+    (mesh,) = (
+        plane(np.where(np.arange(6)[:, None] < 3, np.ones((6, 8)), np.nan)).cg.plot().collections
+    )
+    (rows,) = np.nonzero(~np.ma.getmaskarray(mesh.get_array()).any(axis=1))
+    assert mesh.get_coordinates()[rows[-1] + 1, 0, 1] == pytest.approx(3.0, abs=0.02)
 
 
 def test_a_smooth_circle_has_no_seam():
@@ -282,6 +395,106 @@ def test_a_colour_bar_is_as_high_as_its_map():
         assert bar.get_window_extent().height == pytest.approx(
             ax.get_window_extent().height, rel=0.15
         )
+
+
+@pytest.mark.parametrize("shape", [(60, 10), (40, 20), (20, 20), (20, 60)])
+def test_maps_fill_their_figure(shape):
+    """The map takes the figure but for the room of labels and bar, as high as wide ones are wide."""
+    numbers = plane(np.arange(float(np.prod(shape))).reshape(shape))
+    ax = numbers.cg.plot()
+    figure = ax.figure
+    figure.canvas.draw()
+    drawn = ax.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
+    wide, high = figure.get_size_inches()
+    assert high - drawn.height < 1.2
+    assert wide - drawn.width < 2.3 or wide == pytest.approx(3.2)
+    assert max(wide, high) <= max(plt.rcParams["figure.figsize"])
+    assert high > 6 or shape[0] <= shape[1]
+    _, own = plt.subplots(figsize=(5, 5))
+    assert tuple(numbers.cg.plot(ax=own).figure.get_size_inches()) == (5, 5)
+
+
+def test_titles_of_narrow_figures_are_broken():
+    place = {"time": ((), 1.25, {"units": "s"}), "y": ((), 3.325e-5, {"units": "m"})}
+    f = plane(np.arange(80.0).reshape(20, 4)).assign_coords(place)
+    ax = f.cg.plot()
+    ax.figure.canvas.draw()
+    title = ax.title.get_window_extent()
+    assert ax.get_title() == "time = 1.25 s\ny = 3.325e-05 m"
+    assert 0 < title.x0 < title.x1 < ax.figure.bbox.width
+    wide = plane(np.arange(80.0).reshape(4, 20)).assign_coords(place)
+    assert wide.cg.plot().get_title() == "time = 1.25 s, y = 3.325e-05 m"
+
+
+def half_filled(names, **options):
+    """Fields of grains below z = 5 up to a height of 12, and whether grains reach their nodes."""
+    ds = xcg.datasets.random_scene(100, seed=2, periodic="")
+    bounds = {"x": (0.0, 5.0), "z": (0.0, 12.0)}
+    options |= {"axes": "xz", "width": 0.5, "bounds": bounds}
+    density = ds.cg.coarse_grain("density", **options).density.isel(time=0)
+    return ds.cg.coarse_grain(names, **options), density > 0
+
+
+@pytest.mark.parametrize("names", [["pressure", "density"], ["pressure", "velocity"]])
+def test_air_is_white_for_pressure_too(names):
+    f, is_reached = half_filled(names)
+    (mesh,) = f.cg.plot("pressure", shading="flat").collections
+    filled = ~np.ma.getmaskarray(mesh.get_array())
+    np.testing.assert_array_equal(filled, is_reached.transpose("z", "x"))
+    assert 0.1 < filled.mean() < 0.9
+
+
+def test_air_is_white_for_pressure_without_a_density():
+    """Zeros that no number is beside are air, and other fields keep their zeros."""
+    f, is_reached = half_filled(["pressure"])
+    (mesh,) = f.cg.plot("pressure", shading="flat").collections
+    drawn = mesh.get_array()
+    high = (f.z > 8).to_numpy()
+    assert np.ma.getmaskarray(drawn)[high].all()
+    assert drawn[high == 0].count() >= int(is_reached.sum())
+    zeros = np.zeros((4, 5))
+    zeros[0] = 1.0
+    (mesh,) = plane(zeros, "speed").cg.plot(shading="flat").collections
+    np.testing.assert_array_equal(mesh.get_array(), zeros)
+    (mesh,) = plane(np.zeros((4, 5)), "pressure").cg.plot(shading="flat").collections
+    assert mesh.get_array().count() == 20
+
+
+def test_a_share_of_zero_is_not_air():
+    """Where only the other species is, its share is drawn as 0."""
+    ds = xcg.datasets.random_scene(200, seed=1, periodic="")
+    half = (ds.position.sel(component="x", drop=True) > 2.5).astype(int)
+    ds = ds.assign(species=half.drop_attrs())
+    f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=0.4)
+    some = f.sel(phase=["0", "1"])
+    for g, options in ((f, {"phase": 1}), (f.sel(phase="1"), {}), (some, {"phase": 1})):
+        (mesh,) = g.cg.plot("concentration", shading="flat", **options).collections
+        assert (mesh.get_array()[:, :3] == 0).any()
+        assert (mesh.get_array() == 1).any()
+
+
+@pytest.mark.parametrize(
+    ("ends", "extend"),
+    [({}, "neither"), ({"vmax": 20.0}, "max"), ({"vmin": 2.0}, "min")],
+)
+def test_bars_of_logarithms_have_arrows_where_they_are_clipped(ends, extend):
+    """Numbers without a logarithm are not drawn, and are not below the bar."""
+    values = np.arange(80.0).reshape(8, 10) - 5
+    (mesh,) = plane(values).cg.plot(norm=LogNorm(**ends)).collections
+    assert mesh.colorbar.extend == extend
+
+
+def test_bars_of_grains_have_arrows_where_they_are_clipped():
+    ds = xcg.datasets.random_scene(200, seed=1)
+    middle = float(np.median(np.linalg.norm(ds.velocity[0], axis=1)))
+    for ends, extend in (
+        ({}, "neither"),
+        ({"vmax": middle}, "max"),
+        ({"vmin": middle}, "min"),
+        ({"vmin": 0.9 * middle, "vmax": middle}, "both"),
+    ):
+        (circles,) = ds.cg.plot("velocity", **ends).collections
+        assert circles.colorbar.extend == extend
 
 
 def test_numbers_below_a_narrow_map_do_not_touch():
@@ -499,12 +712,21 @@ def test_wrong_plots_raise(result, tmp_path):
 
 
 def test_a_movie_without_ffmpeg(result, tmp_path, monkeypatch):
-    from matplotlib import animation
-
-    monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")
-    with pytest.raises(OSError, match="mp4 needs the program ffmpeg"):
+    monkeypatch.setitem(plt.rcParams, "animation.ffmpeg_path", "no-such-program")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(OSError, match="mp4 needs the program ffmpeg: pip install imageio-ffmpeg"):
         result[1].cg.movie(tmp_path / "f.mp4")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_movie_by_imageio_ffmpeg(result, tmp_path, monkeypatch):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.setitem(plt.rcParams, "animation.ffmpeg_path", "no-such-program")
+    path = result[1].cg.movie(tmp_path / "f.mp4", "velocity", dpi=41, fps=3)
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(path)
+    assert frames == 3
+    assert seconds == pytest.approx(1.0, abs=0.01)
+    assert [file.name for file in tmp_path.iterdir()] == ["f.mp4"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import raise_if_dask_computes
 from tests.analysis import hard_spheres, percus_yevick_g
 
 
@@ -180,17 +179,6 @@ def test_directions_of_a_crystal_are_resolved():
     assert int(pairs[0] + pairs[-1]) in (2, 4)
 
 
-@pytest.mark.parametrize("options", [{}, {"by": "species", "axis": "z"}, {"scaled": True}])
-def test_lazy_results_have_the_bits_of_those_in_memory(options):
-    ds = gas(3, 60, "xyz")
-    options = {"groups": [1, 2, 3]} | options if "by" in options else options
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.radial_distribution(2.0, bins=5, **options)
-    xr.testing.assert_identical(
-        lazy.compute().drop_attrs(), ds.cg.radial_distribution(2.0, bins=5, **options).drop_attrs()
-    )
-
-
 def test_frozen_particles_are_left_out():
     ds = gas(1, 100, "xyz")
     frozen = xr.zeros_like(ds.species).where(ds.particle < 50, 1).astype("int64")
@@ -214,7 +202,7 @@ def test_steps_share_threads_with_the_same_bits():
     ("periodic", "arguments", "message"),
     [
         ("xyz", {"r_max": 2.6}, r"r_max=2.6.*nearest image.*5 along 'x'.*r_max=2.5 or less"),
-        ("xy", {"r_max": 1.0}, r"'z' is not periodic.*bounds=\{'z'.*between 0\..* and 6\."),
+        ("xy", {"r_max": 1.0}, r"along z: .*bounds=\{'z': \(low, high\)\}.*0\..* and 6\."),
         ("xy", {"r_max": 2.0, "bounds": {"z": (0, 1)}}, "r_max=2.*1 of bounds.*take r_max=1"),
         ("xyz", {"r_max": 1.0, "bounds": {"z": (0, 1e-9)}}, "region holds 0"),
         ("xyz", {"r_max": 0.0}, "r_max=0"),
@@ -232,6 +220,17 @@ def test_bounds_that_cut_tilted_images_are_an_error():
     ds = gas(1, 40, "xyz", lattice={"xy": 1.0})
     with pytest.raises(xcg.SceneError, match="box is tilted"):
         ds.cg.radial_distribution(1.0, bounds={"x": (0.0, 2.0)})
+
+
+def test_all_open_axes_are_named_in_order():
+    with pytest.raises(xcg.SceneError, match=r"not periodic along x, y, z: .*'x': .*'y': .*'z'"):
+        gas(1, 40, "").cg.contact_value()
+
+
+def test_particles_without_size_have_no_scaled_distances():
+    ds = gas(1, 40, "xyz")
+    with pytest.raises(xcg.SceneError, match="all diameters are zero"):
+        ds.assign(diameter=0 * ds.diameter).cg.contact_value()
 
 
 def test_one_particle_is_an_error():

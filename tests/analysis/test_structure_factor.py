@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
-from tests import raise_if_dask_computes
 from tests.analysis import hard_spheres, percus_yevick
 from tests.analysis.test_radial_distribution import gas
 
@@ -29,7 +27,9 @@ def test_waves_are_sums_of_exponentials(box):
         for b, second in enumerate(groups):
             product = wave[first].sum(axis=0) * wave[second].sum(axis=0).conj()
             expected = product.real / np.sqrt(first.sum() * second.sum())
-            np.testing.assert_allclose(f.structure_factor[0, a, b], expected, rtol=0, atol=1e-11)
+            np.testing.assert_allclose(
+                f.structure_factor[0, a, b], expected, rtol=1e-12, atol=1e-12
+            )
     # wave vectors are those of the box: they do not change under its periods
     cell = np.diag([5.0, 6.0, 7.0])
     if "lattice" in ds:
@@ -97,17 +97,10 @@ def test_compressibility_of_hard_spheres_is_reached_at_small_wavenumbers():
     assert abs(mean - 1) < 4 * float(samples.std("time")) / np.sqrt(f.sizes["time"])
 
 
-def test_lazy_results_have_the_bits_of_those_in_memory():
-    ds = gas(3, 60, "xyz")
-    with raise_if_dask_computes():
-        lazy = ds.chunk(time=1).cg.structure_factor(8.0, bins=5)
-    xr.testing.assert_equal(lazy.compute(), ds.cg.structure_factor(8.0, bins=5))
-
-
 @pytest.mark.parametrize(
     ("periodic", "arguments", "message"),
     [
-        ("xy", {"k_max": 5.0}, "needs periodic axes, and z is open"),
+        ("xy", {"k_max": 5.0}, "needs periodic axes; open: z"),
         ("xyz", {}, "takes one of k_max= .* and vectors="),
         ("xyz", {"k_max": -1.0}, "k_max=-1.0"),
         ("xyz", {"k_max": 5.0, "bins": 0}, "bins=0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests.dumps import BOX, dump_text, write
 from tests.fields.formulas.test_field import LUCY, cumulative, marginal
 from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
 from xcg.analysis.surfaces import _points
@@ -187,7 +189,8 @@ def test_triangles_and_cylinders_are_sums_over_points():
 def test_parts_of_a_triangle_have_its_area_and_its_centre(spacing):
     """Parts are congruent, so that the sum is exact for whatever varies linearly over the triangle."""
     corners = np.array([[1.0, 0.5, 2.0], [5.0, 1.5, 2.5], [2.0, 4.5, -1.0]])
-    centre, area = _points(xcg.Surface(corners, [[0, 1, 2]]), None, spacing)
+    cells = _points(xcg.Surface(corners, [[0, 1, 2]]), None, spacing)
+    centre, area = cells.centre, cells.area
     whole = 0.5 * np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
     assert area.sum() == pytest.approx(whole)
     np.testing.assert_allclose(area @ centre / whole, corners.mean(axis=0), rtol=1e-12)
@@ -283,6 +286,36 @@ def test_a_surface_counts_within_the_thickness_of_a_layer(normal, bounds, part):
     assert drum[0].mass_flow_rate.item() == pytest.approx(
         part * drum[1].mass_flow_rate.item(), rel=1e-9, abs=1e-15
     )
+
+
+def test_a_cylinder_without_ends_counts_a_period_of_the_scene():
+    ds = xcg.datasets.random_scene(100, periodic="z", walls=False)
+    side = xcg.Cylinder((2.5, 2.5, 0), "z", 1.0)
+    whole, period = (
+        ds.cg.flow_rate(one, width=0.8).mass_flow_rate
+        for one in (side, replace(side, low=0.0, high=5.0))
+    )
+    np.testing.assert_array_equal(whole, period)
+
+
+def test_grains_beyond_the_ends_of_a_cylinder_warn_where_the_ends_follow_from_a_lazy_scene(
+    tmp_path,
+):
+    for step in range(3):
+        rows = [
+            f"{k} 1 1 1 {z} 0.1 0.2 0.3 0.5 1" for k, z in enumerate((1, 2, 3 + 4 * (step == 1)))
+        ]
+        write(tmp_path / f"p.{step}.dump", dump_text(rows, step=step, box=BOX.replace("pp", "ff")))
+    ds = xcg.open_scene(tmp_path / "p.*.dump", times=[0.0, 1.0, 2.0])
+    side = xcg.Cylinder((1, 1, 0), "z", 0.5)
+    flow = ds.cg.flow_rate(side, width=1.0)
+    with pytest.warns(xcg.SceneWarning, match=r"grains lie at z from 1 to 7, .* from 1 to 3; give"):
+        flow.compute()
+    for one in (
+        ds.cg.measure().cg.flow_rate(side, width=1.0),
+        ds.cg.flow_rate(replace(side, low=0.0, high=9.0)),
+    ):
+        one.compute()  # without a warning
 
 
 @pytest.mark.parametrize(("more", "depth"), [
@@ -525,6 +558,25 @@ def test_contacts_farther_than_within_are_left_out(within, taken):
     np.testing.assert_allclose(f.wall_force[0], -force[:taken].sum(axis=0))
 
 
+def test_a_wall_larger_than_the_grains_says_where_its_cells_end():
+    ds = xcg.datasets.random_scene(100, walls=True, periodic="y")
+    x, radius = ds.position[0, :, 0], ds.diameter[0] / 2
+    low, high = float((x - radius).min()), float((x + radius).max())
+    floor = xcg.Plane((0, 0, 0), (0, 0, 1))
+    f = ds.cg.wall_stress(floor)
+    size = f.x[1] - f.x[0]
+    dmax = float(ds.diameter.max()) / 2  # the cells reach as far as the largest grain would
+    assert float(f.x[0] - size / 2) <= low < float(f.x[0] - size / 2) + dmax
+    assert float(f.x[-1] + size / 2) - dmax < high <= float(f.x[-1] + size / 2)
+    assert f"x from {float(f.x[0] - size / 2):.4g}" in f.attrs["comment"]
+    assert "y from" not in f.attrs["comment"]
+    wider = xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((-3, 8), (0, 5)))
+    g = ds.cg.wall_stress(wider)
+    assert "comment" not in g.attrs
+    np.testing.assert_allclose(g.wall_force, f.wall_force)
+    assert not g.normal_traction.sel(x=slice(None, low - 2 * f.attrs["cutoff"])).any()
+
+
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 2, 0), (1, 1, 0.5)])
 def test_hydrostatic_pressure_in_a_cylinder(direction):
     """Pressure that falls along the axis and a friction that holds: both come back but for the ends."""
@@ -726,6 +778,8 @@ def test_surfaces_are_read_from_files(tmp_path):
         (lambda: xcg.Plane((0, 0, 0), (0, 0, 1), bounds=3), "two pairs"),
         (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), -1.0), "radius=-1"),
         (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), 1.0, low=2, high=1), "first < last"),
+        (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), 1.0, high=np.nan), "high=nan"),
+        (lambda: xcg.Cylinder((0, 0, 0), "w", 1.0), "axis='w': expected 'x', 'y', 'z'"),
         (lambda: xcg.Surface(np.zeros((3, 3)), [[0, 1, 2]]), "no area"),
         (lambda: xcg.Surface(np.eye(3), [[0, 1, 3]]), "there are 3"),
         (lambda: xcg.Surface(np.eye(3), [[0.0, 1, 2]]), "whole numbers"),

@@ -92,6 +92,26 @@ def test_faces_are_those_of_both_cells():
     np.testing.assert_array_equal(v.voronoi_neighbours, number)
 
 
+def test_normals_point_from_the_first_particle_to_the_second():
+    """Also where a small particle lies outside of its own cell, inside of a large one."""
+    r = np.random.default_rng(3)
+    ds = xcg.scene_from_arrays(
+        r.uniform(0, 5, (150, 3)),
+        diameter=np.where(np.arange(150) < 75, 0.1, 2.0),
+        density=1.0,
+        box=dict.fromkeys("xyz", (0, 5)),
+    )
+    v = xcg.voronoi(ds, faces=True).isel(time=0)
+    place, radius = ds.position[0].to_numpy(), ds.diameter[0].to_numpy() / 2
+    i, j = (v[name].to_numpy() for name in ("face_i", "face_j"))
+    away = place[j] - place[i]
+    distance = np.linalg.norm(away, axis=1)
+    large = v.face_area.to_numpy() > 1e-3
+    np.testing.assert_allclose(v.face_normal[large], (away / distance[:, None])[large], atol=1e-9)
+    # the radical plane is behind the centre of one of the two
+    assert ((radius[j] ** 2 - radius[i] ** 2 > distance**2) & large).any()
+
+
 def test_a_layer_has_cells_of_its_thickness():
     r = np.random.default_rng(2)
     position = np.array(list(product(range(5), range(5)))) + r.uniform(0.3, 0.7, (25, 2))
@@ -138,6 +158,8 @@ def test_bounds_are_the_ends_of_open_axes():
         ds.cg.voronoi(bounds={"z": (0, 0.005)})
     with pytest.raises(ValueError, match=r"'x' is not an axis with ends; expected one of \['z'\]"):
         ds.cg.voronoi(bounds={"x": (0, 1)})
+    with pytest.raises(ValueError, match=r"bounds=\[0, 1\]: expected ends of axes"):
+        ds.cg.voronoi(bounds=[0, 1])
 
 
 def test_one_particle_has_the_box():

@@ -72,7 +72,7 @@ NEEDED = {
     "mesh_points": {"path": "nowhere.vtu"},
     "register_field": {"name": "mine", "compute": lambda f, s, o: f.density, "fields": "density"},
     "Plane": {"point": (0, 0, 0), "normal": (0, 0, 1)},
-    "Cylinder": {"point": (0, 0, 0), "direction": (0, 0, 1), "radius": 1.0},
+    "Cylinder": {"point": (0, 0, 0), "axis": (0, 0, 1), "radius": 1.0},
     "Rotated": {"z": (0, 0, 1)},
     "Cylindrical": {},
     "BoxRegion": {"lower": (0, 0, 0), "upper": (1, 1, 1)},
@@ -84,11 +84,12 @@ NEEDED = {
 }
 # one of the values means something, or is looked at only when a scene is there
 ACCEPTED = {
+    ("Cylinder", "high"),
+    ("Cylinder", "low"),
     ("Mean", "variable"),
     ("force_chains", "min_stress"),
     ("microstructure", "strain_rate"),
     ("open_scene", "names"),
-    ("plot", "vmax"),
     ("plot", "vmin"),
     ("register_field", "formula"),
     ("register_field", "long_name"),
@@ -97,10 +98,7 @@ ACCEPTED = {
     ("scene_from_table", "names"),
     ("select_chains", "min_stress"),
     # to be checked
-    ("Cylinder", "high"),
-    ("Cylinder", "low"),
     ("find_pairs", "max_pairs"),
-    ("view", "vmax"),
     ("view", "vmin"),
     ("width_sweep", "max_bias"),
     ("width_sweep", "max_slope"),

@@ -280,3 +280,11 @@ def test_private_names_of_other_packages_are_in_one_module_each():
                 and ast.unparse(node.value) != "self"
             )
             assert not reads_private or file == PRIVATE["xarray.core"], f"{file}:{node.lineno}"
+
+
+def test_scripts_of_pages_and_examples_import_no_test():
+    for folder in ("docs", "examples"):
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(file.read_text())):
+                name = str(node.module) if isinstance(node, ast.ImportFrom) else ""
+                assert ".test_" not in name, f"{file} imports {name}"

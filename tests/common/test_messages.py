@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.common.messages import Once, warn_once, warn_user
+from xcg.common.messages import Once, did_you_mean, warn_once, warn_user
 from xcg.steps.faults import SkippedStep
 from xcg.steps.mapping import map_over_time
 
@@ -179,3 +179,21 @@ def test_periodic_axes_may_be_given_in_several_forms(given):
         np.zeros((2, 3)), diameter=0.5, box=box, periodic=given, dimension=2 if given is True else 3
     )
     assert ds.attrs["periodic"] == "xy"
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("contact_heat", ""),
+        ("contact_area", ""),
+        ("particle_heat", ""),
+        ("contact_forces", "contact_force"),
+        ("contct_force", "contact_force"),
+        ("contact_k", "contact_j"),
+        ("Contact Force", "contact_force"),
+        ("particel_id", "particle_id"),
+    ],
+)
+def test_a_shared_beginning_makes_no_name_similar(word, meant):
+    known = ["position", "particle_id", "contact_i", "contact_j", "contact_force", "contact_point"]
+    assert did_you_mean(word, known) == (f"; did you mean {meant!r}?" if meant else "")

@@ -15,6 +15,7 @@ SCRIPTS = sorted((ROOT / "examples" / "gallery").glob("*/*.py"))
 CHECKS = {
     "bedload": ("carried", "load", 0.02),
     "chute_profiles": ("carried", "load", 0.002),
+    "collisions": ("measured", "expected", 0.02),
     "column_collapse": ("exponent", "expected", 0.1),
     "cooling_gas": ("fitted", "tau", 0.02),
     "dense_suspension": ("jammed", "measured", 0.03),

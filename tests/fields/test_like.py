@@ -29,6 +29,13 @@ def test_results_of_one_scene_are_the_same_bits(options):
     assert differ <= {"history"}
 
 
+def test_nodes_of_a_reversed_result_are_the_same():
+    ds = xcg.datasets.random_scene(200, seed=1)
+    f = ds.cg.coarse_grain("density", axes="xz")
+    again = ds.cg.coarse_grain("density", like=f.isel(x=slice(None, None, -1)))
+    xr.testing.assert_equal(again, f)
+
+
 def test_results_of_other_scenes_have_the_same_nodes():
     """Other extents and sizes would lay other nodes, and the difference would be empty."""
     a = xcg.datasets.random_scene(200, seed=1, periodic="")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xcg
-from tests import real_data, shared_data
+from tests import real_data
 
 TILT = np.radians(24)
 
@@ -88,14 +88,10 @@ def _lammps_chute(folder: Path) -> xr.Dataset:
     )
 
 
-def _lammps_polydisperse(folder: Path, step: int = 0) -> xr.Dataset:
-    names = (folder / f"{kind}.{step:08d}.dump.gz" for kind in ("particles", "contacts"))
-    return xcg.open_scene(next(names), contacts=next(names))
-
-
-def _lammps_biaxial2d(folder: Path, step: int = 100_000) -> xr.Dataset:
-    names = (next(folder.glob(f"{kind}.{step:08d}.dump*")) for kind in ("particles", "contacts"))
-    return xcg.open_scene(next(names), contacts=next(names))
+def _lammps_biaxial2d(folder: Path) -> xr.Dataset:
+    return xcg.open_scene(
+        folder / "particles.00100000.dump.gz", contacts=folder / "contacts.00100000.dump.gz"
+    )
 
 
 def _mfix_chute(folder: Path) -> xr.Dataset:
@@ -110,9 +106,9 @@ def _mfix_chute(folder: Path) -> xr.Dataset:
 
 def _liggghts_box(folder: Path) -> xr.Dataset:
     return xcg.open_scene(
-        folder / "compress50000.liggghts",
-        contacts=folder / "pair50000.txt",
-        walls=folder / "wall_pair50000.txt",
+        folder / "compress50000.liggghts.gz",
+        contacts=folder / "pair50000.txt.gz",
+        walls=folder / "wall_pair50000.txt.gz",
         density=2500.0,
         gravity=(0.0, 0.0, -9.81),
     )
@@ -123,52 +119,19 @@ def _mercury_synthetic(folder: Path) -> xr.Dataset:
     return ds.isel(time=[0])
 
 
-def _force_chain_finder(folder: Path) -> xr.Dataset:
-    return xcg.open_scene(
-        folder / "compress3500.liggghts", contacts=folder / "pair3500.txt", density=2500.0
-    )
-
-
-def _yade_periodic(folder: Path) -> xr.Dataset:
-    grains = np.loadtxt(folder / "particles_end.txt")
-    rows = np.loadtxt(folder / "contacts_end.txt")
-    with open(folder / "particles_end.txt") as file:
-        cell = np.array(file.readline().split("cell")[1].split(), float).reshape(3, 3)
-    # YADE's force is the one on id2, and particles and contact points leave the cell
-    return xcg.scene_from_arrays(
-        grains[:, 1:4],
-        particle_id=grains[:, 0],
-        diameter=2 * grains[:, 4],
-        mass=grains[:, 5],
-        velocity=grains[:, 6:9],
-        angular_velocity=np.random.default_rng(0).normal(
-            0.0, 10.0, (len(grains), 3)
-        ),  # the file has none
-        contact_i=rows[:, 1],
-        contact_j=rows[:, 0],
-        contact_force=rows[:, 12:15] + rows[:, 15:18],
-        contact_point=rows[:, 5:8],
-        box=[(0.0, edge) for edge in np.diag(cell)],
-        periodic="xyz",
-    )
-
-
 OPEN: dict[str, Callable[..., xr.Dataset]] = {
     "lammps_chute": _lammps_chute,
-    "lammps_polydisperse": _lammps_polydisperse,
     "lammps_biaxial2d": _lammps_biaxial2d,
     "mfix_chute": _mfix_chute,
     "liggghts_box": _liggghts_box,
-    "yade_periodic": _yade_periodic,
     "mercury_synthetic": _mercury_synthetic,
-    "force_chain_finder": _force_chain_finder,
 }
 
 
 @lru_cache
-def load(name: str, **which: int) -> Case:
-    """Return a scene by name (and step, for some); skips the test where the shared data are absent."""
-    return Case.of(name, OPEN[name](shared_data(name) if which else real_data(name), **which))
+def load(name: str) -> Case:
+    """Return a scene by name."""
+    return Case.of(name, OPEN[name](real_data(name)))
 
 
 # --- scenes that need no data ----------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests import shared_data
+from tests import real_data
 from tests.dumps import dump_text, write, write_series
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps as lammps_engine
@@ -168,7 +168,7 @@ def test_all_values_of_a_header_are_indexed(tmp_path):
     (Lammps(), "lammps_chute", "particles.*.gz"), (Mfix(), "mfix_chute", "P_FB1_0*.vtp"),
 ])  # fmt: skip
 def test_real_output_is_indexed(tmp_path, monkeypatch, engine, folder, pattern):
-    for path in shared_data(folder).glob(pattern):
+    for path in real_data(folder).glob(pattern):
         shutil.copy(path, tmp_path)
     settle(tmp_path)
     paths = sorted(map(str, tmp_path.iterdir()))

@@ -32,6 +32,26 @@ def only(said):
     return str(said[0].message)
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda ds: ds.cg.coarse_grain(axes="xz", width=0.1),
+        lambda ds: ds.cg.coarse_grain(["volume_fraction", "granular_temperature"], width=0.3),
+        lambda ds: ds.cg.balance(axes="z", width=0.1),
+        lambda ds: ds.cg.width_sweep([0.05, 0.08, 0.1], "volume_fraction", axes="z"),
+        lambda ds: ds.cg.flow_rate(
+            xcg.Plane((0, 0, 1), (0, 0, 1)), ["mass", "momentum"], width=0.1
+        ),
+        lambda ds: ds.chunk(time=1).cg.coarse_grain(axes="xz", width=0.1).compute(),
+    ],
+)
+def test_a_narrow_kernel_warns_once(call):
+    ds = several(xcg.datasets.random_scene(60, seed=1), 2)
+    with pytest.warns(xcg.SceneWarning) as said:
+        call(ds)
+    assert "width=" in only(said)
+
+
 # --- sizes and places ------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 import xcg
-from tests import ROOT, shared_data
+from tests import ROOT
 from tests.networks import fork, nine_particles, read_fcf
 from xcg.cli import chains
 
@@ -46,37 +46,43 @@ def content(poly):
     return points, ends, arrays(poly.GetPointData()), arrays(poly.GetCellData())
 
 
-def test_csv_has_the_columns_of_force_chain_finder(tmp_path):
-    theirs = shared_data("force_chain_finder")
-    scene = xcg.open_scene(theirs / "compress3500.liggghts", contacts=theirs / "pair3500.txt")
-    (path,) = scene.cg.force_chains(symmetric=False).cg.to_csv(tmp_path / "f.csv")
-    reference = theirs / "forceChains_3500_pi_4.csv"
-    assert path.read_text().splitlines()[0] == reference.read_text().splitlines()[0]
-    ours, shipped = read_fcf(path), read_fcf(reference)
-    for name in ("LiggghtsId", "chainId", "linkNodes"):
-        assert [r[name] for r in ours] == [r[name] for r in shipped]
-    for name, tolerance in (
-        ("X", 1e-5),
-        ("Y", 1e-5),
-        ("Z", 1e-5),
-        ("radius", 1e-6),
-        ("minorStress", 5e-6),
-    ):
-        np.testing.assert_allclose(
-            [float(r[name]) for r in ours], [float(r[name]) for r in shipped], rtol=tolerance
-        )
-    # theirs are in no order, ours rise; of complex pairs they write the real part, we nothing
-    names = [f"PrincipleStress{k}" for k in range(3)]
-    values, other = (
-        np.sort([[float(r[name]) for name in names] for r in rows]) for rows in (ours, shipped)
-    )
-    real = np.isfinite(values).all(axis=1)
-    assert 0.9 < real.mean() < 1
-    np.testing.assert_allclose(values[real], other[real], rtol=1e-3, atol=20)
-    for row in ours:
-        direction = [float(row[f"StressDir{k}0"]) for k in range(3)]
-        minor = [float(row[f"minorDir{axis}"]) for axis in "XYZ"]
-        assert abs(np.dot(direction, minor)) == pytest.approx(1, abs=1e-6)
+COLUMNS = (
+    "LiggghtsId,X,Y,Z,radius,chainId,minorStress,minorDirX,minorDirY,minorDirZ,"
+    "PrincipleStress0,PrincipleStress1,PrincipleStress2,StressDir00,StressDir10,StressDir20,"
+    "StressDir01,StressDir11,StressDir21,StressDir02,StressDir12,StressDir22,linkNodes,"
+)
+
+
+def test_csv_has_the_columns_of_force_chain_finder(tmp_path, sheared):
+    """Rows are the particles of chains; stresses are negative in compression, and rise."""
+    fc = sheared.isel(time=[1])
+    (path,) = fc.cg.to_csv(tmp_path / "f.csv")
+    assert path.read_text().splitlines()[0] == COLUMNS
+    rows = read_fcf(path)
+    step = fc.isel(time=0)
+    row = np.searchsorted(step.particle_id.values, [int(r["LiggghtsId"]) for r in rows])
+    assert sorted(row) == np.flatnonzero(step.chain_id >= 0).tolist()
+
+    def columns(*names):
+        return np.array([[float(r[name]) for name in names] for r in rows])
+
+    def of_scene(name):
+        return step[name].values[row]
+
+    np.testing.assert_array_equal(columns("chainId")[:, 0], of_scene("chain_id"))
+    np.testing.assert_allclose(columns(*"XYZ"), of_scene("position"), rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(2 * columns("radius")[:, 0], of_scene("diameter"), rtol=1e-5)
+    np.testing.assert_allclose(-columns("minorStress")[:, 0], of_scene("major_stress"), rtol=1e-5)
+    minor = columns("minorDirX", "minorDirY", "minorDirZ")
+    along = np.abs((minor * of_scene("major_direction")).sum(axis=1))
+    np.testing.assert_allclose(along, 1.0, atol=1e-5)
+    principal = columns(*(f"PrincipleStress{k}" for k in range(3)))
+    assert (np.diff(principal, axis=1) >= 0).all()
+    np.testing.assert_array_equal(principal[:, :1], columns("minorStress"))
+    first = columns("StressDir00", "StressDir10", "StressDir20")
+    np.testing.assert_allclose(np.abs((first * minor).sum(axis=1)), 1.0, atol=1e-6)
+    starting = [r["linkNodes"] == "starting" for r in rows]
+    np.testing.assert_array_equal(starting, of_scene("parent_id") < 0)
 
 
 def test_signs_of_forces_in_csv(tmp_path):

@@ -11,6 +11,7 @@ from tests import pyvista_draws, steps_of_random_scenes
 from tests.networks import network
 
 pv = pytest.importorskip("pyvista")
+from vtkmodules.util.numpy_support import vtk_to_numpy  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +224,82 @@ def colours(plotter):
 def test_pictures_are_not_empty(scene, fields, draw, plotter):
     assert draw(scene, fields, plotter) is plotter
     assert colours(plotter) > 20
+
+
+@pytest.mark.parametrize("ends", [(0, 10.43), (-0.0137, 0.0041), (3, 3000), (0.00431, 0.00544)])
+def test_bars_have_round_ticks(scene, plotter, ends):
+    """Ticks are multiples of 1, 2, 2.5 or 5 times a power of ten, between the ends."""
+    scene.cg.view("diameter", vmin=ends[0], vmax=ends[1], plotter=plotter)
+    (bar,) = plotter.scalar_bars.values()
+    assert bar.GetUseCustomLabels()
+    ticks = vtk_to_numpy(bar.GetCustomLabels())
+    assert 3 <= len(ticks) <= 7
+    assert ends[0] <= ticks[0] < ticks[-1] <= ends[1]
+    step = np.diff(ticks).mean()
+    np.testing.assert_allclose(ticks, step * np.rint(ticks / step), atol=1e-9 * step)
+    assert np.isclose(step / 10 ** np.floor(np.log10(step) + 1e-9), [1, 2, 2.5, 5]).any()
+
+
+def test_a_bar_of_one_number_keeps_its_labels(scene, plotter):
+    scene.assign(diameter=0 * scene.diameter + 1).cg.view("diameter", plotter=plotter)
+    (bar,) = plotter.scalar_bars.values()
+    assert not bar.GetUseCustomLabels()
+
+
+def test_ends_of_bars_that_clip_are_marked(scene, plotter):
+    middle = float(scene.diameter.median())
+    scene.cg.view("diameter", vmin=middle, plotter=plotter)
+    (bar,) = plotter.scalar_bars.values()
+    assert (bar.GetDrawBelowRangeSwatch(), bar.GetDrawAboveRangeSwatch()) == (1, 0)
+    table = bar.GetLookupTable()
+    np.testing.assert_array_equal(np.asarray(table.below_range_color.int_rgba), table.values[0])
+
+
+def drawn_lines(plotter):
+    """Bounds of the box or outline that a picture has."""
+    (lines,) = [mesh for mesh in plotter.meshes if getattr(mesh, "n_lines", 0)]
+    return lines.bounds
+
+
+def test_boxes_are_no_taller_than_their_grains(plotter):
+    """Along periodic axes the box is whole, and along others it ends where the grains do."""
+    ds = xcg.scene_from_arrays(
+        [[1.0, 1.0, 1.0], [2.0, 3.0, 4.0]], diameter=1.0, density=1.0,
+        box=[[0, 5], [0, 5], [0, 50]], periodic="xy",
+    )  # fmt: skip
+    ds.cg.view("diameter", plotter=plotter)
+    np.testing.assert_allclose(drawn_lines(plotter), (0, 5, 0, 5, 0.5, 4.5), atol=0.02)
+    np.testing.assert_allclose(ds.cg.to_pyvista()["box"].bounds, (0, 5, 0, 5, 0, 50))
+
+
+@pytest.mark.parametrize("names", [["pressure"], ["pressure", "density"]])
+def test_air_is_not_drawn(scene, plotter, names):
+    """Nodes above the grains are left out, and the outline ends below them."""
+    f = scene.cg.coarse_grain(names, width=0.5, bounds={"z": (0.0, 20.0)})
+    f.cg.view("pressure", plotter=plotter)
+    highest = drawn_lines(plotter)[5]
+    assert 4.0 < highest < 8.0
+    assert next(iter(plotter.meshes)).bounds[5] <= highest
+
+
+def test_a_notebook_shows_a_view_once(scene, plotter, monkeypatch):
+    """The cell that shows the picture does not repeat it as its result, and later cells may."""
+    interactiveshell = pytest.importorskip("IPython.core.interactiveshell")
+    shown = []
+    shell = interactiveshell.InteractiveShell.instance()
+    try:
+        monkeypatch.setattr(pv, "OFF_SCREEN", True)
+        monkeypatch.setattr(pv.Plotter, "show", lambda self: shown.append("by view"))
+        monkeypatch.setattr(pv.Plotter, "_repr_png_", lambda self: shown.append("as a result"))
+        shell.user_ns["ds"] = scene
+        shell.run_cell("p = ds.cg.view(); p", store_history=True)
+        assert shown == ["by view"]
+        shell.run_cell("p", store_history=True)
+        shell.run_cell("p", store_history=True)
+        assert shown == ["by view", "as a result", "as a result"]
+    finally:
+        shell.history_manager.end_session()
+        interactiveshell.InteractiveShell.clear_instance()
 
 
 def test_view_without_a_plotter_shows_one(scene, plotter, monkeypatch):

@@ -155,6 +155,12 @@ class BondOrder(FrameAnalysis):
         position = np.where(np.isin(np.arange(3), axes), frame["position"], 0.0)
         row, bond = self._bonds(position, lattice, source)
         bond = bond[:, axes]
+        if (is_zero := ~bond.any(axis=1)).any():
+            where = frame["particle_id"][row[is_zero.argmax()]]
+            raise SceneError(
+                f"{source}: particle {where} has a neighbour at its own place, in a direction that "
+                "is not known; remove one of them"
+            )
         count = len(position)
         numbers = np.bincount(row, minlength=count)
         results: Frame = {"particle_id": frame["particle_id"]}

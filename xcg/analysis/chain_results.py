@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from xcg.analysis.particle_stress import RESULTS as STRESSES
 from xcg.common.checks import check_choice, extra
-from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
+from xcg.common.drawing import (
+    add_colour_bar,
+    label_of,
+    new_axes,
+    ratio_of_circles,
+    set_label,
+    with_unit,
+)
 from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
 from xcg.scene.description import Summary, rows_of_origin
@@ -335,8 +342,8 @@ def plot_chains(
     ]
     (step,) = steps_of(step_at(fc, index), names)
     arrays = step.arrays
-    ax = new_axes() if ax is None else ax
     position, diameter = arrays["position"][:, plane], arrays["diameter"]
+    ax = new_axes(ratio=ratio_of_circles(position, diameter / 2)) if ax is None else ax
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
         ax.add_collection(
@@ -364,8 +371,10 @@ def plot_chains(
     if color == "chain":
         lines.set_array(arrays["link_chain"][contact] % 20)
     else:
-        lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
-        add_colour_bar(lines, ax, label_of(fc["major_stress"], "major_stress"), shrink=0.8)
+        stress = 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j])
+        lines.set_array(stress)
+        label = label_of(fc["major_stress"], "major_stress")
+        add_colour_bar(lines, ax, label, stress, shrink=0.8)
     ax.add_collection(lines)
     ax.set_aspect("equal")
     ax.autoscale_view()

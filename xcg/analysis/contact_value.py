@@ -124,9 +124,11 @@ class ContactValue(RadialDistribution):
             number = counts[a, b, 0, beyond]
             normal = np.linalg.inv(powers * weight @ powers.T)
             values[a, b] = normal[0] @ powers @ number
-            # pairs of a phase are counted from both sides, and vary together
-            sides = 1 if a != b and a and b else 2
-            errors[a, b] = np.sqrt(sides * ((normal[0] @ powers) ** 2 * number).sum())
+            # pairs of a phase with itself are counted from both sides, and vary together
+            both = np.zeros_like(number)
+            if a == b or 0 in (a, b):
+                both = counts[max(a, b), max(a, b), 0, beyond]
+            errors[a, b] = np.sqrt(((normal[0] @ powers) ** 2 * (number + both)).sum())
         if self.by is None:
             return {"contact_value": values[0, 0], "contact_value_error": errors[0, 0]}
         return {"contact_value": values, "contact_value_error": errors}

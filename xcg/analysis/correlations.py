@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.facts import require_facts, with_facts
-from xcg.scene.frame import evenly_spaced, require_known_times, require_steps, with_time
+from xcg.scene.frame import (
+    evenly_spaced,
+    require_known_times,
+    require_steps,
+    with_rising,
+    with_time,
+)
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call, provenance
 
@@ -74,6 +80,7 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
     require_facts(f, ("wrapped_axes",), "this result", way_out)
+    f = with_rising(f, COMPONENTS)
     a = _field_of(f, field, "spatial_correlation")
     b = _field_of(f, other, "spatial_correlation")
     if set(a.dims) != set(b.dims):
@@ -178,6 +185,7 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     correlation time over the length of the series.
     """
     f = with_facts(with_time(f))
+    f = with_rising(f, ["time"])
     a = _field_of(f, field, "time_correlation")
     steps = a.sizes.get("time", 1)
     if steps < 3:

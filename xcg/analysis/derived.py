@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import beta
 
-from xcg.common.checks import is_positive, unit_vector
+from xcg.common.checks import axis_vector, is_positive
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
@@ -73,7 +73,7 @@ def derive_director(
             f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z"
         )
     require_scene(ds, names, "derive_director")
-    a = np.eye(3)[COMPONENTS.index(axis)] if axis in COMPONENTS else unit_vector("axis", axis)
+    a = axis_vector("axis", axis)
     w, x, y, z = (ds[name].drop_attrs(deep=False) for name in names)
     size = w * w + x * x + y * y + z * z
     rows = (

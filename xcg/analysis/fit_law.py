@@ -74,7 +74,8 @@ def fit_law(
     Warns
     -----
     SceneWarning
-        If ``mu_of_I`` falls back to a line, or points without a standard error are left out.
+        If ``mu_of_I`` falls back to a line, points without a standard error are left out, or
+        standard errors are infinite.
 
     Notes
     -----
@@ -141,6 +142,13 @@ def fit_law(
         row = _law_of(law, x, y)
         fit = points.fit(row, {}, None)
     assert fit is not None
+    if not np.isfinite(fit.covariance).all():
+        warn_user(
+            SceneWarning(
+                "fit_law: standard errors are infinite: the points do not determine all parameters, "
+                "or lie on the law without scatter"
+            )
+        )
     system = f.attrs.get("unit_system", "SI")
     units = row.units or [None] * len(fit.names)
     data: dict[str, Any] = {}
@@ -298,6 +306,16 @@ class _Points:
         fixed = {a.name: a.default for a in arguments if a.kind is inspect.Parameter.KEYWORD_ONLY}
         names = tuple(a.name for a in arguments if a.name not in fixed)[1:]
         values = fixed | {"first": self.x.min(initial=np.inf)} if "first" in fixed else dict(fixed)
+        if not names:
+            raise ValueError(
+                "fit_law: the law has no parameters; expected a function of x and the parameters, "
+                "such as lambda x, a, b: a + b * x"
+            )
+        if not isinstance(constants, Mapping):
+            raise ValueError(
+                f"constants={plain(constants)}: expected numbers by name, such as "
+                f"{dict.fromkeys(fixed or ['density'], 1.0)}"
+            )
         if strange := [name for name in constants if name not in fixed]:
             raise ValueError(unknown("constant", strange[0], fixed))
         values |= constants

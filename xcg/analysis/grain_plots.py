@@ -30,10 +30,10 @@ def draw_grains(
     index: int,
     component: str | None,
     at: Mapping[str, float] | None,
-    ax: Axes,
+    ax: Axes | None,
     colours: Mapping[str, Any],
     options: Mapping[str, Any],
-) -> xr.Dataset:
+) -> tuple[xr.Dataset, Axes]:
     """Draw the grains of one step as circles: a whole layer, or a cut through a volume.
 
     Parameters
@@ -51,8 +51,8 @@ def draw_grains(
 
     Returns
     -------
-    xarray.Dataset
-        Coordinates of the picture, for its title.
+    xarray.Dataset, matplotlib.axes.Axes
+        Coordinates of the picture, for its title; and where it was drawn.
 
     Raises
     ------
@@ -73,6 +73,8 @@ def draw_grains(
     cut = _cut(plane, at, frame, lattice)
     axes = [axis for axis in plane if axis not in cut]
     offset, radius, rows = _circles(frame, axes, cut, lattice)
+    if ax is None:
+        ax = drawing.new_axes(ratio=drawing.ratio_of_circles(offset, radius))
     circles = _collection(offset, radius, ax, options)
     if name is None:
         circles.set(**{"facecolor": _PLAIN, **options})
@@ -93,13 +95,13 @@ def draw_grains(
             circles.set_norm(options["norm"])
         else:
             circles.set_clim(chosen["vmin"], chosen["vmax"])
-        drawing.add_colour_bar(circles, ax, label)
+        drawing.add_colour_bar(circles, ax, label, known)
     for axis, of_axis in zip(axes, (ax.xaxis, ax.yaxis), strict=True):
         position = ds["position"].assign_attrs(long_name=axis)
         drawing.set_label(of_axis, drawing.label_of(position, axis))
     coords = {str(k): step[k] for k in ("time", "step") if k in step.coords}
     coords |= {axis: xr.DataArray(place, attrs=ds["position"].attrs) for axis, place in cut.items()}
-    return xr.Dataset(coords=coords)
+    return xr.Dataset(coords=coords), ax
 
 
 def _check_variable(ds: xr.Dataset, name: str) -> None:

@@ -48,16 +48,26 @@ def _bend(x: NDArray, y: NDArray) -> tuple[float, float, float]:
     return y[x.argmin()], 1.5 * y.max() - 0.5 * y.min(), float(np.median(x))
 
 
+def _above_zero(y: NDArray) -> NDArray:
+    """Return values with those below a millionth of the largest raised to it."""
+    if not y.max() > 0:
+        raise ValueError(
+            f"fit_law: this law needs values above zero, and the largest is {y.max():g}; select the "
+            "points where it holds"
+        )
+    return np.maximum(y, _LEAST * y.max())
+
+
 def _decay(x: NDArray, y: NDArray) -> tuple[float, float]:
     # log(g) is a line; its errors are those of g over g
-    least = np.maximum(y, _LEAST * y.max())
+    least = _above_zero(y)
     level, slope = _line(x - x.min(), np.log(least), least)
     return float(np.exp(level)), -1 / slope
 
 
 def _cooling(x: NDArray, y: NDArray) -> tuple[float, float]:
     # T^(-1/2) is a line; its errors are those of T times T^(-3/2)
-    least = np.maximum(y, _LEAST * y.max())
+    least = _above_zero(y)
     level, slope = _line(x - x.min(), least**-0.5, least**1.5)
     return level**-2, level / slope
 

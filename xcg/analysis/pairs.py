@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -225,8 +225,14 @@ class CellLists:
             max_pairs,
             np.empty(capacity, "int32"),
             np.empty(capacity, "int32"),
+            *(None,) * 5,
         )
         return left[:found], right[:found], tested
+
+    def count(self, first: int, last: int, *histogram: Any) -> None:
+        """Count pairs of some records in a histogram: the last arguments of the loop."""
+        unused = np.empty(0, "int32")
+        loops.find(first, last, *self.for_loops, 2**62, unused, unused, *histogram)
 
 
 def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray, NDArray, NDArray]:

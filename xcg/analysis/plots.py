@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import shutil
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
@@ -17,7 +18,8 @@ from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
-from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, order_of
 from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS, NUMBERED
 from xcg.steps.mapping import each_step, shown
@@ -32,7 +34,10 @@ ARROWS = 20  # along the longer axis of a map
 AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
 FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
 NARROW = 2.0  # inches of a map, in which numbers below it may run into each other
+LOWEST = 1.0  # inches of a colour bar, in which its label can be read
 BESIDE = 0.8  # of the width that is left of a map beside its colour bar, about
+FRAME = (7.0, 5.0)  # inches of a movie
+_DENSITIES = ("sample_count", "density", "volume_fraction", "number_density")
 _ARROW = "arrow_"
 _AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
 ERROR = "_error"  # what `time_average` adds to the name of a field
@@ -57,13 +62,14 @@ def plot(
 ) -> Axes:
     """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
 
-    Profiles show one line for each component of a vector or for each phase, and a band of one
-    standard error on both sides where the result has errors (`time_average`). The axis z stands
-    upright. Maps show numbers as colours, white where the field is unknown. A map of a vector shows
-    its magnitude, and its direction as arrows, which are left out where they would be dots (below a
-    tenth of the 98th percentile of all). A map over r and theta lies in the plane of the circle;
-    one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume,
-    the slice in the middle of its shortest axis is drawn.
+    Profiles show one line for each component of a vector (of a layer, without those that are zero
+    everywhere) or for each phase, and a band of one standard error on both sides where the result
+    has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
+    where the field is unknown or no grains are. A map of a vector shows its magnitude, and its
+    direction as arrows, which are left out where they would be dots (below a tenth of the 98th
+    percentile of all). A map over r and theta lies in the plane of the circle; one over theta and
+    z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume, the slice in the
+    middle of its shortest axis is drawn.
 
     Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
     Their colours show a variable of the particles.
@@ -100,7 +106,10 @@ def plot(
         larger.
     vmin, vmax : float, optional
         Ends of the colours of a map; the smallest and largest number by default. If both signs
-        matter, one end is minus the other.
+        matter, one end is minus the other. A field that is divided by the pressure, such as the
+        inertial number at a free surface, or that is not of xcg, ends at the 98th, 95th or 90th
+        percentile where larger numbers are more than four times the 90th; its label says so, also
+        on a profile. `vmax` or a ``norm`` shows all.
     **options
         For matplotlib: of lines, such as ``color`` and ``linewidth``; of maps and grains, such as
         ``norm="log"`` and ``alpha``.
@@ -129,24 +138,30 @@ def plot(
     _check_options(options)
     if "particle_id" in f:
         _check_grains(direction, phase, arrows, shading)
-        ax = drawing.new_axes() if ax is None else ax
         ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
         try:
-            picture = draw_grains(f, field, index, component, at, ax, ends, options)
+            picture, ax = draw_grains(f, field, index, component, at, ax, ends, options)
         except AttributeError as error:  # of matplotlib, about keywords
             raise TypeError(f"plot: {error}") from None
-        ax.set_title(_title(picture))
+        drawing.set_title(ax, _title(picture))
         return ax
     part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    picture = _one_step(part, index, phase).compute()
-    ax = drawing.new_axes() if ax is None else ax
-    name, axes = picture.attrs["drawn"], axes_of(picture)
+    (picture,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
+    name = picture.attrs["drawn"]
+    axes = axes_of(picture)
+    values = _known([picture[name]])
+    shown_values = values
+    if vmax is None and "norm" not in options:
+        (picture,), shown_values = _without_tail([picture], values)
+    ax = drawing.new_axes(ratio=_ratio(picture, axes)) if ax is None else ax
     try:
         if len(axes) == 1:
+            before = _limits(ax, axes[0]) if ax.has_data() else ()
             _draw_profile(picture, name, axes[0], ax, options)
+            if shown_values is not values:
+                _set_limits(ax, axes[0], np.concatenate([shown_values, before]))
         else:
-            values = _known([picture[name]])
-            colours = drawing.colours_of(values, cmap, vmin, vmax)
+            colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
             if "color" in options:
                 raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
             if "norm" in options:
@@ -155,10 +170,12 @@ def plot(
                     end: number for end, number in ends.items() if number is not None
                 }
             mesh = _draw_map(picture, name, axes, ax, colours | options, _fastest(picture), shading)
+            if "norm" in options:  # its ends are those of the drawn numbers
+                values = np.ma.compressed(mesh.get_array())
             _draw_colour_bar(picture, name, mesh, values)
     except AttributeError as error:  # of matplotlib, about keywords
         raise TypeError(f"plot: {error}") from None
-    ax.set_title(_title(picture))
+    drawing.set_title(ax, _title(picture))
     return ax
 
 
@@ -231,13 +248,14 @@ def movie(
         A result with several steps, lazy or in memory. What is drawn of all steps is held in
         memory.
     path : str or path
-        ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
+        ``*.gif``, or ``*.mp4``, which needs the program ffmpeg (``pip install imageio-ffmpeg``). A
+        file of this name is replaced.
     field, component, direction, phase, at, arrows, shading, cmap, vmin, vmax
         As in `plot`; all steps share the ends of the colours.
     fps : float
         Steps in a second.
     dpi : float
-        Dots in an inch; a frame is 7 by 5 inches.
+        Dots in an inch; a frame is up to 7 by 5 inches, or 7 inches high where a map is tall.
     progress : bool, optional
         Show the progress on the standard error; by default in a terminal or notebook where it takes
         long.
@@ -252,7 +270,7 @@ def movie(
     ImportError
         If matplotlib is not installed.
     OSError
-        If ffmpeg is not installed, for mp4.
+        If there is neither ffmpeg nor imageio-ffmpeg, for mp4.
     ValueError
         If the result has no dimension ``time``, the name ends otherwise, or as in `plot`.
     """
@@ -262,7 +280,8 @@ def movie(
     for what, number in (("fps", fps), ("dpi", dpi)):
         if not is_positive(number):
             raise ValueError(f"{what}={number!r}: expected a positive number")
-    maps = extra("matplotlib", "plot", "a movie").colormaps
+    matplotlib = extra("matplotlib", "plot", "a movie")
+    maps = matplotlib.colormaps
     if cmap is not None and not (isinstance(cmap, str) and cmap in maps):
         raise ValueError(
             unknown("colour map", cmap, maps, "others are listed by matplotlib.colormaps")
@@ -274,10 +293,9 @@ def movie(
         )
     require_steps(f, "movie")
     animation = extra("matplotlib.animation", "plot", "a movie")
-    if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
-        raise OSError(
-            f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif"
-        )
+    settings = {}
+    if path.suffix == ".mp4":
+        settings["animation.ffmpeg_path"] = _ffmpeg(path)
     part = _part(f, field, component, direction, at, arrows, shading)
     count, name = part.sizes["time"], part.attrs["drawn"]
     steps = []
@@ -285,43 +303,64 @@ def movie(
         for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
             bar.update()
+    steps = _without_empty_parts(steps, f)
     with shown(count, progress, what="frames drawn") as bar:
         values = _known([step[name] for step in steps])
-        low, high = drawing.ends_of(values)
+        shown_values = values
+        if vmax is None:
+            steps, shown_values = _without_tail(steps, values)
         fastest = max(_fastest(step) for step in steps)
-        colours = drawing.colours_of(values, cmap, vmin, vmax)
+        colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
+        axes = axes_of(steps[0])
+        ratio = _ratio(steps[0], axes)
+        size = FRAME if ratio is None else drawing.size_of_figure(FRAME, ratio)
         figure = extra("matplotlib.figure", "plot", "a movie").Figure(
-            figsize=(7, 5), layout="constrained"
+            figsize=size, layout="constrained"
         )
         ax = figure.add_subplot()
-        axes = axes_of(steps[0])
 
         def draw(k: int) -> None:
             ax.clear()
             if len(axes) == 1:
                 _draw_profile(steps[k], name, axes[0], ax)
-                margin = 0.05 * (high - low)
-                (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
+                _set_limits(ax, axes[0], shown_values)
             else:
                 mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
                 if k == 0 and len(figure.axes) == 1:
                     _draw_colour_bar(steps[k], name, mesh, values)
-            ax.set_title(_title(steps[k]))
+            drawing.set_title(ax, _title(steps[k]))
             bar.update()
 
         film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
         part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
         try:
-            film.save(
-                part_of_file,
-                writer="pillow" if path.suffix == ".gif" else "ffmpeg",
-                fps=fps,
-                dpi=dpi,
-            )
+            with matplotlib.rc_context(settings):
+                film.save(
+                    part_of_file,
+                    writer="pillow" if path.suffix == ".gif" else "ffmpeg",
+                    fps=fps,
+                    dpi=dpi,
+                )
             part_of_file.replace(path)
         finally:
             part_of_file.unlink(missing_ok=True)
     return path
+
+
+def _ffmpeg(path: Path) -> str:
+    """Return the program ffmpeg: the one of the system, or the one that imageio-ffmpeg brings along."""
+    program = shutil.which(extra("matplotlib", "plot", "a movie").rcParams["animation.ffmpeg_path"])
+    if program is not None:
+        return program
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):  # RuntimeError: without a program for this machine
+        raise OSError(
+            f"{path}: mp4 needs the program ffmpeg: pip install imageio-ffmpeg, or apt or conda install "
+            "ffmpeg; or write a .gif"
+        ) from None
 
 
 # --- what is drawn ---------------------------------------------------------------------------------------
@@ -365,7 +404,7 @@ def _part(
                 else ""
             )
         )
-    value = cut[name]
+    value = without_air(cut, name) if len(axes) == 2 else cut[name]
     if "direction" in value.dims and (component is None or direction is None):
         labels = [
             str(label)
@@ -422,8 +461,45 @@ def numbers_of(
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
     part = _part(with_time(f), field, component, direction, at, None, "flat")
-    step = _one_step(part, index, phase)
-    return step[field].transpose(*axes_of(step)[::-1], ...).compute()
+    (step,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
+    return step[field].transpose(*axes_of(step)[::-1], ...)
+
+
+def without_air(f: xr.Dataset, name: str) -> xr.DataArray:
+    """Return a field of a result, NaN at nodes that no grains reach; lazy where the field is.
+
+    Fields that are sums over grains or contacts are zero there. Nodes are taken for air where a
+    density of the result is zero. Without a density, they are where such a field is exactly zero,
+    also at the next nodes, unless it is zero everywhere.
+    """
+    value = f[name]
+    for density in map(f.get, _DENSITIES):
+        if density is None:
+            continue
+        if "phase" in density.coords and "bulk" not in density["phase"].values.astype(str):
+            continue  # a phase may be nowhere where others are
+        if "phase" in density.dims:
+            density = density.sel(phase="bulk", drop=True)
+        if set(density.dims) <= set(value.dims):
+            return value.where(density != 0)
+    if not _is_sum(name):
+        return value
+    parts = [dim for dim in ("component", "direction", "other_phase") if dim in value.dims]
+    empty = (value == 0).all(parts)
+    axes = axes_of(f)
+    air = empty & ~empty.all(axes)
+    # contacts reach single nodes beyond the rim of the grains: air has no neighbour with a number
+    for axis, way in product(axes, (1, -1)):
+        air = air & empty.shift({axis: way}, fill_value=True)
+    return value.where(~air)
+
+
+def _is_sum(name: str) -> bool:
+    """Return whether a field is made of sums over grains or contacts only, such as the pressure."""
+    row = FIELDS.get(name)
+    if row is None or row.weight:
+        return False
+    return row.additive or (bool(row.fields) and all(map(_is_sum, row.fields)))
 
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
@@ -446,7 +522,7 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     cut = f.sel(at, method="nearest") if at else f
     if len(axes := axes_of(cut)) < 3:
         return cut
-    shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
+    shortest = min(axes, key=lambda a: abs(float(cut[a][-1] - cut[a][0])))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
 
 
@@ -456,6 +532,20 @@ def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Datas
     if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
         phase = "bulk"
     return part if phase is None else _labelled(part, "phase", phase)
+
+
+def _without_empty_parts(steps: list[xr.Dataset], f: xr.Dataset) -> list[xr.Dataset]:
+    """Leave out components that are zero in all steps of a layer: the one across it, of spins those along it."""
+    values = [step[step.attrs["drawn"]] for step in steps]
+    plane = str(f.attrs.get("plane", "xyz"))
+    if len(plane) > 2 or "component" not in values[0].dims:
+        return steps
+    is_used = np.zeros(values[0].sizes["component"], bool)
+    for value in values:
+        is_used |= (value != 0).any([dim for dim in value.dims if dim != "component"]).to_numpy()
+    if not is_used.any():
+        is_used = values[0]["component"].isin([*plane]).to_numpy()
+    return [step.isel(component=is_used) for step in steps]
 
 
 def _labelled(part: T, dim: str, label: int | str) -> T:
@@ -485,6 +575,47 @@ def _fastest(picture: xr.Dataset) -> float:
     parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
     size = _known([np.hypot(*parts)] if parts else [[]])
     return float(np.percentile(size, FASTEST)) if size.size else 0.0
+
+
+def _without_tail(steps: list[xr.Dataset], values: NDArray) -> tuple[list[xr.Dataset], NDArray]:
+    """Return steps that say on their label where a picture ends, and the numbers (n,) up to there.
+
+    A field that is divided by the pressure, such as the inertial number, is thousands of times
+    larger at a free surface than elsewhere.
+    """
+    name = steps[0].attrs["drawn"]
+    label = drawing.long_name_of(steps[0][name], name)
+    shown, note = drawing.without_tail(values) if may_diverge(steps[0][name]) else (values, "")
+    if not note:
+        return steps, values
+    steps = [
+        step.assign({name: step[name].assign_attrs(long_name=f"{label}{note}")}) for step in steps
+    ]
+    return steps, shown
+
+
+def may_diverge(value: xr.DataArray) -> bool:
+    """Return whether a field may be a quotient whose denominator vanishes: by the pressure, or of the user's own."""
+    name = str(value.name)
+    if name not in FIELDS:
+        return "source" not in value.attrs  # sums and means of variables have one
+    row = FIELDS[name]
+    if row.additive or row.weight:
+        return False
+    return name in REGISTERED or "pressure" in order_of((name,), Options())
+
+
+def _limits(ax: Axes, axis: str) -> tuple[float, float]:
+    """Return the ends of the numbers in a profile along an axis."""
+    low, high = ax.get_xlim() if axis == "z" else ax.get_ylim()
+    return low, high
+
+
+def _set_limits(ax: Axes, axis: str, values: NDArray) -> None:
+    """Let a profile along an axis end at the smallest and the largest of some numbers."""
+    low, high = drawing.ends_of(values)
+    margin = 0.05 * (high - low)
+    (ax.set_xlim if axis == "z" else ax.set_ylim)(low - margin, high + margin)
 
 
 # --- drawing ---------------------------------------------------------------------------------------------
@@ -549,6 +680,15 @@ def _draw_map(
     return mesh
 
 
+def _ratio(picture: xr.Dataset, axes: list[str]) -> float | None:
+    """Return height over width of a map; None of profiles and unrolled maps, which have any."""
+    if len(axes) == 1 or axes == ["theta", "z"]:
+        return None
+    if axes == ["r", "theta"]:
+        return 1.0
+    return drawing.ratio_of(picture[picture.attrs["drawn"]].transpose(*axes[::-1]))
+
+
 def _draw_circle(
     picture: xr.Dataset,
     value: xr.DataArray,
@@ -609,16 +749,14 @@ def _draw_arrows(
 
 
 def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray) -> None:
-    """Draw the colour bar of a map, with a point at an end that numbers exceed."""
-    low, high = mesh.get_clim()
-    above, below = bool((values > high).any()), bool((values < low).any())
-    extend = "both" if above and below else "max" if above else "min" if below else "neither"
+    """Draw the colour bar of a map, as high as the map."""
     ax = mesh.axes
     room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
-    tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
-    drawing.add_colour_bar(
-        mesh, ax, drawing.label_of(picture[name], name), extend=extend, shrink=min(1.0, tall)
-    )
+    shrink = 1.0
+    if ax.get_aspect() == 1:
+        height = BESIDE * room.width * ax.get_data_ratio()
+        shrink = min(1.0, max(height, LOWEST * ax.figure.dpi) / room.height)
+    drawing.add_colour_bar(mesh, ax, drawing.label_of(picture[name], name), values, shrink=shrink)
 
 
 def _title(picture: xr.Dataset) -> str:

@@ -16,7 +16,6 @@ from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
-from xcg.compiled.radial_distribution import count_pairs
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite, phase_of, without_frozen
@@ -173,15 +172,16 @@ class RadialDistribution(FrameAnalysis):
                 f"({', '.join(plane)}), for example {{{plane[-1]!r}: (0.0, 0.1)}}"
             )
         bounds = {a: rising_pair(f"bounds[{a!r}]", ends) for a, ends in bounds.items()}
-        for a in set(plane) - set(scene.setup.periodic) - bounds.keys():
-            k = COMPONENTS.index(a)
+        if is_open := [a for a in plane if a not in scene.setup.periodic and a not in bounds]:
+            missing = ", ".join(f"{a!r}: (low, high)" for a in is_open)
             extent = ""
             if scene.corners is not None:
-                low, high = scene.corners[0][k], scene.corners[1][k]
-                extent = f"; centres lie between {low:g} and {high:g}"
+                low, high = scene.corners
+                ends = [f"{low[k]:g} and {high[k]:g}" for k in map(COMPONENTS.index, is_open)]
+                extent = f"; centres lie between {', '.join(ends)}"
             raise SceneError(
-                f"{self.name}: axis {a!r} is not periodic: give the part of it that particles "
-                f"fill, bounds={{{a!r}: (low, high)}}{extent}"
+                f"{self.name}: not periodic along {', '.join(is_open)}: give the part that "
+                f"particles fill, bounds={{{missing}}}{extent}"
             )
         return replace(
             self,
@@ -257,6 +257,11 @@ class RadialDistribution(FrameAnalysis):
         if self.scaled:
             check_finite("diameter", frame, source)
             radius = 0.5 * frame["diameter"][inside]
+            if not radius.any():
+                raise SceneError(
+                    f"{source}: {self.name} divides distances by diameters, and all diameters are "
+                    "zero; assign those of the particles"
+                )
         region = self._region(lattice, in_plane, 2 * float(radius.max()), source)
         counts = self._counted(position, radius, group, region, source)
         expected = self._expected(radius, group, region)
@@ -332,9 +337,7 @@ class RadialDistribution(FrameAnalysis):
         def count(first: int, last: int) -> NDArray:
             counts = np.zeros(self._shape, "int64")
             images = None if is_original is None else particle
-            count_pairs(
-                first, last, *lists.for_loops, of_record, images, is_original, across, counts
-            )
+            lists.count(first, last, of_record, images, is_original, across, counts)
             return counts
 
         return np.sum(for_parts(len(particle), count, workers, each=8), axis=0)

@@ -144,7 +144,7 @@ class StructureFactor(FrameAnalysis):
             vectors = vectors.astype("int64")
         if is_open := [a for a in plane if a not in scene.setup.periodic]:
             raise SceneError(
-                f"structure_factor needs periodic axes, and {', '.join(is_open)} is open; "
+                f"structure_factor needs periodic axes; open: {', '.join(is_open)}. "
                 "radial_distribution takes open axes by bounds="
             )
         groups = scene.groups(self.by, self.groups)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -11,13 +11,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_positive
+from xcg.common.checks import axis_vector, is_positive
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import unknown, warn_once
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.field import Sum
 from xcg.fields.grids.frames import Rotated, axis_of
 from xcg.fields.grids.grid import warn_beyond
-from xcg.fields.grids.walls import Plane, Surface, SurfaceCells, Wall
+from xcg.fields.grids.walls import Cylinder, Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
@@ -231,22 +232,77 @@ def _through_points(
     spacing: float,
 ) -> xr.Dataset:
     """Sum over points of the surface, each with its share of the area."""
-    centre, area = _points(surface, scene, spacing)
+    cells = _points(surface, scene, spacing)
+    centre, area = cells.centre, cells.area
     at = {a: xr.DataArray(centre[:, COMPONENTS.index(a)], dims="place") for a in scene.setup.plane}
     flux = _across(coarse_grain(ds, fields, at=at, **shared), surface.normals_at(centre))
-    return (flux * xr.Variable("place", area)).sum("place", skipna=False)
+    flux = (flux * xr.Variable("place", area)).sum("place", skipna=False)
+    ends = _open_ends(surface, cells, scene)
+    if not ends or is_in_memory(ds["position"].variable):
+        return flux
+    checked = run(
+        ds, _Ends(surface, ends, shared["kernel"].cutoff), scene=scene, on_error=shared["on_error"]
+    )
+    return flux + checked["beyond"].reset_coords(drop=True)
 
 
-def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray, NDArray]:
-    """Centres (n, 3) and areas (n,) of small cells of a surface."""
+@dataclass(frozen=True, eq=False)
+class _Ends(FrameAnalysis):
+    """Warning about grains beyond the ends of a surface, which follow from the first and the last step."""
+
+    name = "flow_rate"
+
+    surface: Wall
+    ends: Mapping[str, tuple[float, float]]
+    cutoff: float
+
+    def reads(self, scene: Description) -> list[str]:
+        """Return the positions."""
+        return ["position"]
+
+    def rows(self, scene: Description) -> dict[str, Variable]:
+        """Return a zero for each step, which is added to its flow."""
+        return {"beyond": Variable((), "1", "zero, once the step is checked")}
+
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
+        """Warn of grains of one step that the surface would see if it were longer."""
+        position = frame["position"]
+        near = position[np.abs(self.surface.distance(position)) < self.cutoff]
+        if len(near):
+            places = self.surface.coordinates(near).T
+            for (dim, (low, high)), x in zip(self.ends.items(), places, strict=True):
+                warn_beyond(dim, x, low, high, source)
+        return {"beyond": 0.0}
+
+
+def _open_ends(
+    surface: Wall, cells: SurfaceCells, scene: Description
+) -> dict[str, tuple[float, float]]:
+    """Return the ends of the cells along dimensions for which neither the surface nor a period has any."""
+    has_bounds = getattr(surface, "bounds", None) is not None
+    has_ends = None not in (getattr(surface, "low", None), getattr(surface, "high", None))
+    if has_bounds or has_ends:
+        return {}
+    dims = [*cells.coords][-len(cells.bounds) :]
+    ends = dict(zip(dims, map(tuple, cells.bounds), strict=False))
+    if isinstance(surface, Cylinder):
+        k = axis_of(axis_vector("axis", surface.axis))
+        return {} if k is not None and COMPONENTS[k] in scene.periods else ends
+    return {dim: end for dim, end in ends.items() if dim not in scene.periods}
+
+
+def _points(surface: Wall, scene: Description, spacing: float) -> SurfaceCells:
+    """Return small cells of a surface."""
     if isinstance(surface, Surface):
-        return _parts_of_triangles(surface, spacing)
+        return SurfaceCells({}, *_parts_of_triangles(surface, spacing), COMPONENTS)
     corners = np.full((2, 3), np.nan) if scene.corners is None else np.array(scene.corners)
     lower, upper = corners
+    for a in scene.periods:
+        k = COMPONENTS.index(a)
+        lower[k], upper[k] = scene.edges[a]
     layer = scene.layer
     if layer is None:
-        cells = surface.cells(lower, upper, spacing)
-        return cells.centre, cells.area
+        return surface.cells(lower, upper, spacing)
     # fields are the same all across a layer, so that only the part of the surface inside counts
     k, lower[k], upper[k] = layer
     cells = surface.cells(lower, upper, spacing)
@@ -256,7 +312,7 @@ def _points(surface: Wall, scene: Description, spacing: float) -> tuple[NDArray,
     for (first, last), (low, high) in zip(cells.bounds, ends.T, strict=True):
         if np.isclose(high - low, upper[k] - lower[k], atol=0.0):
             inside = max(0.0, min(last, high) - max(first, low)) / (last - first)
-    return cells.centre, cells.area * inside
+    return replace(cells, area=cells.area * inside)
 
 
 def _parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDArray]:
@@ -307,7 +363,9 @@ def wall_stress(
     ds : xarray.Dataset
         A scene with contacts.
     surface : Plane, Cylinder or Surface
-        The wall, with its normal to the side of the grains.
+        The wall, with its normal to the side of the grains. Cells of a plane without `bounds` and
+        of a cylinder without `low` or `high` end as far as the grains of the first and the last
+        step reach, and the attribute ``comment`` says where.
     width : float or str, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
     walls : str, int or list of these, optional
@@ -432,13 +490,23 @@ class _WallStress(FrameAnalysis):
         return _coordinates(self.cells, self.setup.unit_system)
 
     def attrs(self, scene: Description) -> dict[str, Any]:
-        """Return kernel and surface."""
-        return {
+        """Return kernel and surface, and where the cells end if the surface goes on."""
+        attrs = {
             "kernel": self.kernel.name,
             "width": self.kernel.width,
             "cutoff": self.kernel.cutoff,
             "surface": repr(self.surface),
         }
+        ends = [
+            f"{dim} from {low:.6g} to {high:.6g}"
+            for dim, (low, high) in _open_ends(self.surface, self.cells, scene).items()
+        ]
+        if ends:
+            attrs["comment"] = (
+                f"the surface goes on beyond its cells, which end where the grains do: {', '.join(ends)}; "
+                "bounds= of a plane, low= and high= of a cylinder set their ends"
+            )
+        return attrs
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the tractions of one step."""

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import extra, rising_pair
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, plain
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
@@ -106,6 +106,10 @@ def voronoi(
     (0.74048, 12)
     """
     require_scene(ds, ("diameter", "volume"), "voronoi")
+    if bounds is not None and not isinstance(bounds, Mapping):
+        raise ValueError(
+            f"bounds={plain(bounds)}: expected ends of axes, for example {{'z': (0.0, 0.2)}}"
+        )
     extra("pyvoro2", "voronoi", "voronoi")
     given: dict[str, Any] = {"bounds": bounds, "faces": faces or None}
     call = format_call("voronoi", {k: v for k, v in given.items() if v is not None})
@@ -254,7 +258,10 @@ def _cells(place: NDArray, radius: NDArray, box: Any, source: str) -> list[dict[
             output="cells",
         )
     except ValueError as error:
-        raise SceneError(f"{source}: no Voronoi cells of these particles: {error}") from None
+        raise SceneError(
+            f"{source}: no Voronoi cells of these particles, which are too close to each other or "
+            f"outside of the box; remove one of two at the same place ({error})"
+        ) from None
     return sorted(cells, key=lambda cell: cell["id"])
 
 
@@ -272,9 +279,7 @@ def _faces_of(cells: Sequence[Mapping[str, Any]]) -> tuple[NDArray, NDArray, NDA
     corner = np.concatenate([face["vertices"] for _, face in faces]) + np.repeat(of_cell[i], size)
     following = np.arange(len(corner)) + 1
     following[start + size - 1] = start
-    # triangles between the first corner of a face and each of its edges
+    # triangles between the first corner of a face and each of its edges; Voro++ lists corners
+    # clockwise as seen from outside of the cell, which the centre of a small particle may be
     away = vertices[corner] - np.repeat(vertices[corner[start]], size, axis=0)
-    area = 0.5 * np.add.reduceat(np.cross(away, away[following]), start)
-    sites = np.array([cell["site"] for cell in cells])
-    inward = ((vertices[corner[start]] - sites[i]) * area).sum(axis=1) < 0
-    return i, j, np.where(inward[:, None], -area, area)
+    return i, j, 0.5 * np.add.reduceat(np.cross(away[following], away), start)

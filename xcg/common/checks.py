@@ -75,6 +75,15 @@ def unit_vector(name: str, given: Any) -> NDArray:
     return unit(values)
 
 
+def axis_vector(name: str, given: Any) -> NDArray:
+    """Return a unit vector (3,) along "x", "y" or "z", or along three numbers that are not all zero."""
+    if not isinstance(given, str):
+        return unit_vector(name, given)
+    if given not in ("x", "y", "z"):
+        raise ValueError(f"{name}={given!r}: expected 'x', 'y', 'z' or a direction (x, y, z)")
+    return np.eye(3)["xyz".index(given)]
+
+
 def unit(values: NDArray) -> NDArray:
     """Make the length of a vector (3,) one, whatever it is: squares of its largest component would not be finite."""
     values = values / np.abs(values).max()

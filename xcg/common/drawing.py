@@ -19,7 +19,14 @@ if TYPE_CHECKING:
 BOTH_SIGNS = (
     0.1  # of the larger end of a field, which the smaller one has where colours are about zero
 )
+PERCENTILES = (90, 95, 98)  # of sizes, where a picture may end
+FAR = 4.0  # times the first of these: beyond, numbers are so large that others could not be told apart
 SMOOTH = 400  # cells along an axis of a smooth map
+ROUNDED = 1.5  # nodes over which the rim of a smooth map is rounded
+NEAREST = 0.1  # of the distance between nodes: a rim is at least as far from every node
+BESIDE, BELOW = 1.9, 1.0  # inches of labels and bar beside a map, and of labels below and above it
+TITLE = 0.75  # of the width of a figure, which the longest line of a title may have
+SMALLEST = (3.2, 2.0)  # inches of a figure, for its title and for the label of its bar
 _SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
 # powers as UDUNITS has them: "m^-1", "m**-1" and "m-1"
 _POWER = re.compile(r"(?:\^|\*\*)\(?([+-]?[\d.]+)\)?|(?<=[^\W\d_])([+-]?\d+)(?![\w.])")
@@ -77,9 +84,24 @@ def set_label(axis: Axis, text: str) -> None:
             return
 
 
-def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
-    """Add a labelled colour bar beside axes; `options` go to matplotlib."""
-    bar = ax.figure.colorbar(drawn, ax=ax, **options)
+def set_title(ax: Axes, text: str) -> None:
+    """Set the title of axes, broken into lines at its commas where the figure is too narrow for it."""
+    title = ax.set_title(text)
+    if title.get_window_extent().width > TITLE * ax.figure.bbox.width:
+        title.set_text(text.replace(", ", "\n"))
+
+
+def add_colour_bar(drawn: Any, ax: Axes, text: str, values: NDArray, **options: Any) -> None:
+    """Add a labelled colour bar beside axes, with an arrow at an end that `values` exceed.
+
+    `options` go to matplotlib.
+    """
+    low, high = drawn.get_clim()
+    values = values[~np.ma.getmaskarray(drawn.norm(values))]  # those that have a logarithm
+    is_above = bool((values > high).any())
+    is_below = bool((values < low).any())
+    extend = {(0, 0): "neither", (0, 1): "max", (1, 0): "min", (1, 1): "both"}[is_below, is_above]
+    bar = ax.figure.colorbar(drawn, ax=ax, extend=extend, **options)
     powers: Any = bar.formatter
     if hasattr(powers, "set_powerlimits"):  # those of logarithmic scales have none
         powers.set_powerlimits((-3, 4))
@@ -87,10 +109,55 @@ def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
     set_label(bar.ax.yaxis, text)
 
 
-def new_axes(projection: str | None = None) -> Axes:
-    """Return the axes of a new figure of pyplot, with room for labels."""
-    figure = extra("matplotlib.pyplot", "plot", "drawing").figure(layout="constrained")
+def new_axes(projection: str | None = None, ratio: float | None = None) -> Axes:
+    """Return the axes of a new figure of pyplot, with room for labels.
+
+    A map of this `ratio` of height to width fills the figure.
+    """
+    pyplot = extra("matplotlib.pyplot", "plot", "drawing")
+    size = tuple(pyplot.rcParams["figure.figsize"])
+    if ratio is not None:
+        size = size_of_figure(size, ratio, pyplot.rcParams["font.size"] / 10.0)
+    figure = pyplot.figure(figsize=size, layout="constrained")
     return cast("Axes", figure.add_subplot(projection=projection))
+
+
+def size_of_figure(
+    size: tuple[float, float], ratio: float, letters: float = 1.0
+) -> tuple[float, float]:
+    """Return width and height (inches) of a figure that a map with a colour bar fills.
+
+    Parameters
+    ----------
+    size : tuple of float
+        Largest width and height (inches). Tall maps are as high as the larger of both.
+    ratio : float
+        Height of the map over its width.
+    letters : float
+        Size of letters, in 10 points.
+    """
+    beside, below = letters * BESIDE, letters * BELOW
+    highest = max(size) if ratio > 1 else size[1]
+    width = min(size[0] - beside, (highest - below) / ratio)
+    fitted = (width + beside, width * ratio + below)
+    smallest = np.minimum(np.multiply(letters, SMALLEST), size)
+    wide, high = np.maximum(fitted, smallest).tolist()
+    return wide, high
+
+
+def ratio_of(value: xr.DataArray) -> float:
+    """Return height over width of the cells of a map (up, across)."""
+    up, across = (np.ptp(_edges(np.sort(value[dim].to_numpy()))) for dim in value.dims)
+    return float(up / across) if up > 0 and across > 0 else 1.0
+
+
+def ratio_of_circles(centre: NDArray, radius: NDArray) -> float:
+    """Return height over width of what circles extend over, by their centres (n, 2) and radii (n,)."""
+    if not len(centre):
+        return 1.0
+    rims = np.concatenate([centre - radius[:, None], centre + radius[:, None]])
+    width, height = np.ptp(rims, axis=0)
+    return float(height / width)
 
 
 def ends_of(values: NDArray) -> tuple[float, float]:
@@ -99,6 +166,31 @@ def ends_of(values: NDArray) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
     return (low, high) if low < high else (low - 0.5, high + 0.5)
+
+
+def check_ends(low: float, high: float, vmin: float | None, vmax: float | None) -> None:
+    """Raise ValueError unless colours begin at or below their end, as `vmin` and `vmax` choose them."""
+    if low > high:
+        given = f"vmin={vmin!r}" if vmax is None else f"vmax={vmax!r}"
+        raise ValueError(
+            f"{given}: the colours would go from {low:.4g} to {high:.4g}; expected vmin below vmax, and numbers "
+            "between them"
+        )
+
+
+def without_tail(values: NDArray) -> tuple[NDArray, str]:
+    """Return numbers without the tail that makes a picture flat, and a note for its label.
+
+    Numbers far beyond the 90th percentile of all sizes are set to the highest of `PERCENTILES` that
+    is not. The note is empty where there are none.
+    """
+    size = np.abs(values)
+    # of few numbers, too, a percentile is one of them
+    levels = np.percentile(size, PERCENTILES, method="lower") if size.size else np.zeros(3)
+    if not 0 < FAR * levels[0] < size.max(initial=0.0):
+        return values, ""
+    k = np.flatnonzero(levels <= FAR * levels[0])[-1]
+    return values.clip(-levels[k], levels[k]), f", up to its {PERCENTILES[k]}th percentile"
 
 
 def _has_both_signs(values: NDArray) -> bool:
@@ -118,7 +210,9 @@ def colours_of(
     end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
     if end > 0 and _has_both_signs(values):
         low, high = -end, end
-    low, high = low if vmin is None else vmin, high if vmax is None else vmax
+    low = low if vmin is None else vmin
+    high = high if vmax is None else vmax
+    check_ends(low, high, vmin, vmax)
     about_zero = low == -high and _has_both_signs(values)
     return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
 
@@ -127,26 +221,45 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     """Return the edges of the cells to draw, across and up, and the number in each of them.
 
     A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the
-    nodes that are known; a cell is unknown where the nearest node is.
+    nodes that are known. The rim of what is known runs between known and unknown nodes, and is
+    rounded, so that it has no stairs.
     """
     up, across = (value[dim].to_numpy() for dim in value.dims)
     numbers = value.to_numpy()
     if shading == "flat":
         return _edges(across), _edges(up), numbers
     known = np.isfinite(numbers)
-    x, near_x, weight_x = _finer(across, None)
-    y, near_y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
+    x, weight_x = _finer(across, None)
+    y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
     top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
     bottom = weight_y @ known.astype(float) @ weight_x.T
-    return (
-        x,
-        y,
-        np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan),
+    inside = (
+        weight_y @ _distance_from_rim(known, is_circle=value.dims[0] == "theta") @ weight_x.T > 0
     )
+    return x, y, np.where(inside, top / np.where(bottom > 0, bottom, 1.0), np.nan)
 
 
-def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDArray]:
-    """Divide the cells of nodes into parts: edges (m + 1,), nearest nodes (m,), and weights of the nodes (m, n)."""
+def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
+    """Return the distance (up, across) of each node from the rounded rim of the known ones, in nodes.
+
+    It is positive at known nodes and negative at others, whatever the rounding. The first node
+    follows the last one upwards on a circle.
+    """
+    if known.all() or not known.any():
+        return np.where(known, 1.0, -1.0)
+    from scipy.ndimage import distance_transform_edt, gaussian_filter  # slow to import
+
+    turn = len(known) if is_circle else 0
+    around = np.pad(known, ((turn, turn), (0, 0)), mode="wrap")
+    distance = np.where(
+        around, distance_transform_edt(around) - 0.5, 0.5 - distance_transform_edt(~around)
+    )
+    smooth = gaussian_filter(distance, ROUNDED, mode="nearest")[turn : turn + len(known)]
+    return np.where(known, np.maximum(smooth, NEAREST), np.minimum(smooth, -NEAREST))
+
+
+def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray]:
+    """Divide the cells of nodes into parts: edges (m + 1,), and weights of the nodes (m, n)."""
     count = len(nodes)
     parts = -(-SMOOTH // count)
     edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
@@ -156,7 +269,7 @@ def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDAr
     weights = np.stack(
         [np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1
     )
-    return edges, np.repeat(np.arange(count), parts), weights
+    return edges, weights
 
 
 def _edges(nodes: np.ndarray) -> np.ndarray:

@@ -57,6 +57,9 @@ def did_you_mean(
 ) -> str:
     """Suggest the most similar of some words, as the end of a message; "" if none is similar.
 
+    Names are compared by the parts between underscores in which they differ, so that "contact_heat"
+    is not similar to "contact_j".
+
     Parameters
     ----------
     word : str
@@ -72,8 +75,30 @@ def did_you_mean(
     wanted = _plainly(word)
     if synonyms.get(wanted) in plainly.values():
         return f"; did you mean {synonyms[wanted]!r}?"
-    close = difflib.get_close_matches(wanted, list(plainly), 1, cutoff)
-    return f"; did you mean {plainly[close[0]]!r}?" if close else ""
+    likeness, nearest = max(
+        ((_similarity(wanted, name), name) for name in plainly), default=(0.0, "")
+    )
+    return f"; did you mean {plainly[nearest]!r}?" if likeness >= cutoff else ""
+
+
+def _similarity(word: str, other: str) -> float:
+    """Return the similarity of two names, from 0 to 1.
+
+    Unless they differ by one letter, or by two that are swapped, the parts at both ends that they
+    share do not count.
+    """
+    whole = difflib.SequenceMatcher(None, other, word).ratio()
+    unmatched = (1 - whole) * (len(word) + len(other))
+    if round(unmatched) <= 2:
+        return whole
+    parts = word.split("_")
+    others = other.split("_")
+    for end in (0, -1):
+        while parts and others and parts[end] == others[end]:
+            del parts[end], others[end]
+    if not parts or not others:
+        return whole
+    return difflib.SequenceMatcher(None, "_".join(others), "_".join(parts)).ratio()
 
 
 def _plainly(word: str) -> str:
@@ -223,6 +248,11 @@ class _Current(threading.local):
 _current = _Current()
 
 
+def active_call() -> Once:
+    """Return the warnings of the call that this thread works for, or of a new one."""
+    return _current.call or Once()
+
+
 def warn_once(about: str, message: str) -> None:
     """Warn of something found in a step, once for all steps of the call that is being computed; see `Once.warn`."""
-    (_current.call or Once()).warn(about, message)
+    active_call().warn(about, message)

@@ -71,7 +71,7 @@ def cell_means(
     """
     if not 2 <= sum(h > 0.0 for h in half) == seen:
         return INTEGRATED
-    key: tuple[Any, ...] = (half, integral, kernel.spread, kernel.rims.tobytes())
+    key: tuple[Any, ...] = (half, integral, kernel.rims.tobytes())
     for function in (kernel, kernel.once, kernel.twice):
         table = None if function.table is None else function.table.tobytes()
         key += (function.kind, table)

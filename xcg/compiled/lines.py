@@ -1,7 +1,7 @@
 """Integrals of kernels along lines, at one node and at many, and means over the cells of a mesh.
 
 A segment at distance h from a point, running from t0 to t1 along its own line, contributes the
-integral of the value at sqrt(h^2 + t^2) over t. Kinds, spreads and tables as in
+integral of the value at sqrt(h^2 + t^2) over t. Kinds and tables as in
 `xcg.compiled.smoothing`.
 """
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import gauss_rules
-from xcg.compiled.elementary import erf, erfcx, exp
 from xcg.compiled.polynomials import (
     RADIUS,
     SCRATCH,
@@ -29,17 +28,12 @@ from xcg.compiled.polynomials import (
 )
 from xcg.compiled.reach import OF_Y, OF_Y2, OF_Z, OF_Z2, Rows, padded
 from xcg.compiled.smoothing import (
-    GAUSSIAN,
     HEAVISIDE,
     LUCY,
     LUCY_FULL,
     PLAIN,
     SHELLS,
-    SQRT2,
-    SQRT_PI_2,
     TABLE,
-    TABULATED,
-    along_line,
     fill_gauss,
     interpolate,
     value,
@@ -53,6 +47,7 @@ SHORT_ORDER = 4
 _FEW = 24
 _MANY = 48
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
+AFTER, BEFORE = 1, 2  # sides of the foot of a node
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -63,49 +58,28 @@ def has_shells(table):
 
 
 @inner
-def _antiderivative(kind, spread, table, h2, t):
+def _antiderivative(kind, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
     if kind is LUCY_FULL:
         return lucy_line(h2, t)
     if kind == LUCY + 1:
         return lucy_plane(h2, t)
+    t2 = t * t
     if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
-        t2 = t * t
         return (
             2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
         )
+    if kind == HEAVISIDE:
+        return t
     if kind == HEAVISIDE + 1:
         half2 = 1.0 - h2
-        return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(
-            t, math.sqrt(max(0.0, half2 - t * t))
-        )
-    bell, flat, cube = _parts_of_line(kind, spread, table)
-    if bell > 0.0:
-        bell *= spread * SQRT_PI_2 * erf(t / (SQRT2 * spread)) * exp(-0.5 * h2 / (spread * spread))
-    return bell + flat * t + cube * t * t * t
-
-
-@inlined
-def _parts_of_line(kind, spread, table):
-    """Factors of the Gaussian, of 1 and of 3 t^2 in the value along a line at distance t from its foot.
-
-    For a Gaussian or Heaviside of codimension 0, or of codimension 2, which is seen in one
-    dimension, where every line runs through the point.
-    """
-    s2 = spread * spread
-    edge = exp(-0.5 / s2)
-    if kind == GAUSSIAN:
-        return 1.0, 0.0 if table is PLAIN else -edge, 0.0
-    if kind == GAUSSIAN + 2:
-        disc = 0.0 if table is PLAIN else math.pi * edge
-        return 2.0 * math.pi * s2, -2.0 * math.pi * s2 * edge - disc, disc / 3.0
-    if kind == HEAVISIDE:
-        return 0.0, 1.0, 0.0
-    return 0.0, math.pi, -math.pi / 3.0  # HEAVISIDE + 2
+        rest = math.sqrt(max(0.0, half2 - t2))
+        return t * rest + half2 * math.atan2(t, rest)
+    return math.pi * t * (1.0 - t2 / 3.0)  # HEAVISIDE + 2, seen in one dimension
 
 
 @inner
-def _quadrature(kind, spread, table, h2, t0, t1):
+def _quadrature(kind, table, h2, t0, t1):
     """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
     half = math.sqrt(1.0 - h2)
     a0, a1 = math.asin(max(-1.0, t0 / half)), math.asin(min(1.0, t1 / half))
@@ -117,9 +91,7 @@ def _quadrature(kind, spread, table, h2, t0, t1):
                 angle = mean + span * _NODES[g]
                 t = half * math.sin(angle)
                 q2 = min(h2 + t * t, 1.0)
-                total += (
-                    span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, spread, table, q2)
-                )
+                total += span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, table, q2)
     return total
 
 
@@ -128,25 +100,23 @@ def _tabulated_segment(kind, table, h2, t0, t1):
     if table is PLAIN:
         return 0.0
     if not has_shells(table):
-        return _quadrature(kind, TABULATED, table, h2, t0, t1)
+        return _quadrature(kind, table, h2, t0, t1)
     if kind == TABLE + 1:
         return along_marginal(table[SHELLS], h2, t0, t1)
     return along_shells(table[SHELLS], h2, t0, t1)
 
 
 @leaf
-def segment(kind, spread, table, h2, t0, t1):
+def segment(kind, table, h2, t0, t1):
     """Integral of the value along a line at distance h from t0 to t1 (h^2 < 1, t0 < t1), exact to rounding."""
     half = math.sqrt(1.0 - h2)
     t0, t1 = max(t0, -half), min(t1, half)
     if t1 <= t0:
         return 0.0
-    if spread is TABULATED:
+    if kind is not LUCY_FULL and kind >= TABLE:
         return _tabulated_segment(kind, table, h2, t0, t1)
-    if kind is not LUCY_FULL and kind == GAUSSIAN + 1:
-        return _quadrature(kind, spread, table, h2, t0, t1)
-    lower = _antiderivative(kind, spread, table, h2, abs(t0))
-    upper = _antiderivative(kind, spread, table, h2, abs(t1))
+    lower = _antiderivative(kind, h2, abs(t0))
+    upper = _antiderivative(kind, h2, abs(t1))
     return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
 
 
@@ -154,7 +124,7 @@ def segment(kind, spread, table, h2, t0, t1):
 
 
 @leaf
-def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+def fill_segments(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
     """Write the mean of the value over segments, in closed form, seen from `count` nodes.
 
     `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent`
@@ -162,16 +132,16 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
     """
     if kind is LUCY_FULL:
         fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
-    elif spread is TABULATED:
+    elif kind >= TABLE:
         _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
-    elif kind == GAUSSIAN + 1:
-        _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
     elif kind == LUCY + 1:
         fill_lucy_planes(1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
-    elif kind >= GAUSSIAN and kind != HEAVISIDE + 1:
-        _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
+    elif kind == HEAVISIDE:
+        _fill_chords(1.0, 0.0, 1.0 / length, length, along, q2, count, out)
+    elif kind == HEAVISIDE + 2:
+        _fill_chords(math.pi, -math.pi / 3.0, 1.0 / length, length, along, q2, count, out)
     else:
-        _fill_one_by_one(kind, spread, table, length, along, q2, count, out)
+        _fill_one_by_one(kind, table, length, along, q2, count, out)
 
 
 @inner
@@ -179,9 +149,9 @@ def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exp
     if table is PLAIN:
         return
     if not has_shells(table):
-        _fill_quadrature(kind, TABULATED, table, 1.0 / length, length, along, q2, count, out, ratio)
+        _fill_quadrature(kind, table, 1.0 / length, length, along, q2, count, out, ratio)
     elif kind == TABLE + 1:
-        _fill_one_by_one(kind, TABULATED, table, length, along, q2, count, out)
+        _fill_one_by_one(kind, table, length, along, q2, count, out)
     else:
         fill_shells(
             table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows
@@ -189,59 +159,30 @@ def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exp
 
 
 @inner
-def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
+def _fill_one_by_one(kind, table, length, along, q2, count, out):
     for k in range(count):
         h2 = max(0.0, q2[k] - along[k] * along[k])
         out[k] = 0.0
         if h2 < 1.0:
-            out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
+            out[k] = segment(kind, table, h2, -along[k], length - along[k]) / length
 
 
 @inner
-def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
-    """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
-
-    Differences of error functions are computed from their complements, which keep their digits far
-    out.
-    """
-    bell, flat, cube = _parts_of_line(kind, spread, table)
-    per_2s2 = 0.5 / (spread * spread)
-    root, bell = math.sqrt(per_2s2), bell * spread * SQRT_PI_2
+def _fill_chords(flat, cube, per_length, length, along, q2, count, out):
+    """Write the mean of ``flat + 3 cube t^2`` over the clipped segment, t from the foot of the node."""
     for k in range(padded(count)):
         a, b, _ = clipped(q2[k], along[k], length)
         out[k] = per_length * (flat * (b - a) + cube * (b * b * b - a * a * a))
-    if bell > 0.0:
-        bell *= per_length
-        for k in range(padded(count)):
-            a, b, h2 = clipped(q2[k], along[k], length)
-            # mirrored where more of it lies before the foot: now b >= 0
-            a, b = (
-                -min(b, -a),
-                max(b, -a),
-            )
-            from_a = exp(-per_2s2 * (h2 + a * a)) * erfcx(root * abs(a))
-            from_b = exp(-per_2s2 * (h2 + b * b)) * erfcx(root * b)
-            if a < 0.0:
-                from_a = 2.0 * exp(-per_2s2 * h2) - from_a
-            out[k] += bell * (from_a - from_b)
 
 
 @inner
-def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, out, last):
-    """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node in loops that vectorise.
+def _fill_quadrature(kind, table, per_length, length, along, q2, count, out, last):
+    """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node.
 
     `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the
-    node, where a kernel may have a cusp, on either side of it; a Gaussian on a short branch takes
-    one side from end to end.
+    node, where a kernel may have a cusp, on either side of it.
     """
-    if spread is TABULATED:
-        short, first, end = length <= 0.7, 1, 3
-    else:
-        short = length <= min(0.7, 2.1 * spread)
-        first, end = (0, 1) if short else (1, 3)
-        per_s2 = 1.0 / (spread * spread)
-        edge = 0.0 if table is PLAIN else 2.0 * exp(-0.5 * per_s2)
-    order = _FEW if short else _MANY
+    order = _FEW if length <= 0.7 else _MANY
     for k in range(padded(count)):
         a, b, h2 = clipped(q2[k], along[k], length)
         half2 = max(0.0, 1.0 - h2)
@@ -250,36 +191,25 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
         along[k] = a / (half + math.sqrt(max(0.0, half2 - a * a)) + TINY)
         last[k] = b / (half + math.sqrt(max(0.0, half2 - b * b)) + TINY)
         q2[k], out[k] = h2, 0.0
-    for side in range(first, end):
+    for side in (AFTER, BEFORE):
         for g in range(order):
-            x, weight = _LINE_POINTS[order, g], 2.0 * per_length * _LINE_WEIGHTS[order, g]
-            if side:
-                x, weight = x * x, 2.0 * x * weight
-            if spread is TABULATED:
-                for k in range(count):
-                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
-                    out[k] += (
-                        weight
-                        * share
-                        * (half if kind == TABLE + 1 else 1.0)
-                        * interpolate(table, 0, r2)
-                    )
-            else:
-                for k in range(padded(count)):
-                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
-                    out[k] += weight * share * (along_line(per_s2, r2) - edge * half)
+            x = _LINE_POINTS[order, g] * _LINE_POINTS[order, g]
+            weight = 4.0 * per_length * _LINE_WEIGHTS[order, g] * _LINE_POINTS[order, g]
+            for k in range(count):
+                r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                chord = half if kind == TABLE + 1 else 1.0
+                out[k] += weight * share * chord * interpolate(table, 0, r2)
 
 
 @inlined
 def _crossing(first, last, h2, x, side):
     """Return the squared distance, half chord and weight of a line at the share x of its length.
 
-    The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away
-    from the foot.
+    The way is that of what lies after or before the foot, away from the foot.
     """
-    if side == 1:
+    if side == AFTER:
         first, last = max(0.0, first), max(0.0, last)
-    elif side == 2:
+    else:
         first, last = max(0.0, -last), max(0.0, -first)
     half, v = math.sqrt(max(0.0, 1.0 - h2)), first + x * (last - first)
     turn = 1.0 / (1.0 + v * v)
@@ -301,14 +231,13 @@ def mean_along(
     end: NDArray,
     order: int,
     kind: int | None,
-    spread: float | None,
     table: NDArray | None,
 ) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
     along = points @ end / length if length > 0.0 else np.zeros(len(points))
     rule = SHORT_ORDER if length < SHORT and order == 0 else order
-    return _means(length, rule, along, (points * points).sum(axis=1), kind, spread, table)
+    return _means(length, rule, along, (points * points).sum(axis=1), kind, table)
 
 
 def _means(
@@ -317,7 +246,6 @@ def _means(
     along: NDArray,
     q2: NDArray,
     kind: int | None,
-    spread: float | None,
     table: NDArray | None,
 ) -> NDArray:
     """Mean of the kernel over one segment, seen from many nodes."""
@@ -325,11 +253,9 @@ def _means(
     lists = np.zeros((3, room))
     lists[0, :count], lists[1, :count] = along, q2
     if order:
-        fill_gauss(
-            kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2]
-        )
+        fill_gauss(kind, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
     else:
-        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(room))
+        fill_segments(kind, table, length, *lists[:2], count, lists[2], *closed_for(room))
     return lists[2, :count]
 
 
@@ -338,7 +264,6 @@ def largest_error(
     order: int,
     rows: int,
     kind: int | None,
-    spread: float | None,
     table: NDArray | None,
 ) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
@@ -349,8 +274,8 @@ def largest_error(
     columns = 4 * max(rows, 32)
     along = np.tile(-1.0 + (length + 2.0) * np.arange(columns + 1) / columns, rows)
     q2 = along**2 + np.repeat((np.arange(rows) / rows) ** 2, columns + 1)
-    exact = _means(length, 0, along, q2, kind, spread, table)
-    rule = _means(length, order, along, q2, kind, spread, table)
+    exact = _means(length, 0, along, q2, kind, table)
+    rule = _means(length, order, along, q2, kind, table)
     return float(np.abs(rule - exact).max() / exact.max())
 
 
@@ -419,16 +344,14 @@ def _list_points(place, half, inner2, outer2, apart, values, at, weight):
 
 
 @inner
-def _integrals_along(q2, place, half, step, node, many, kind, spread, table, factor, out, first):
+def _integrals_along(q2, place, half, step, node, many, kind, table, factor, out, first):
     """Add to `many` nodes along an axis, from one on, the integral of the kernel over the extent of each."""
     for k in range(many):
         middle = place - (node + k) * step  # the same bits whichever block the nodes are in
         if half > 0.0:
-            out[first + k] += factor * segment(
-                kind, spread, table, q2, middle - half, middle + half
-            )
+            out[first + k] += factor * segment(kind, table, q2, middle - half, middle + half)
         elif q2 + middle * middle < 1.0:
-            out[first + k] += factor * value(kind, spread, table, q2 + middle * middle)
+            out[first + k] += factor * value(kind, table, q2 + middle * middle)
 
 
 @inner
@@ -443,7 +366,6 @@ def _add_columns(
     node,
     many,
     kind,
-    spread,
     table,
     rims,
     norm,
@@ -471,7 +393,7 @@ def _add_columns(
                         here = norm * values[OF_Y2, i] * values[OF_Z2, j]
                         if q2 < 1.0:
                             _integrals_along(
-                                q2, dc, half_c, step, node, many, kind, spread, table, here, out, at
+                                q2, dc, half_c, step, node, many, kind, table, here, out, at
                             )
                     inner2 = outer2
                 inner = rim
@@ -486,7 +408,7 @@ def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, f
     in the order of the axes. Where cells cover the whole support along an axis, the marginal takes
     the place of points there.
     """
-    kind, spread, table, norm, rims, once, twice, _ = kernel
+    kind, table, norm, rims, once, twice, _ = kernel
     norm *= share
     (a, b, c), half = volumes.order, volumes.half
     half_a, half_b, half_c, step, covered = half[a], half[b], half[c], volumes.rows.steps[c], 0
@@ -499,8 +421,8 @@ def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, f
         db, half_b, covered = 0.0, 0.0, covered + 1
     cells = da, half_a, db, half_b, dc, half_c, step, node, many
     if covered == 0:
-        _add_columns(*cells, kind, spread, table, rims, norm, values, out, first)
+        _add_columns(*cells, kind, table, rims, norm, values, out, first)
     elif covered == 1:
-        _add_columns(*cells, once.kind, spread, once.table, rims, norm, values, out, first)
+        _add_columns(*cells, once.kind, once.table, rims, norm, values, out, first)
     else:
-        _add_columns(*cells, twice.kind, spread, twice.table, rims, norm, values, out, first)
+        _add_columns(*cells, twice.kind, twice.table, rims, norm, values, out, first)

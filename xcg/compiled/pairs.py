@@ -20,6 +20,7 @@ import numpy as np
 
 from xcg.compiled._jit import jit
 from xcg.compiled.arrays import nearest_image, sort_by_key
+from xcg.compiled.radial_distribution import count_pair
 
 
 @jit
@@ -110,6 +111,11 @@ def find(
     most,
     left,
     right,
+    group,
+    whose,
+    is_original,
+    across,
+    counts,
 ):
     """Pairs of the records `first` to `last` with partners in their own and larger levels.
 
@@ -142,6 +148,9 @@ def find(
         The search ends once more pairs than this are found.
     left, right : (capacity,)
         Buffers for pairs of records.
+    group, whose, is_original, across, counts : array or None
+        See `xcg.compiled.radial_distribution.count_pair`. If `counts` is not None, pairs are
+        counted there instead of kept.
 
     Returns
     -------
@@ -188,7 +197,7 @@ def find(
                         tested += max(end - begin, 0)
                         if found > most:
                             return left, right, found, tested
-                        if found + end - begin > left.size:
+                        if counts is None and found + end - begin > left.size:
                             left, right = (
                                 _grown(left, found + end - begin),
                                 _grown(right, found + end - begin),
@@ -202,9 +211,25 @@ def find(
                                 dy = nearest_image(dy, fold[k, 1])
                                 dz = nearest_image(dz, fold[k, 2])
                             touch = records[j, 3] + ri + skin
-                            left[found] = i
-                            right[found] = j
-                            found += dx * dx + dy * dy + dz * dz < touch * touch
+                            square = dx * dx + dy * dy + dz * dz
+                            if counts is None:
+                                left[found] = i
+                                right[found] = j
+                                found += square < touch * touch
+                            elif square < touch * touch:
+                                count_pair(
+                                    i,
+                                    j,
+                                    dx,
+                                    dy,
+                                    dz,
+                                    math.sqrt(square) / touch,
+                                    group,
+                                    whose,
+                                    is_original,
+                                    across,
+                                    counts,
+                                )
     return left, right, found, tested
 
 

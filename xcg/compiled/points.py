@@ -159,7 +159,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
+    kind, table, norm = kernel.kind, kernel.table, kernel.norm
     lists, records = scratch
     values, numbers = lists
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
@@ -189,7 +189,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
                         hits += points_in_ball(x, y, z, nodes.cells, lists)
                         hits += volumes_in_ball(x, y, z, nodes.volumes, kernel, lists)
                         if nodes.volumes is None:
-                            fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
+                            fill_values(kind, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, moments, reference)
                         if level == CUBIC:
@@ -300,7 +300,7 @@ def _add_cubes(p, records, i, lists, hits, moments, reference):
 @inner
 def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
-    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
+    kind, table, norm = kernel.kind, kernel.table, kernel.norm
     values, numbers = lists
     q2, other = values[Q2], values[OTHER]
     for image in range(meet.shape[0]):
@@ -312,7 +312,7 @@ def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
                 mean_over_cell(x, y, z, volumes, kernel, values, other, k)
                 q2[k] = 0.0 if other[k] > 0.0 else 1.0
         if volumes is None:
-            fill_values(kind, spread, table, norm, None, q2, hits, other)
+            fill_values(kind, table, norm, None, q2, hits, other)
         for k in range(hits):
             if q2[k] >= 1.0:
                 continue

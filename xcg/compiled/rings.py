@@ -194,7 +194,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
     out : array (groups, m, 10)
         1, x, and xx, xy, xz, yy, yz, zz in radii of the support.
     """
-    kind, spread, table, norm = kernel
+    kind, table, norm = kernel
     position, mass, group = grains
     per_cutoff, q2, weight, part_of = 1.0 / cutoff, scratch[0], scratch[1], scratch[2]
     cosine, sine = scratch[3], scratch[4]
@@ -243,7 +243,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                     k += 1
             if hits == 0:
                 continue
-            fill_values(kind, spread, table, norm, None, q2, hits, weight)
+            fill_values(kind, table, norm, None, q2, hits, weight)
             for a in range(4):
                 sums[a, 0], sums[a, 1], sums[a, 2] = 0.0, 0.0, 0.0
             for k in range(hits):

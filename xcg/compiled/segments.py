@@ -338,7 +338,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         Sums, added to: force component by branch component, row by row.
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, spread, table = kernel.kind, kernel.spread, kernel.table
+    kind, table = kernel.kind, kernel.table
     norm = kernel.norm if nodes.volumes is None else 1.0
     values, numbers = lists
     records = segments.records
@@ -389,7 +389,6 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                     elif points:
                         fill_gauss(
                             kind,
-                            spread,
                             table,
                             GAUSS_POINTS,
                             GAUSS_WEIGHTS,
@@ -401,7 +400,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                             w,
                         )
                     elif closed is not None:
-                        fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
+                        fill_segments(kind, table, length, along, q2, hits, w, *closed)
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
 
 

@@ -202,21 +202,6 @@ def prefetch(array, row):
     """Ask for the start of a row of an array, which need not be there, so that it is in cache when it is read."""
 
 
-def _low_bits_as_exponent(typingctx, number):
-    def generate(context, builder, signature, args):
-        whole = ir.IntType(64)
-        bits = builder.shl(builder.bitcast(args[0], whole), ir.Constant(whole, 52))
-        return builder.bitcast(bits, ir.DoubleType())
-
-    return types.float64(types.float64), generate
-
-
-@compiled_as(_low_bits_as_exponent)
-def low_bits_as_exponent(number):
-    """Float64 whose sign and exponent are the last twelve bits of another one."""
-    return (np.array(number, "float64").view("uint64") << np.uint64(52)).view("float64")[()]
-
-
 # --- memory that is named by its address -----------------------------------------------------------------
 
 

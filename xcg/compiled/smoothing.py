@@ -9,13 +9,13 @@ n axes. With P(q) the profile (q = r / cutoff, zero for q >= 1),
 
 and the same three hold for kernels of any k. Integrals along segments are in `xcg.compiled.lines`.
 
-A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in
+Lucy and Heaviside have formulas, and all other kernels, Gaussians among them, a table of
+polynomials. A kind is the code of a kernel + its codimension. The kind of Lucy's kernel itself, in
 codimension 0, is `LUCY_FULL`, which is None: the compiler knows None by its type, and leaves all
 other kernels out of the loops that most scenes take, which then compile in half the time. In the
-same way the table of most kernels is `PLAIN`, which is None: nothing is compiled for them of a
-Gaussian whose value at the cutoff is taken off, which has any array for a table, nor of registered
-kernels, whose spread is `TABULATED`, also None. (The compiler leaves out what follows a test for
-None only where an argument is None: so functions for tables begin with that test.)
+same way the table of kernels with formulas is `PLAIN`, which is None. (The compiler leaves out what
+follows a test for None only where an argument is None: so functions for tables begin with that
+test.)
 """
 
 import math
@@ -25,15 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
-from xcg.compiled.elementary import erf, exp, expm1
 from xcg.compiled.polynomials import lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
-LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
+LUCY, HEAVISIDE, TABLE = 0, 3, 6
 LUCY_FULL = None
 PLAIN = None  # in place of a table
-TABULATED = None  # in place of a spread
 
 
 class KernelCode(NamedTuple):
@@ -43,17 +41,13 @@ class KernelCode(NamedTuple):
     ----------
     kind : int or None
         Code + codimension, or `LUCY_FULL`.
-    spread : float or None
-        Width over cutoff, which a Gaussian needs; `TABULATED` for a `TABLE`.
     table : (3, intervals, PIECE), or None
-        Polynomials of a `TABLE`, see `tabulated`, and its `SHELLS`; any array for a shifted
-        Gaussian; `PLAIN` for other kinds.
+        Polynomials of a `TABLE`, see `tabulated`, and its `SHELLS`; `PLAIN` for other kinds.
     norm : float
         Factor to the values.
     """
 
     kind: int | None
-    spread: float | None
     table: NDArray | None
     norm: float
 
@@ -67,7 +61,6 @@ class CellKernel(NamedTuple):
     """
 
     kind: int | None
-    spread: float | None
     table: NDArray | None
     norm: float
     rims: NDArray
@@ -81,88 +74,28 @@ PIECE = 8  # coefficients of a piece of a table: a line of cache
 # (`xcg.compiled.polynomials`). Without any, lines are left to quadrature.
 SHELLS = 2
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
-SQRT2 = math.sqrt(2.0)
-SQRT_PI_2 = math.sqrt(math.pi / 2)
-
-# --- the shifted Gaussian: P = exp(-q^2 / 2 s^2) - exp(-1 / 2 s^2), with s the spread ------------------------
-
-_SERIES = 25  # terms that reach rounding for arguments up to 1
-
-
-@inlined
-def above_edge(per_s2, q2):
-    """P of the spread s, with per_s2 = 1 / s^2: a product, as a difference has no digits close to the rim."""
-    return -exp(-0.5 * per_s2 * q2) * expm1(-0.5 * per_s2 * (1.0 - q2))
-
-
-@inlined
-def along_line(per_s2, q2):
-    """Integral of exp(-q^2 / 2 s^2) inside the support over a line at squared distance q2."""
-    half = math.sqrt(0.5 * per_s2 * max(0.0, 1.0 - q2))
-    return 2.0 * SQRT_PI_2 / math.sqrt(per_s2) * erf(half) * exp(-0.5 * per_s2 * q2)
-
-
-@inner
-def _shifted_value(kind, spread, q2):
-    """L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
-    s2 = spread * spread
-    y = 0.5 * (1.0 - q2) / s2
-    edge = exp(-0.5 / s2)
-    if kind == GAUSSIAN + 1:
-        x = math.sqrt(y)
-        total = SQRT_PI_2 * exp(-0.5 * q2 / s2) * erf(x) - SQRT2 * x * edge
-        # sqrt(pi) exp(x^2) erf(x) = 2 x sum (2 x^2)^n / (2 n + 1)!!, less its first term
-        if y < 1.0:
-            term, total = SQRT2 * x * edge, 0.0
-            for n in range(1, _SERIES):
-                term *= 2.0 * y / (2.0 * n + 1.0)
-                total += term
-        return 2.0 * spread * total
-    total = exp(-0.5 * q2 / s2) - edge * (1.0 + y)
-    if y < 1.0:  # the series of exp, less its first two terms
-        term, total = edge * y, 0.0
-        for n in range(2, _SERIES):
-            term *= y / n
-            total += term
-    return 2.0 * math.pi * s2 * total
-
-
-@inner
-def _shifted_gradient(kind, spread, q2):
-    """As `gradient`: exact up to the rim, where the value ends at zero and its slope jumps in codimension 0."""
-    per_s2 = 1.0 / (spread * spread)
-    if kind == GAUSSIAN + 2:
-        return -2.0 * math.pi * above_edge(per_s2, q2)
-    return -per_s2 * (exp(-0.5 * per_s2 * q2) if kind == GAUSSIAN else along_line(per_s2, q2))
-
 
 # --- value and gradient ----------------------------------------------------------------------------------
 
 
 @leaf
-def value(kind, spread, table, q2):
-    """Value at squared distance q2 < 1 (cutoff 1, not normalised); `spread` is w / c of the Gaussian."""
+def value(kind, table, q2):
+    """Value at squared distance q2 < 1 (cutoff 1, not normalised)."""
     if kind is LUCY_FULL:
         q = math.sqrt(q2)
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
-    if spread is TABULATED:
-        return tabulated(kind, table, 0, q2)
-    if table is not PLAIN:
-        if kind == GAUSSIAN:
-            return above_edge(1.0 / (spread * spread), q2)
-        return _shifted_value(kind, spread, q2)
-    per_s2 = 1.0 / (spread * spread)
+    if table is PLAIN:
+        return _plain_value(kind, q2)
+    return tabulated(kind, table, 0, q2)
+
+
+@inlined
+def _plain_value(kind, q2):
     if kind == LUCY + 1:
         return lucy_line_value(q2, False)
     if kind == LUCY + 2:
         return 2.0 * math.pi * lucy_plane_value(q2)
-    if kind == GAUSSIAN:
-        return exp(-0.5 * per_s2 * q2)
-    if kind == GAUSSIAN + 1:
-        return along_line(per_s2, q2)
-    if kind == GAUSSIAN + 2:
-        return 2.0 * math.pi * spread * spread * above_edge(per_s2, q2)
     if kind == HEAVISIDE:
         return 1.0
     if kind == HEAVISIDE + 1:
@@ -171,7 +104,7 @@ def value(kind, spread, table, q2):
 
 
 @leaf
-def gradient(kind, spread, table, q2):
+def gradient(kind, table, q2):
     """Return the derivative of the value by q, divided by q; the gradient is this times the vector r / c.
 
     Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a
@@ -180,18 +113,17 @@ def gradient(kind, spread, table, q2):
     if kind is LUCY_FULL:
         p = 1.0 - math.sqrt(q2)
         return -12.0 * p * p
-    if spread is TABULATED:
-        return tabulated(kind, table, 1, q2)
-    if table is not PLAIN:
-        return _shifted_gradient(kind, spread, q2)
+    if table is PLAIN:
+        return _plain_gradient(kind, q2)
+    return tabulated(kind, table, 1, q2)
+
+
+@inlined
+def _plain_gradient(kind, q2):
     if kind == LUCY + 1:
         return lucy_line_value(q2, True)
     if kind == LUCY + 2:
-        return -2.0 * math.pi * value(LUCY_FULL, spread, table, q2)
-    if kind in (GAUSSIAN, GAUSSIAN + 1):
-        return -value(kind, spread, table, q2) / (spread * spread)
-    if kind == GAUSSIAN + 2:
-        return -2.0 * math.pi * exp(-0.5 * q2 / (spread * spread))
+        return -2.0 * math.pi * value(LUCY_FULL, PLAIN, q2)
     if kind == HEAVISIDE:
         return 0.0
     if kind == HEAVISIDE + 1:
@@ -228,7 +160,7 @@ def interpolate(table, row, q2):
 
 
 @inner
-def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
+def fill_values(kind, table, norm, by_gradient, q2, count, out):
     """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise.
 
     At the rim rounding may leave a squared distance above 1, where the roots of chords are not
@@ -236,41 +168,32 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     """
     if by_gradient is not None:
         for k in range(count):
-            out[k] = norm * gradient(kind, spread, table, min(q2[k], 1.0))
+            out[k] = norm * gradient(kind, table, min(q2[k], 1.0))
     elif kind is LUCY_FULL:
         for k in range(padded(count)):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
-    elif spread is TABULATED:
-        for k in range(count):
-            out[k] = norm * tabulated(kind, table, 0, min(q2[k], 1.0))
-    elif kind == GAUSSIAN:
-        per_s2 = 1.0 / (spread * spread)
-        for k in range(padded(count)):
-            out[k] = norm * (
-                exp(-0.5 * per_s2 * q2[k]) if table is PLAIN else above_edge(per_s2, q2[k])
-            )
     elif kind == HEAVISIDE:
         for k in range(padded(count)):
             out[k] = norm
     else:
         for k in range(count):
-            out[k] = norm * value(kind, spread, table, min(q2[k], 1.0))
+            out[k] = norm * value(kind, table, min(q2[k], 1.0))
 
 
 @inner
-def _at(kind, spread, table, r2):
+def _at(kind, table, r2):
     """Value at any squared distance, zero from 1 on; Lucy's in the precision of `r2` and without a branch."""
     if kind is LUCY_FULL:
         q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
         p = np.float32(1.0) - q
         return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
-    return value(kind, spread, table, max(0.0, r2)) if r2 < 1.0 else 0.0
+    return value(kind, table, max(0.0, r2)) if r2 < 1.0 else 0.0
 
 
 @leaf
-def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, count, out):
+def fill_gauss(kind, table, points, weights, order, length, along, q2, count, out):
     """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
 
     A node lies at squared distance q2 from the start of its segment, and its foot at `along` from
@@ -286,8 +209,8 @@ def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, c
             r2, t = q2[k], along[k]
             a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
             c, d = r2 + u1 * (u1 - two * t), r2 + u2 * (u2 - two * t)
-            outer = _at(kind, spread, table, a) + _at(kind, spread, table, b)
-            out[k] = w * outer + w1 * (_at(kind, spread, table, c) + _at(kind, spread, table, d))
+            outer = _at(kind, table, a) + _at(kind, table, b)
+            out[k] = w * outer + w1 * (_at(kind, table, c) + _at(kind, table, d))
     else:
         for k in range(room):
             out[k] = real(0.0)
@@ -297,27 +220,27 @@ def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, c
             w = real(weights[order, g] * (0.5 if g == last - g else 1.0))
             for k in range(room):
                 a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
-                out[k] += w * (_at(kind, spread, table, a) + _at(kind, spread, table, b))
+                out[k] += w * (_at(kind, table, a) + _at(kind, table, b))
 
 
 # --- arrays of points ------------------------------------------------------------------------------------
 
 
 @jit
-def sample(kind, spread, table, q, derivative):
+def sample(kind, table, q, derivative):
     """Values, or derivatives with respect to q, at distances q (n,); zero at and beyond the cutoff."""
     out = np.zeros(q.size)
     for i in range(q.size):
         if q[i] < 1.0:
             if derivative:
-                out[i] = q[i] * gradient(kind, spread, table, q[i] * q[i])
+                out[i] = q[i] * gradient(kind, table, q[i] * q[i])
             else:
-                out[i] = value(kind, spread, table, q[i] * q[i])
+                out[i] = value(kind, table, q[i] * q[i])
     return out
 
 
 @jit
-def weighted_means(kind, spread, table, values, place, radius):
+def weighted_means(kind, table, values, place, radius):
     """Means of values (m, k) of cells, weighted by the kernel about places (n, 2).
 
     Places are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of
@@ -336,7 +259,7 @@ def weighted_means(kind, spread, table, values, place, radius):
             ):
                 q2 = ((i - x) * (i - x) + (j - y) * (j - y)) / (radius * radius)
                 if q2 < 1.0:
-                    weight = value(kind, spread, table, q2)
+                    weight = value(kind, table, q2)
                     total += weight
                     out[n] += weight * values[i, j]
         out[n] /= total

@@ -189,7 +189,7 @@ class Pictures:
         """Return the Python call that makes the picture."""
         several = choice.view == "profile" and len(axes_of(self.ds)) > 1
         averaged = f".cg.profile({choice.axes[0]!r})" if several else ""
-        drawing = _written("plot", {"field": choice.field, **self._drawing(choice)})
+        drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
         return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{drawing}"
 
 
@@ -295,9 +295,9 @@ class ScenePictures(Pictures):
     def call(self, choice: Choice) -> str:
         """Return the Python calls that make the picture."""
         request = {"fields": choice.field, **self._request(choice)}
-        drawing = _written("plot", {"field": choice.field, **self._drawing(choice)})
+        drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
         scene = f"{self.name}{self._selection(choice.time)}"
-        return f"f = {scene}.cg.{_written('coarse_grain', request)}\nf.cg.{drawing}"
+        return f"f = {scene}.cg.{written_call('coarse_grain', request)}\nf.cg.{drawing}"
 
     def grains(self, choice: Choice) -> tuple[Mapping[str, NDArray], int]:
         """Return circles of the grains of a step on a map, and the number of grains.
@@ -351,7 +351,7 @@ class ScenePictures(Pictures):
         return {"width": found["width"].to_numpy() / self.size, **values}
 
 
-def _written(function: str, given: Mapping[str, Any]) -> str:
+def written_call(function: str, given: Mapping[str, Any]) -> str:
     """Return a call as text, one argument a line where there are several."""
     arguments = [format_call("", {name: value})[1:-1] for name, value in given.items()]
     if len(arguments) < 3:

@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.plots import may_diverge
 from xcg.common import drawing
 from xcg.common.checks import extra
-from xcg.scene.frame import evenly_spaced
+from xcg.scene.frame import evenly_spaced, with_rising
 from xcg.scene.schema import COMPONENTS
 
 LONGEST = 520  # pixels of the longer side of a map
@@ -93,6 +94,7 @@ class Map:
     def draw(self, numbers: xr.DataArray) -> None:
         """Draw numbers (up, across). The view stays as the user zoomed it while the axes stay."""
         up, across = (str(dim) for dim in numbers.dims)
+        numbers = with_rising(numbers, (up, across))
         for axis in (across, up):
             if numbers.sizes[axis] > 2:
                 evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
@@ -100,6 +102,10 @@ class Map:
         x, width = edges_across[0], edges_across[-1] - edges_across[0]
         y, height = edges_up[0], edges_up[-1] - edges_up[0]
         known = values[np.isfinite(values)]
+        label = label_of(numbers, str(numbers.name))
+        if may_diverge(numbers):
+            known, note = drawing.without_tail(known)
+            label += note
         colours = drawing.colours_of(known, None, None, None)
         palette = self._palettes.Viridis256
         if colours["cmap"] != "viridis":
@@ -117,7 +123,7 @@ class Map:
             figure.frame_height = max(SHORTEST, round(LONGEST * height / longest))
         figure.xaxis.axis_label = label_of(numbers[across], across)
         figure.yaxis.axis_label = label_of(numbers[up], up)
-        figure.title.text = _title(label_of(numbers, str(numbers.name)), place_of(numbers))
+        figure.title.text = _title(label, place_of(numbers))
 
     def draw_grains(self, circles: Mapping[str, NDArray], count: int) -> None:
         """Draw circles of grains, of `count` in all."""
@@ -214,7 +220,7 @@ class Errors:
         (legend,) = self.figure.legend
         legend.orientation = "horizontal"
         self.figure.add_layout(legend, "below")
-        self.figure.title.text = "errors are computed ..."  # an empty title would have no room
+        self._set_title("errors are computed ...")
 
     def draw(self, errors: Mapping[str, NDArray], width: float) -> None:
         """Draw the errors of widths (in d43) by their names, and mark the present width."""
@@ -230,7 +236,7 @@ class Errors:
     def refuse(self, message: str) -> None:
         """Show in place of errors why they are unknown."""
         self.lines.data = _EMPTY_LINES
-        self.figure.title.text = textwrap.fill(message, LETTERS // 2)
+        self._set_title(message)
 
     def mark(self, width: float) -> None:
         """Mark the present width (d43), with its errors in the title."""
@@ -243,4 +249,11 @@ class Errors:
             error = np.interp(np.log(width), np.log(widths), values, np.nan, np.nan)
             if np.isfinite(error):
                 found.append(f"{name} {100 * error:.3g}\N{NO-BREAK SPACE}%")
-        self.figure.title.text = textwrap.fill(", ".join(found), LETTERS // 2)
+        self._set_title(", ".join(found))
+
+    def _set_title(self, text: str) -> None:
+        """Set the title, of two lines or more: browsers may keep the room of a shorter one before."""
+        lines = textwrap.wrap(text, LETTERS // 2)
+        if len(lines) < 2:
+            lines.append(" ")
+        self.figure.title.text = "\n".join(lines)

@@ -178,8 +178,14 @@ def _compute_step(
     )
     if grid.undirected.size:
         for name, values in rows.items():
-            if registry.row(name, plan.options).rank:
+            rank = registry.row(name, plan.options).rank
+            if rank:  # what is along the axis alone has a direction there
+                along: Any = (grid.undirected, ..., *(2,) * rank)
+                known = values[along]
                 values[grid.undirected] = np.nan
+                values[along] = known
+    if plan.is_narrow:
+        return  # the plan has warned of the cause of what follows
     if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
     # extent=1 m asks for an integral in place of an average: no warning
@@ -191,6 +197,9 @@ def _compute_step(
         _warn_of_fraction(
             plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source
         )
+
+
+_NARROW = "narrow kernel"  # a cause that both warnings have, and that one of them tells
 
 
 def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
@@ -207,14 +216,16 @@ def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str
         or "the only node"
     )
     alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
+    about = "volume fraction"
     cause = "grains overlap, or their sizes, or the length of an average (extent=, thickness=), are not right"
     if alone > 0.5:
+        about = _NARROW
         cause = (
             f"the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g}: increase "
             f"width= (it is {kernel.width:.3g}), or give each group its own with by= and width={{group: width}}"
         )
     warn_once(
-        "volume fraction",
+        about,
         f"{source}: the volume fraction is {fraction.max():.3g} at {place}: {cause}",
     )
 
@@ -225,7 +236,7 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
         known = np.count_nonzero(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]))
         if 2 * known < reached:
             warn_once(
-                "temperature",
+                _NARROW,
                 f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. "
                 f"Increase width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
             )

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
-from xcg.common.messages import warn_user
+from xcg.common.messages import warn_once, warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
@@ -178,23 +178,31 @@ def warn_of_width(
 ) -> None:
     """Warn of a kernel that sees single grains or is larger than the `extent` of all (m), or of another unit."""
     if width > _WIDE * sizes.get("dmax", np.inf):
-        warn_user(
-            f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths"
+        warn_once(
+            "width",
+            f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths",
         )
     elif width > extent > 0 and extent > 2 * sizes.get("dmax", np.inf):
-        warn_user(
+        warn_once(
+            "width",
             f"width={width:.4g} is larger than the scene, whose grains extend over {extent:.4g}: fields hardly vary, "
-            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)"
+            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)",
         )
-    usual = {"d43": "the grains", "dmax": "the largest grains"}
-    for size, whose in ({"dmin": "the smallest grains"} if of_groups else usual).items():
-        if size in sizes and width < _NARROW * sizes[size]:
-            warn_user(
-                f"width={width:.4g} is {width / sizes[size]:.2g} of the diameter of {whose} ({sizes[size]:.4g}): the "
-                "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1); "
-                "the usual choice is 0.75 mean diameters, see the page on width"
-            )
-            return
+    size = undercut_size(width, sizes, of_groups=of_groups)
+    if size:
+        whose = {"d43": "the grains", "dmax": "the largest grains", "dmin": "the smallest grains"}
+        warn_once(
+            "width",
+            f"width={width:.4g} is {width / sizes[size]:.2g} of the diameter of {whose[size]} ({sizes[size]:.4g}): the "
+            "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1, "
+            "too few particles per node); the usual choice is 0.75 mean diameters, see the page on width",
+        )
+
+
+def undercut_size(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> str | None:
+    """Return the size beside which a kernel is so narrow that it sees single grains; None if there is none."""
+    compared = ("dmin",) if of_groups else ("d43", "dmax")
+    return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
 def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
@@ -206,9 +214,10 @@ def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
         room = high - low + reach
         beyond = [x for x in grid.cuts.get(a, ()) if not low - room <= x <= high + room]
         if beyond:
-            warn_user(
+            warn_once(
+                f"cut along {a}",
                 f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
-                f"{a!r}: fields are those of the image inside; check the units of lengths"
+                f"{a!r}: fields are those of the image inside; check the units of lengths",
             )
 
 
@@ -219,14 +228,16 @@ def check_differentiable(kernel: Kernel, seen: int) -> None:
             "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
         )
     if kernel.smoothness == 0:
-        warn_user(
+        warn_once(
+            "kernel of gradients",
             f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
-            "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones"
+            "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones",
         )
     elif not kernel.differentiable:
-        warn_user(
+        warn_once(
+            "kernel of gradients",
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
-            "cut at 3 w); take Lucy, or gradient='least_squares'"
+            "cut at 3 w); take Lucy, or gradient='least_squares'",
         )
 
 

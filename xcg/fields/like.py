@@ -13,6 +13,7 @@ import xarray as xr
 from xcg.common.messages import SceneError
 from xcg.fields.request import Request
 from xcg.scene.facts import require_facts, with_facts
+from xcg.scene.frame import with_rising
 from xcg.scene.schema import COMPONENTS
 
 _SAME_NODES = 1e-9  # of the spacing
@@ -68,6 +69,7 @@ def request_like(request: Request) -> Request:
 
 def _nodes(f: xr.Dataset) -> dict[str, Any]:
     """Return the arguments that lay the nodes of a result."""
+    f = with_rising(f, COMPONENTS)
     at: dict[str, Any] = {}
     bounds: dict[str, tuple[float, float]] = {}
     spacing: dict[str, float] = {}
@@ -99,6 +101,7 @@ def with_nodes_of(f: xr.Dataset, like: xr.Dataset) -> xr.Dataset:
     SceneError
         If nodes differ by more than rounding.
     """
+    like = with_rising(like, COMPONENTS)
     nodes: dict[Hashable, xr.DataArray] = {}
     for a in COMPONENTS:
         if a not in f.dims or a not in like.dims:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xcg.common.messages import unknown, warn_user
+from xcg.common.messages import unknown, warn_once
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
@@ -27,6 +27,7 @@ from xcg.fields.layout import (
     kernels_of,
     nodes_of,
     takes_gradient,
+    undercut_size,
     warn_of_cuts,
     warn_of_width,
 )
@@ -68,6 +69,8 @@ class Plan:
         What holds for the whole scene.
     rtol : float
         Promise for the contact stress.
+    is_narrow : bool
+        Whether the kernel is so narrow that it sees single grains; the plan warns of it.
     effective_count : float, optional
         Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction
         `DENSE`; None where d43 or the box is not known. Estimated by `explain` alone.
@@ -90,6 +93,7 @@ class Plan:
     depth: float | str | None
     setup: Setup
     rtol: float
+    is_narrow: bool = False
     effective_count: float | None = None
     walls: str | None = None
 
@@ -228,12 +232,9 @@ def make_plan(scene: Description, request: Request) -> Plan:
         )
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
-    warn_of_width(
-        min(k.width for k in kernels),
-        scene.sizes,
-        _extent_of(scene),
-        of_groups=isinstance(request.width, Mapping),
-    )
+    narrowest = min(k.width for k in kernels)
+    of_groups = isinstance(request.width, Mapping)
+    warn_of_width(narrowest, scene.sizes, _extent_of(scene), of_groups=of_groups)
     grid = nodes_of(scene, request, kernels)
     if grid.cuts:
         warn_of_cuts(grid, scene, widest.cutoff)
@@ -273,6 +274,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
         depth=scene.layer_depth,
         setup=scene.setup,
         rtol=rtol,
+        is_narrow=undercut_size(narrowest, scene.sizes, of_groups=of_groups) is not None,
     )
 
 
@@ -328,9 +330,10 @@ def _fields_and_options(
     if options.averaged_gradient == "unknown" and (
         lost := [name for name in asked if takes_gradient(name, options)]
     ):
-        warn_user(
+        warn_once(
+            "unknown gradients",
             f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
-            "from: resolve the axis that it varies along, axes='z' for example, and average the result"
+            "from: resolve the axis that it varies along, axes='z' for example, and average the result",
         )
     return names, asked, options
 

@@ -27,6 +27,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.checks import check_choice, is_finite, is_positive
+from xcg.common.messages import active_call
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
 from xcg.fields.grids.walls import Wall
@@ -336,9 +337,9 @@ def takes(
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            result = function(
-                scene, request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
-            )
+            asked = request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
+            with active_call().active():
+                result = function(scene, asked)
             return result if scene is ds else as_selected(result, ds)
 
         parameters = [

@@ -27,8 +27,8 @@ from xcg.scene.schema import Frame, periodic_axes
 
 def scene_from_table(
     particles: Any,
-    *,
     contacts: Any = None,
+    *,
     names: Mapping[str, str | None] | None = None,
     **options: Any,
 ) -> xr.Dataset:

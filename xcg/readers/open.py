@@ -28,9 +28,9 @@ from xcg.steps.faults import OnError
 
 def open_scene(
     particles: Paths,
-    *,
     contacts: Paths | None = None,
     walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
+    *,
     engine: str | Engine | type[Engine] | None = None,
     names: Mapping[str, Any] | Sequence[str | None] | str | None = None,
     times: ArrayLike | None = None,

@@ -31,6 +31,7 @@ from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS
 
 _MOST_ROWS_OF_MOTION = 20_000  # particles of the second step, if it is read for a comparison alone
+_SAME_PERIOD = 1e-3  # relative difference of periods, of positions in single precision
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 
 
@@ -394,7 +395,53 @@ def _boxes(
     for step, ref in enumerate(refs):
         of_step = {name: values[step] for name, values in boxes.items()}
         Lattice.of(of_step, setup.periodic, source_of(ref))  # checks it
+    if arguments.box is not None and refs[0].box is None:
+        _compare_with_contacts(boxes["box"], arguments, listing, setup)
     return boxes
+
+
+def _compare_with_contacts(
+    box: NDArray, arguments: Arguments, listing: Listing, setup: Setup
+) -> None:
+    """Warn if edges (t, 3, 2) that the caller gave are not a period apart, as contacts across an edge tell it."""
+    parts = [(row, part) for row, step in enumerate(listing.steps) for part in _parts_of(step)]
+    row, ref = next(((row, part) for row, part in parts if part.rows), (0, None))
+    if ref is None:
+        return
+    periods = _periods_from([ref], arguments, listing, setup.periodic)
+    unit = setup.scales[0]
+    for axis in setup.periodic:
+        k = COMPONENTS.index(axis)
+        length = float(box[row, k, 1] - box[row, k, 0]) / unit
+        if axis in periods and abs(length - periods[axis]) > _SAME_PERIOD * periods[axis]:
+            warn_user(
+                f"box=: the period along {axis!r} is {length:.7g}, and contacts on both sides of an edge in "
+                f"{source_of(ref)} are {periods[axis]:.7g} apart (in the files' unit); correct box=, or leave "
+                f"{axis!r} out of periodic= if these contacts are not across an edge"
+            )
+
+
+def _parts_of(step: Step) -> list[StepRef]:
+    """Return the files of contacts of a step."""
+    return [part for ref in step.contacts for part in ref.parts]
+
+
+def _periods_from(
+    refs: Sequence[StepRef], arguments: Arguments, listing: Listing, periodic: str
+) -> dict[str, float]:
+    """Return periods in the files' unit, from the first contacts that tell each of them."""
+    periods: dict[str, float] = {}
+    for ref in refs:
+        if set(periodic) <= set(periods):
+            break
+        try:
+            recovered = listing.reader.recover_periods(ref, listing.options)
+        except FAULTS:
+            if arguments.on_error == "raise":
+                raise
+            continue  # others may tell it
+        periods = {**recovered, **periods}
+    return periods
 
 
 def _straight(ref: StepRef) -> list[list[float]]:
@@ -410,18 +457,8 @@ def _recovered_box(
 
     Edges are put about the middle of the grains: sums over images depend on the period alone.
     """
-    periods: dict[str, float] = {}
-    refs = [part for step in listing.steps for ref in step.contacts for part in ref.parts]
-    for ref in refs[:_RECOVERY_STEPS]:
-        if set(periodic) <= set(periods):
-            break
-        try:
-            recovered = listing.reader.recover_periods(ref, listing.options)
-        except FAULTS:
-            if arguments.on_error == "raise":
-                raise
-            continue  # others may tell it
-        periods = {**recovered, **periods}  # the first one that tells an axis counts
+    refs = [part for step in listing.steps for part in _parts_of(step)]
+    periods = _periods_from(refs[:_RECOVERY_STEPS], arguments, listing, periodic)
     if not periodic or set(periodic) - set(periods):
         return None
     positions = [frame["position"] for frame in ends.values() if len(frame["position"])]

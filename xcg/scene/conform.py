@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import Once, SceneError, did_you_mean
+from xcg.common.messages import Once, SceneError, active_call, did_you_mean
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.schema import (
     BOX,
@@ -49,7 +49,8 @@ def takes_scene(task: Task[P, R]) -> Task[P, R]:
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
         scene = conformed(task.__name__, signature, ds, args, options)
-        result = task(scene, *args, **options)
+        with active_call().active():
+            result = task(scene, *args, **options)
         return result if scene is ds else as_selected(result, ds)
 
     return cast("Task[P, R]", call)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -27,6 +27,8 @@ from xcg.scene.schema import (
     units_in,
     variable,
 )
+
+T = TypeVar("T", xr.Dataset, xr.DataArray)
 
 
 def _require_numbers(times: NDArray, purpose: str) -> None:
@@ -107,6 +109,13 @@ def evenly_spaced(values: NDArray, what: str) -> float:
             f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
         )
     return float((values[-1] - values[0]) / len(steps))
+
+
+def with_rising(f: T, dims: Iterable[str]) -> T:
+    """Sort data along dimensions whose coordinates do not rise, as after ``isel(x=slice(None, None, -1))``."""
+    indexes = {dim: f.indexes[dim] for dim in dims if dim in f.indexes}
+    others = [dim for dim, index in indexes.items() if not index.is_monotonic_increasing]
+    return f.sortby(others) if others else f
 
 
 def with_time(ds: xr.Dataset) -> xr.Dataset:

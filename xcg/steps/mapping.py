@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import Once
+from xcg.common.messages import Once, active_call
 from xcg.compiled._jit import is_interactive
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 
@@ -67,7 +67,8 @@ def map_over_time(
     dict
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
-    once, variables = Once(), ds.variables
+    once = active_call()  # a function that maps several times warns once
+    variables = ds.variables
     inputs = {
         name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
         for name in names

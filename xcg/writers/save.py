@@ -152,8 +152,7 @@ def save(
         its process ends. For NetCDF, HDF5, Zarr and VTKHDF.
     progress : bool, optional
         Show the progress on the standard error: always or never. By default in a terminal or
-        notebook where it takes longer than two seconds. Only lazy variables are counted, except
-        variables that a cluster computes.
+        notebook where it takes longer than two seconds. Only lazy variables are counted.
 
     Returns
     -------

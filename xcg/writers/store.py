@@ -262,13 +262,16 @@ def write_file(
     resume: bool = False,
     progress: bool | None = False,
 ) -> None:
-    """Write one file; `progress` as in `xcg.steps.mapping.shown`, where tasks on a cluster are not seen."""
+    """Write one file; `progress` as in `xcg.steps.mapping.shown`."""
     work = path.with_name(f".{path.name}.begun") if resume else None
-    steps = write_files([Output(ds, {path: kind}, encoding)], overwrite=overwrite, work=work)
+    output = Output(ds, {path: kind}, encoding)
+    # callbacks of dask count the tasks of this process, and those of a cluster report by themselves
+    batch = None if client() is None else 1
+    steps = write_files([output], overwrite=overwrite, work=work, batch=batch)
     done = next(steps)
     with shown(ds.sizes.get("time", 1), progress, done=done) as bar, count_tasks(bar, _writes):
-        for _ in steps:
-            pass
+        for written in steps:
+            bar.update(written - bar.n)
 
 
 def write_files(

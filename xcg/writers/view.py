@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -11,11 +12,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.chain_results import require_chains, steps_of
+from xcg.analysis.plots import without_air
 from xcg.common.checks import extra
+from xcg.common.drawing import check_ends
 from xcg.common.messages import unknown
 from xcg.scene.conform import conform
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
+from xcg.scene.schema import COMPONENTS
 from xcg.writers.chains import VTK_VARIABLES, polydata_of
 from xcg.writers.paraview import image_of
 from xcg.writers.vtkhdf import arrays_of, checked
@@ -34,10 +38,11 @@ _BAR = {
     "position_y": 0.25,
     "width": 0.05,
     "height": 0.5,
-    "fmt": "%.3g",
+    "fmt": "%.4g",
     "title_font_size": 20,
     "label_font_size": 18,
 }
+_TICKS = 5  # steps between the ends of a bar, about
 _LETTERS = 14  # in a line of the title of a bar
 
 
@@ -240,8 +245,9 @@ def view(
 ) -> pyvista.Plotter:
     """Draw one step of a result, a scene or force chains in 3D, with PyVista.
 
-    A volume is cut along three planes through its middle, without nodes where the field is unknown;
-    a plane is drawn in space. A scene is its grains, a result of `force_chains` its links.
+    A volume is cut along three planes through its middle, without nodes where the field is unknown
+    or no grains are; a plane is drawn in space. Boxes end where grains do, except along periodic
+    axes. A scene is its grains, a result of `force_chains` its links.
 
     Parameters
     ----------
@@ -320,7 +326,24 @@ def view(
     target.add_axes()
     if plotter is None:
         target.show()
+        _show_once(target)
     return target
+
+
+def _show_once(plotter: Any) -> None:
+    """Keep a notebook from repeating a picture, as the result of the cell that has shown it."""
+    ipython: Any = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython else None
+    if shell is None:
+        return
+    cell = shell.execution_count
+
+    def display(**_: Any) -> None:
+        if shell.execution_count != cell:
+            del plotter._ipython_display_
+            ipython.display.display(plotter)
+
+    plotter._ipython_display_ = display
 
 
 def _draw(
@@ -337,18 +360,38 @@ def _draw(
         size = mesh[array] if mesh[array].ndim == 1 else np.linalg.norm(mesh[array], axis=1)
         others = dict(style)
         low, high = others.pop("vmin"), others.pop("vmax")
+        low = np.nanmin(size) if low is None else low
+        high = np.nanmax(size) if high is None else high
+        check_ends(low, high, style["vmin"], style["vmax"])
         drawn = plotter.add_mesh(
-            mesh,
-            scalars=array,
-            clim=(
-                np.nanmin(size) if low is None else low,
-                np.nanmax(size) if high is None else high,
-            ),
-            scalar_bar_args=_BAR | {"title": title},
-            **others,
+            mesh, scalars=array, clim=(low, high), scalar_bar_args=_BAR | {"title": title}, **others
         )
+        bar = plotter.scalar_bars[title]
+        _put_ticks(bar, low, high)
+        table = drawn.mapper.lookup_table
+        if (size > high).any():
+            table.above_range_color = table.values[-1]
+            bar.SetAboveRangeAnnotation("above")
+            bar.DrawAboveRangeSwatchOn()
+        if (size < low).any():
+            table.below_range_color = table.values[0]
+            bar.SetBelowRangeAnnotation("below")
+            bar.DrawBelowRangeSwatchOn()
         # by the normals of spheres and tubes, which smooth_shading would compute anew
         drawn.prop.interpolation = "Gouraud"
+
+
+def _put_ticks(bar: Any, low: float, high: float) -> None:
+    """Write round numbers beside a bar, in place of numbers at even parts of it."""
+    from matplotlib.ticker import MaxNLocator  # comes with PyVista
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+
+    ticks = np.asarray(MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    margin = 1e-6 * (high - low)
+    inside = ticks[(ticks >= low - margin) & (ticks <= high + margin)]
+    if len(inside) > 1:
+        bar.SetCustomLabels(numpy_to_vtk(inside, deep=True))
+        bar.SetUseCustomLabels(True)
 
 
 def _draw_scene(
@@ -381,10 +424,19 @@ def _draw_scene(
                 f"contacts={contacts!r}: the scene has no contacts; ds.cg.find_contacts() finds them"
             )
         _draw(plotter, blocks[block], array, blocks[block].user_dict["units"], style)
+    bounds = np.reshape(blocks["particles"].bounds, (3, 2))
     if "box" in blocks.keys():  # noqa: SIM118
-        plotter.add_mesh(blocks["box"], color="black", line_width=1)
+        box = blocks["box"]
+        points = np.array(box.points)
+        for k, axis in enumerate(COMPONENTS):
+            if axis not in str(
+                ds.attrs.get("periodic", "")
+            ):  # it may be much higher than the grains
+                points[:, k] = points[:, k].clip(*bounds[k])
+        box.points = points
+        plotter.add_mesh(box, color="black", line_width=1)
     plotter.view_isometric()
-    plotter.reset_camera(bounds=blocks["particles"].bounds)  # boxes may be much higher
+    plotter.reset_camera(bounds=bounds.ravel())
     plotter.camera_set = True
 
 
@@ -404,7 +456,8 @@ def _draw_field(
         dim: label for dim, label in part.items() if label is not None and dim in f[name].dims
     }
     try:
-        image: Any = to_pyvista(f[[name]].sel(chosen), index)
+        known_at = without_air(f, name)
+        image: Any = to_pyvista(known_at.to_dataset(name=name).sel(chosen), index)
     except KeyError as error:
         raise ValueError(f"{chosen}: {name!r} has no part of this name, {error}") from error
     resolved = sum(nodes > 1 for nodes in image.dimensions)
@@ -414,7 +467,9 @@ def _draw_field(
         )
     unknown_at = np.isnan(image[name].reshape(image.n_points, -1)).any(axis=1)
     known = image.extract_points(~unknown_at, adjacent_cells=False)
+    outline = known.outline()
     if resolved == 3 and known.n_points:
         known = known.slice_orthogonal(**dict(zip("xyz", image.center, strict=True))).combine()
     _draw(plotter, known, name, image.user_dict["units"], style | {"lighting": False})
-    plotter.add_mesh(image.outline(), color="black", line_width=1)
+    if known.n_points:
+        plotter.add_mesh(outline, color="black", line_width=1)

@@ -258,6 +258,11 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
     if nodes.size == 1:
         return 1, float(nodes[0]), 1.0
     spacing = (nodes[-1] - nodes[0]) / (nodes.size - 1)
+    if (np.diff(nodes) < 0).all():
+        raise ValueError(
+            f"coordinate '{axis}' falls from {nodes[0]:g} to {nodes[-1]:g}, and images of VTK rise: use "
+            f"fields.sortby('{axis}')"
+        )
     even = nodes[0] + spacing * np.arange(nodes.size)
     if not (spacing > 0 and np.abs(nodes - even).max() <= 1e-6 * spacing):
         row = int(np.argmax(np.abs(nodes - even)))

@@ -36,7 +36,7 @@ for f, mark, label in ((spheres, "x", "summed over spheres"), (bodies, "o", "sum
     ax.plot(-stress.sel(component="x"), f.z, f"C1{mark}", ms=4, label=rf"$-\sigma_{{xz}}$, {label}")
 ax.plot(weight_above(bodies, "z"), bodies.z, "k-", lw=1, label="weight above")
 ax.plot(weight_above(bodies, "x"), bodies.z, "k-", lw=1)
-ax.set(xlabel="stress [$m g / d^2$]", ylabel="height $z$ [$d$]")
+ax.set(xlabel="stress [$m g / d^2$]", ylabel="height $z$")
 ax.legend(fontsize=10)
 plt.show()
 

@@ -69,9 +69,7 @@ cut = ds.cg.coarse_grain(asked, at={"y": 0.0}, axes="xz", spacing=0.002).isel(ti
 filled = cut.volume_fraction > 0.2
 
 fig, ax = plt.subplots(figsize=(4.5, 7))
-cut.temperature.where(filled).plot(
-    ax=ax, x="x", y="z", cmap="coolwarm", cbar_kwargs={"label": "temperature [K]"}
-)
+cut[["temperature"]].where(filled).cg.plot(ax=ax, cmap="YlOrRd")
 q = cut.conduction_contact_heat.where(filled).isel(x=slice(1, None, 3), z=slice(1, None, 5))
 along, up = (q.sel(component=c).transpose("z", "x") for c in "xz")
 ax.quiver(

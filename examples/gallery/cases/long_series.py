@@ -63,7 +63,7 @@ ax.errorbar(
     ms=3,
     label="two standard errors",
 )
-ax.set(xlabel="velocity $V_x$ [$d/t$]", ylabel="height $z$ [$d$]")
+ax.set(xlabel="velocity $V_x$ [$d/t$]", ylabel="height $z$")
 ax.legend()
 shear, normal = (-mean.stress.sel(component=a, direction="z") for a in "xz")
 right.plot(shear, mean.z, label=r"$-\sigma_{xz}$")

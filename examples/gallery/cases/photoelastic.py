@@ -86,15 +86,15 @@ fig, axes = plt.subplots(1, 3, figsize=(10, 6), sharey=True, layout="constrained
 maps = {"by the tables": pressure(found), "by the simulation": pressure(known)}
 for ax, (title, p) in zip(axes, maps.items(), strict=False):
     image = ax.pcolormesh(p.x, p.y, p.T, vmin=0, vmax=3)
-    ax.set(title=title, xlabel="$x$ [$d$]", aspect="equal")
-fig.colorbar(image, ax=axes[:2], label="pressure over the applied stress")
+    ax.set(title=title, xlabel="$x$", aspect="equal")
+fig.colorbar(image, ax=axes[:2], label="pressure over the applied stress", extend="max")
 difference = maps["by the tables"] - maps["by the simulation"]
 image = axes[2].pcolormesh(
     difference.x, difference.y, difference.T, cmap="RdBu", vmin=-0.1, vmax=0.1
 )
-axes[2].set(title="difference", xlabel="$x$ [$d$]", aspect="equal")
-fig.colorbar(image, ax=axes[2], label="difference of the pressure")
-axes[0].set(ylabel="$y$ [$d$]")
+axes[2].set(title="difference", xlabel="$x$", aspect="equal")
+fig.colorbar(image, ax=axes[2], label="difference of the pressure", extend="min")
+axes[0].set(ylabel="$y$")
 plt.show()
 
 # %%

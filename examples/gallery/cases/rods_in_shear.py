@@ -61,7 +61,7 @@ left.legend()
 layers = rods.isel(time=[0, 5, 15, 59]).cg.coarse_grain(names, axes="z", width="2 d43").compute()
 for k, strain in enumerate((0, 5, 15, 59)):
     right.plot(layers.nematic_order.isel(time=k), layers.z, label=f"strain {strain}")
-right.set(xlabel="nematic order $S$", ylabel="height $z$ [$d$]", xlim=(0, 1))
+right.set(xlabel="nematic order $S$", ylabel="height $z$", xlim=(0, 1))
 right.legend(loc="lower left", framealpha=0.5)
 plt.show()
 

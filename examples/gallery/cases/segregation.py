@@ -32,7 +32,7 @@ c = large.concentration.where(bulk.volume_fraction > 0.2)
 plotter = pyvista.Plotter(shape=(1, 2))
 for k, step in enumerate((0, -1)):
     plotter.subplot(0, k)
-    ds.cg.view("diameter", index=step, cmap="coolwarm", plotter=plotter)
+    ds.cg.view("diameter", index=step, plotter=plotter)
     plotter.add_title(f"t = {float(ds.time[step]):.0f}", font_size=10)
 plotter.show()
 
@@ -43,7 +43,7 @@ fig, ax = plt.subplots()
 c.plot(
     x="time", ax=ax, vmin=0, vmax=1, cmap="RdYlBu", cbar_kwargs={"label": "share of large grains"}
 )
-ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$ [$d$]", ylim=(0, 22))
+ax.set(title="", xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$", ylim=(0, 22))
 plt.show()
 
 # %%
@@ -53,7 +53,7 @@ plt.show()
 fig, ax = plt.subplots()
 for k, style in ((0, ":"), (4, "--"), (8, "-")):
     ax.plot(c.isel(time=k), c.z, f"C0{style}", label=f"t = {float(c.time[k]):.0f}")
-ax.set(xlabel="share of large grains", ylabel="height $z$ [$d$]", xlim=(0, 1), ylim=(0, 22))
+ax.set(xlabel="share of large grains", ylabel="height $z$", xlim=(0, 1), ylim=(0, 22))
 ax.legend()
 plt.show()
 

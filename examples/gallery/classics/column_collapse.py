@@ -31,7 +31,7 @@ h = height(ds)
 fig, ax = plt.subplots()
 for step, shade in zip((0, 2, 3, 8), np.linspace(0.7, 0, 4), strict=True):
     ax.plot(h.x, h.isel(time=step), color=str(shade), label=f"{float(ds.time[step]):.0f}")
-ax.set(xlabel="$x$ [$d$]", ylabel="height [$d$]", xlim=(0, 160), ylim=0)
+ax.set(xlabel="$x$", ylabel="height", xlim=(0, 160), ylim=0)
 ax.legend(title=r"time [$\sqrt{d/g}$]")
 plt.show()
 
@@ -53,9 +53,9 @@ for step, shade in zip((1, 2, 3), (0.6, 0.3, 0), strict=True):
     axes[2].plot(
         u.x, alpha.isel(time=step).where(thick & (u.isel(time=step) > 0.5)), color=str(shade)
     )
-axes[0].set(ylabel="surface $h$ [$d$]", ylim=0)
+axes[0].set(ylabel="surface $h$", ylim=0)
 axes[1].set(ylabel=r"velocity [$\sqrt{gd}$]")
-axes[2].set(ylabel=r"shape factor $\alpha$", xlabel="$x$ [$d$]", xlim=(0, 160), ylim=(0.95, 1.6))
+axes[2].set(ylabel=r"shape factor $\alpha$", xlabel="$x$", xlim=(0, 160), ylim=(0.95, 1.6))
 axes[0].legend(title=r"time [$\sqrt{d/g}$]")
 plt.show()
 

@@ -23,14 +23,10 @@ lacey = ds.cg.microstructure("lacey_index", by="species", cell=3.0).lacey_index.
 
 fig, axes = plt.subplots(2, 2, sharex=True, sharey=True, figsize=(5.2, 5.6))
 for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
-    share = f.concentration.sel(phase=2).isel(time=step)
-    image = ax.pcolormesh(f.x, f.z, share.transpose("z", "x"), cmap="coolwarm", vmin=0, vmax=1)
-    ax.set(
-        title=f"$N$ = {float(turns[step]):.2g}",
-        aspect="equal",
-        xlabel="$x$ [$d$]",
-        ylabel="$z$ [$d$]",
-    )
+    f.cg.plot("concentration", index=step, phase=2, ax=ax, cmap="coolwarm", vmin=0, vmax=1)
+    ax.set_title(f"$N$ = {float(turns[step]):.2g}")
+    (image,) = ax.collections
+    image.colorbar.remove()  # one bar for all
     ax.label_outer()
 fig.colorbar(image, ax=axes, label="share of grains from the right half", location="bottom")
 plt.show()

@@ -31,13 +31,13 @@ fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 left.plot(g.r, g, drawstyle="steps-mid")
 left.axhline(1, color="0.6", ls=":")
 left.plot(1, expected, "ko", label="Carnahan & Starling")
-left.set(xlabel="distance $r$ [$d$]", ylabel="radial distribution $g$")
+left.set(xlabel="distance $r$", ylabel="radial distribution $g$")
 left.legend()
 right.plot(S.k, S)
 right.axhline(
     (1 - phi) ** 4 / (1 + 2 * phi) ** 2, color="k", ls="--", label="Percus & Yevick, $S(0)$"
 )
-right.set(xlabel="wavenumber $k$ [$1/d$]", ylabel="structure factor $S$")
+right.set(xlabel="wavenumber $k$", ylabel="structure factor $S$")
 right.legend()
 plt.show()
 
@@ -48,6 +48,15 @@ found = ds.cg.contact_value(1.3)
 measured = float(found.contact_value.mean("time"))
 error = float(found.contact_value.std("time")) / np.sqrt(found.sizes["time"])
 print(f"g(d) = {measured:.2f} +- {error:.2f}, Carnahan & Starling {expected:.2f}")
+
+# %%
+# ``bond_order`` compares the directions of the 12 nearest neighbours. If these are independent, the mean of
+# :math:`q_6^2` is 1/12. In a gas it is a little less, as neighbours keep apart from each other; in a face-centred cubic
+# crystal :math:`q_6` is 0.575.
+
+order = ds.cg.bond_order([6])
+root_mean_square = float(np.sqrt((order.q6**2).mean()))
+print(f"q6 = {root_mean_square:.3f}, independent directions {12**-0.5:.3f}")
 
 # %%
 # **For your own data, change** the name in ``xcg.datasets.open`` to your files. Along axes that are not periodic,

@@ -27,8 +27,8 @@ u = u.isel(time=0).compute()
 
 fig, ax = plt.subplots(figsize=(5.2, 6.5))
 image = ax.pcolormesh(u.x, u.y, u.shear_strain.transpose("y", "x"), vmin=0, vmax=0.3)
-fig.colorbar(image, label="shear strain, from 2 to 6 % of shortening")
-ax.set(xlabel="$x$ [$d$]", ylabel="$y$ [$d$]", aspect="equal")
+fig.colorbar(image, label="shear strain, from 2 to 6 % of shortening", extend="max")
+ax.set(xlabel="$x$", ylabel="$y$", aspect="equal")
 plt.show()
 
 # %%
@@ -49,7 +49,7 @@ coulomb = 45 + float(friction[1]) / 2
 fc = ds.isel(time=[1]).cg.force_chains(alpha=45, min_stress="mean").compute()
 fig, ax = plt.subplots(figsize=(5.2, 6.5))
 fc.cg.plot_chains(index=0, ax=ax)
-ax.set(xlabel="$x$ [$d$]", ylabel="$y$ [$d$]", title="force chains at 2 %")
+ax.set(xlabel="$x$", ylabel="$y$", title="force chains at 2 %")
 plt.show()
 
 # %%

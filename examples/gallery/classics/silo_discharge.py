@@ -35,7 +35,7 @@ speed = (
     .assign_attrs(long_name="downward velocity", units=r"$\sqrt{gd}$")
 )
 speed.to_dataset(name="speed").cg.plot(ax=ax, vmin=0, vmax=2)
-ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
+ax.set(xlabel="$x$", ylabel="$z$", aspect="equal")
 plt.show()
 
 # %%
@@ -50,7 +50,7 @@ dilation = dilation.drop_attrs(deep=False).assign_attrs(
     long_name="rate of dilation", units=r"$\sqrt{g/d}$"
 )
 dilation.to_dataset(name="dilation").cg.plot(ax=ax, vmin=-0.4, vmax=0.4)
-ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
+ax.set(xlabel="$x$", ylabel="$z$", aspect="equal")
 plt.show()
 
 # %%
@@ -78,7 +78,7 @@ D = np.linspace(2, 6.5, 50)
 ax.errorbar(slots, rate, error, fmt="o", label="simulation")
 ax.errorbar(*np.transpose(outflow), fmt="s", mfc="none", label="through the slot")
 ax.plot(D, (slope * (D - k)).clip(0) ** 1.5, "k-", label=f"C = {C:.2f}, k = {k:.2f}")
-ax.set(xlabel="width of the slot $D$ [$d$]", ylabel=r"rate [$m\sqrt{g/d}$]")
+ax.set(xlabel="width of the slot $D$", ylabel=r"rate [$m\sqrt{g/d}$]")
 ax.legend()
 plt.show()
 

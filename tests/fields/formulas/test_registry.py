@@ -10,7 +10,9 @@ import xcg
 from tests import ROOT, planning, steps_of_random_scenes
 from xcg.fields.formulas import program, registry
 from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.rows import displacement
 from xcg.fields.formulas.rows.errors import OF_FITS
+from xcg.scene.schema import powers_of
 
 OWN = {
     "deviation": (
@@ -125,6 +127,11 @@ RIGHT = {"compute": lambda f, s, o: f.density, "fields": "density"}
     ("own", {"powers": (0, 0, 1), "units": "s"}, r"units='s' and powers=\(0, 0, 1\) both give its unit"),
     ("own", {"units": "kg/m3"}, "units='kg/m3': expected '1' or a product of kg, m, s, N, Pa, J, W"),
     ("own", {"units": "bar"}, "units='bar': expected '1' or a product of"),
+    ("own", {"units": "Pa"}, r"given as 'Pa', and its formula has the unit 'kg m\^-3': leave units= and powers= out"),
+    ("own", {"powers": (-2, 1, 0)}, "its formula has the unit"),
+    ("own", {"compute": lambda f, s, o: f.density / 2500, "units": "1"}, "pass constants=True if numbers in the"),
+    ("own", {"compute": lambda f, s, o: np.exp(f.density), "units": "m"}, "and its formula has none: it mixes"),
+    ("own", {"compute": lambda f, s, o: s.volume, "moments": "volume", "units": "m^3"}, "has the unit '1'"),
     ("own", {"fields": ()}, "name the fields= or moments="),
     ("own", {"fields": "densty"}, "it needs an unknown field 'densty'; did you mean 'density'"),
     ("own", {"fields": "_fit"}, "it needs an unknown field '_fit'; fields are in xcg.FIELDS"),
@@ -161,6 +168,53 @@ def test_a_unit_is_given_as_text_or_as_powers(unit):
     assert ds.cg.coarse_grain("own", axes="z").own.attrs["units"] == unit.get("units", "Pa")
     reduced = ds.assign_attrs(unit_system="reduced")
     assert reduced.cg.coarse_grain("own", axes="z").own.attrs["units"] == "1"
+
+
+@pytest.mark.parametrize(("compute", "needs", "unit"), [
+    (lambda f, s, o: f.pressure / f.density, {"fields": ["pressure", "density"]}, "m^2 s^-2"),
+    (lambda f, s, o: f.shear_rate * o.fluid_viscosity, {"fields": "shear_rate"}, "Pa"),
+    (lambda f, s, o: s.energy / s.volume, {"moments": ["energy", "volume"]}, "Pa"),
+    (lambda f, s, o: s.rotation[..., -1], {"moments": "rotation"}, "kg^2 m^-2"),
+    (lambda f, s, o: f.density > 0.3, {"fields": "density"}, "1"),
+    (lambda f, s, o: np.log(f.density), {"fields": "density"}, "1"),
+    (lambda f, s, o: np.sqrt(f.density), {"fields": "density"}, "1"),
+])  # fmt: skip
+def test_a_unit_is_by_default_that_of_the_formula(compute, needs, unit):
+    xcg.register_field("own", compute, **needs)
+    assert xcg.FIELDS["own"].powers == powers_of(unit)
+
+
+def test_numbers_with_units_of_their_own_are_told():
+    xcg.register_field(
+        "fraction", lambda f, s, o: f.density / 2500, fields="density", units="1", constants=True
+    )
+    assert xcg.FIELDS["fraction"].units == "1"
+    # others go by the unit that was told
+    xcg.register_field("twice", lambda f, s, o: 2 * f.fraction, fields="fraction", units="1")
+
+
+@pytest.mark.parametrize("k", range(3), ids=["length", "mass", "time"])
+@pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
+def test_all_formulas_have_the_dimensions_of_their_units(gradient, k):
+    """Fields of moments in a unit half as large are larger by the power of that unit."""
+
+    def fields_in(factor):
+        options = Options(gradient=gradient, fluid_viscosity=factor ** (-1, 1, -1)[k])
+        names = registry.listed(registered=False)
+        if gradient != "least_squares":
+            names = [name for name in names if name not in OF_FITS]
+        if k == 2:  # displacements stand in the place of velocities
+            names = [name for name in names if name not in displacement.ROWS]
+        rows = registry.moments_of(names, options)
+        moments = registry._made_up(rows)
+        scaled = {n: moments[n] * factor ** row.powers[..., k] for n, row in rows.items()}
+        scaled["reference"] = moments["reference"] * factor ** (1.0, 0.0, -1.0)[k]
+        return registry.evaluate(names, scaled, options)
+
+    once = fields_in(1.0)
+    for field, values in fields_in(2.0).items():
+        expected = once[field] * 2.0 ** registry.FIELDS[field].powers[k]
+        np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-300, err_msg=field)
 
 
 # --- the page on own fields ------------------------------------------------------------------------------

@@ -69,7 +69,9 @@ def test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature(axes, axis
         bounds={a: b for a, b in bounds.items() if a in axes}, extent={} if "z" in axes else {"z": 6.0},
     )  # fmt: skip
     assert f.component.values.tolist() == ["r", "theta", "z"]
-    assert f.velocity.sel(r=0.0).isnull().all()
+    on_axis = f.velocity.sel(r=0.0)
+    assert on_axis.sel(component=["r", "theta"]).isnull().all()
+    np.testing.assert_allclose(on_axis.sel(component="z"), 0.3 if axis == "z" else 0.0, atol=1e-11)
     assert f.granular_temperature.notnull().any("r").all()
     f = f.isel(r=slice(1, None)).squeeze()
     g = f.velocity_gradient.transpose(..., "component", "direction").values
@@ -376,3 +378,23 @@ def test_wrong_frames_raise():
             getattr(scene().cg, call)(
                 frame=xcg.Cylindrical(), **({"widths": [1, 2, 3]} if call == "width_sweep" else {})
             )
+
+
+@pytest.mark.parametrize("axes", ["rz", "rtz"])
+def test_on_the_axis_the_part_along_it_is_that_of_cartesian_axes(axes):
+    ds = scene()
+    options = {"width": 1.0, "spacing": {"r": 0.5, "theta": 1.0, "z": 1.0}}
+    names = ["velocity", "stress", *SUMS]
+    frame = xcg.Cylindrical("z", origin=(2.5, 2.2, 0))
+    f = ds.cg.coarse_grain(names, axes=axes, frame=frame, bounds={"r": (0, 0.5)}, **options)
+    on_axis = f.sel(r=0)
+    cartesian = ds.cg.coarse_grain(names, axes="z", at={"x": 2.5, "y": 2.2}, width=1.0, spacing=1.0)
+    for name in names:
+        along = {dim: "z" for dim in ("component", "direction") if dim in f[name].dims}
+        want = cartesian[name].sel(along, drop=True)
+        found = on_axis[name].sel(along, drop=True)
+        np.testing.assert_allclose(*xr.broadcast(found, want), atol=1e-12 * float(abs(want).max()))
+        if along:
+            known = on_axis[name].notnull().sum([*along])
+            np.testing.assert_array_equal(known, 1)
+    assert f.sel(r=0.5).notnull().all()

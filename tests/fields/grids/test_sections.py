@@ -275,3 +275,15 @@ def test_walls_in_other_axes_are_as_far_from_the_same_points(kind):
     turned = wall.in_axes(frame.axes, np.array(frame.origin))
     inner = (points - frame.origin) @ frame.axes.T
     np.testing.assert_allclose(turned.distance(inner), wall.distance(points), atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_cylinder_and_a_cylindrical_frame_have_one_axis(axis):
+    direction = np.eye(3)["xyz".index(axis)]
+    points = np.random.default_rng(6).uniform(-3, 3, (20, 3))
+    wall = xcg.Cylinder(point=(1, 2, 3), axis=axis, radius=1.5)
+    frame = xcg.Cylindrical(axis=axis, origin=(1, 2, 3)).rotated
+    across = ((points - frame.origin) @ frame.axes.T)[:, :2]
+    np.testing.assert_allclose(wall.distance(points), 1.5 - np.hypot(*across.T), atol=1e-12)
+    same = xcg.Cylinder((1, 2, 3), tuple(3 * direction), 1.5)
+    np.testing.assert_array_equal(wall.distance(points), same.distance(points))

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import shared_data
+from tests import real_data
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.mfix import Mfix
@@ -517,13 +517,13 @@ def test_same_pair_with_unlike_forces_is_not_a_mirror(tmp_path):
 # --- real output -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("step", "contacts"), [(2, 7090), (4, 7276), (6, 6244)])
-def test_real_contacts_fit_the_particles(step, contacts):
-    folder = shared_data("mfix_chute")
-    particles = read_particles(folder / f"P_FB1_{step:04d}.vtp")
+def test_real_contacts_fit_the_particles():
+    folder = real_data("mfix_chute")
+    particles = read_particles(folder / "P_FB1_0004.vtp")
     options = ReadOptions(names={"FORCE_CHAIN_ORIENTATION": "contact_normal"})
-    frame = read_contacts(folder / f"FC_{step:04d}.vtp", options)
-    assert len(frame["contact_i"]) == contacts
+    frame = read_contacts(folder / "FC_0004.vtp", options)
+    contacts = len(frame["contact_i"])
+    assert contacts == 7276
     pairs = np.sort(np.stack([frame["contact_i"], frame["contact_j"]]), axis=0)
     assert len(np.unique(pairs, axis=1).T) == contacts
 
@@ -544,14 +544,13 @@ def test_real_contacts_fit_the_particles(step, contacts):
     np.testing.assert_allclose(arm, -(0.001 - frame["overlap"] / 2)[:, None] * normal, atol=2e-5)
 
 
-@pytest.mark.parametrize("step", [2, 4, 6])
-def test_real_forces_add_up_to_what_mfix_applied(step):
-    path = shared_data("mfix_chute") / f"P_FB1_{step:04d}.vtp"
+def test_real_forces_add_up_to_what_mfix_applied():
+    path = real_data("mfix_chute") / "P_FB1_0004.vtp"
     particles = read_particles(path)
     applied = vtkheader.read_arrays(vtp.read_header(str(path)), ["Collision_force"])[
         "Collision_force"
     ]
-    frame = read_contacts(path.with_name(f"FC_{step:04d}.vtp"))
+    frame = read_contacts(path.with_name("FC_0004.vtp"))
     row = np.argsort(particles["particle_id"])
     total = np.zeros_like(applied)
     for name, sign in (("contact_i", 1), ("contact_j", -1)):
@@ -561,19 +560,6 @@ def test_real_forces_add_up_to_what_mfix_applied(step):
     # The others are at the cyclic boundaries, in pairs whose two sliding forces differ or that stand once.
     assert np.mean(error < 1e-9) > 0.93
     assert error.max() < 5e-3
-
-
-def test_a_real_collection_and_an_old_file_open():
-    folder = shared_data("mfix_chute")
-    with pytest.warns(SceneWarning, match=r"4 of 8 files.*P_FB1_0005\.vtp; they are skipped"):
-        refs = mfix.index_particles(
-            [str(folder / "P_FB1.pvd")], ReadOptions(extra={"missing": "skip"})
-        )
-    assert [ref.step for ref in refs] == [2, 4, 6]
-    assert refs[1].time == 0.40000344388050202
-    frame = read_particles(folder / "CHUTE_DES_00000.vtp")
-    assert frame["position"].shape == (4010, 3)
-    np.testing.assert_array_equal(frame["particle_id"], np.arange(1, 4011))
 
 
 # --- how VTK may write it --------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Contact points and rows of MFiX: spheres of unlike sizes, superquadrics that stand once for each side."""
 
-import gzip
-import shutil
+import re
+import warnings
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import ROOT, shared_data
+from tests import ROOT
 from tests.readers.engines.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.analysis.pairs import find_pairs
 from xcg.cli import group
@@ -289,6 +289,19 @@ def test_superquadrics_count_once(tmp_path):
         np.testing.assert_allclose(one[name], two[name], rtol=0, atol=1e-5 * size, err_msg=name)
 
 
+@pytest.mark.parametrize(("length", "matches"), [(1.0, True), (0.97, False), (1e3, False)])
+def test_a_box_that_contradicts_contacts_across_its_edge_warns(tmp_path, length, matches):
+    write_superquadrics(tmp_path)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        opened(tmp_path, periodic="x", box={"x": (-0.1, length - 0.1)})
+    expected = (
+        f"the period along 'x' is {length:g}, and contacts on both sides of an edge in .* are 1"
+    )
+    found = [one for one in said if re.search(expected, str(one.message))]
+    assert len(found) == (0 if matches else 1)
+
+
 def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contacts(tmp_path):
     """Two bodies in a box of two diameters: one pair of ids, two contacts, four rows."""
     force, touch = np.array([[1.0, 0, 0], [-2, 0, 0]]), np.array([[0.5, 0, 0], [1.0, 0, 0]])
@@ -366,73 +379,3 @@ def test_a_bed_of_superquadrics_from_its_configuration_alone(tmp_path, across):
     np.testing.assert_allclose(
         got.transpose(*own.dims), own, rtol=0, atol=1e-5 * float(np.abs(own).max())
     )
-
-
-@pytest.fixture(scope="module")
-def bedload(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bedload")
-    for name, short in (("DES_FB1", "P"), ("ENTIRE_DOMAIN", "FC")):
-        packed = shared_data("mfix_bedload") / f"{name}_0150.vtp.gz"
-        with gzip.open(packed) as source, open(folder / f"{short}_0150.vtp", "wb") as target:
-            shutil.copyfileobj(source, target)
-    return folder
-
-
-def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload):
-    with pytest.warns(SceneWarning, match=r"x: 0\.5"):
-        ds = opened(bedload, periodic="x")
-    there = ds.contact_i.values[0] >= 0
-    assert there.sum() == 1314
-    path = bedload / "P_0150.vtp"
-    arrays = vtkheader.read_arrays(vtp.read_header(str(path)), ["Collision_force", "Particle_ID"])
-    applied = arrays["Collision_force"][np.argsort(arrays["Particle_ID"])]
-    total = np.zeros_like(applied)
-    for name, sign in (("contact_i", 1), ("contact_j", -1)):
-        np.add.at(total, ds[name].values[0, there] - 1, sign * ds.contact_force.values[0, there])
-    free = (
-        ds.species.values[0] == 1
-    )  # fixed spheres carry forces of contacts that are not in the file
-    error = np.linalg.norm(total - applied, axis=1)[free]
-    assert np.mean(error < 1e-7) > 0.95  # the others stand at the cyclic boundary
-    assert error.max() < 0.03 < 0.01 * np.linalg.norm(applied, axis=1).max() + 0.02
-    # what both rows of a contact say on average, whatever the contact points
-    path = bedload / "FC_0150.vtp"
-    raw = vtkheader.read_arrays(
-        vtp.read_header(str(path)), [f"FORCE_CHAIN_{n}" for n in ("FC", "GLOBAL_ID1", "GLOBAL_ID2")]
-    )
-    i, j = (raw[f"FORCE_CHAIN_GLOBAL_ID{side}"].astype(int) - 1 for side in (1, 2))
-    branch = minimum_image(
-        ds.position.values[0, i] - ds.position.values[0, j], np.array([0.5, np.inf, np.inf])
-    )
-    _, pair, rows = np.unique(
-        np.sort([i, j], axis=0), axis=1, return_inverse=True, return_counts=True
-    )
-    virial = np.einsum("n,ni,nj->ij", 1 / rows[pair.ravel()], raw["FORCE_CHAIN_FC"], branch)
-    got = (ds.cg.particle_stress(symmetric=False).stress * ds.volume).sum("particle").values[0]
-    np.testing.assert_allclose(got, virial, rtol=0, atol=1e-5 * np.abs(virial).max())
-    # contacts lie between both bodies: in MFiX's geometry one step earlier, within their enclosing spheres
-    for side in ("contact_i", "contact_j"):
-        k = ds[side].values[0, there] - 1
-        arm = minimum_image(
-            ds.contact_point.values[0, there] - ds.position.values[0, k],
-            np.array([0.5, np.inf, np.inf]),
-        )
-        assert (np.linalg.norm(arm, axis=1) < 0.0131).all()
-
-
-def test_real_superquadrics_from_a_configuration_alone(bedload, tmp_path):
-    for file in bedload.glob("*.vtp"):
-        shutil.copy(file, tmp_path)
-    said = run(configuration(tmp_path, 150, t0=150, dt=1, x_max=0.5, y_max=0.24))
-    assert "x: 0.5, in the files' unit" in said
-    with xr.open_dataset(tmp_path / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
-        assert 100 < float(f.pressure_xy.max()) < 1e4
-        ini = f.contact_tensor.load()
-    (tmp_path / "job.toml").write_text(
-        '[scene]\nparticles = "P_*.vtp"\ncontacts = "FC_*.vtp"\nperiodic = "x"\n'
-        '[fields]\nfields = ["contact_stress", "fabric"]\n'
-    )
-    run(tmp_path / "job.toml")
-    with xr.open_dataset(tmp_path / "xcg-output" / "fields.nc") as f:
-        total = float(f.contact_stress.sel(component="x", direction="x").max())
-        assert total == pytest.approx(float(ini.sel(component="x", direction="x").max()), rel=0.3)

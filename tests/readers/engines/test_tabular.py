@@ -68,7 +68,7 @@ def test_scenes_written_as_tables_read_back_equal(tmp_path, scene, ending):
 def test_tables_in_memory_give_an_equal_scene(scene):
     particles, contacts = tables_of(scene)
     shuffled = particles.sample(frac=1, random_state=0)
-    check(xcg.scene_from_table(shuffled, contacts=contacts, **OPTIONS), scene)
+    check(xcg.scene_from_table(shuffled, contacts, **OPTIONS), scene)
 
 
 def test_short_and_own_names_of_columns(tmp_path):

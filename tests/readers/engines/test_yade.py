@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import shared_data
 from tests.dumps import write
 
 CELL = "10 0 0 0 10 0 0 0 10"
@@ -38,16 +37,6 @@ def test_forces_on_the_second_body_change_sign(tmp_path):
     )  # from j to i, as from id1 to id2
     np.testing.assert_array_equal(ds.diameter[0], [1, 1])
     np.testing.assert_array_equal(ds.angular_velocity[0, 0], [0, 0, 1])
-
-
-def test_the_stress_equals_that_of_yade():
-    """YADE's own stress of a packing, negative in compression, to the digits of its text."""
-    folder = shared_data("yade_periodic")
-    ds = xcg.open_scene(folder / "particles_end.txt", contacts=folder / "contacts_end.txt")
-    f = ds.cg.coarse_grain("contact_stress", axes="")
-    np.testing.assert_allclose(
-        f.contact_stress[0], -np.loadtxt(folder / "stress_end.txt"), rtol=1e-8, atol=1e-6
-    )
 
 
 def test_a_sheared_cell_is_read(tmp_path):

@@ -254,7 +254,7 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     lengths = [0.0] * len(axes)
     for k, axis in enumerate(axes):
         if f.sizes[axis] > 1:
-            lengths[k] = float(f[axis][1] - f[axis][0]) * f.sizes[axis]
+            lengths[k] = abs(float(f[axis][1] - f[axis][0])) * f.sizes[axis]
     before = squared_integral(kernel, seen)
     after = squared_integral(kernel, seen - len(axes))
     places = math.prod(lengths) * before / after

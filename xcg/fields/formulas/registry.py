@@ -224,6 +224,7 @@ def register_field(
     moments: str | Sequence[str] = (),
     additive: bool = False,
     weight: str = "",
+    constants: bool = False,
 ) -> None:
     """Register a custom field, which `coarse_grain` then takes by its name.
 
@@ -245,7 +246,8 @@ def register_field(
     rank : int
         0 for a scalar, 1 for a vector, 2 for a tensor.
     units : str, optional
-        SI unit, a product of m, kg, s, N, Pa, J and W, such as "Pa" or "kg m^-3"; "1" by default.
+        SI unit, a product of m, kg, s, N, Pa, J and W, such as "Pa" or "kg m^-3". By default that of
+        the formula, or "1" if it mixes dimensions, as ``np.exp(f.density)`` does.
     powers : tuple of int, optional
         Powers of (length, mass, time) of the unit instead of its name: (-1, 1, -2) is Pa.
     long_name, formula : str
@@ -259,13 +261,16 @@ def register_field(
     weight : str
         For a ratio, the field that weighs its averages: the one in the denominator. A field that is
         neither additive nor weighted is computed anew from averages of the fields that it needs.
+    constants : bool
+        Whether numbers in the formula have units of their own, as 2500 kg/m^3 does: `units` are then
+        taken as they are given.
 
     Raises
     ------
     ValueError
-        If the name is taken, what the field needs does not exist, or the formula fails on a trial
-        of a few nodes: it raises, returns another shape, changes what it is given, or gives a node
-        values that depend on other nodes.
+        If the unit is not that of the formula, the name is taken, what the field needs does not
+        exist, or the formula fails on a trial of a few nodes: it raises, returns another shape,
+        changes what it is given, or gives a node values that depend on other nodes.
 
     Examples
     --------
@@ -298,7 +303,9 @@ def register_field(
     row = replace(
         row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), "")
     )
-    _try_out(name, row)
+    trial = _try_out(name, row)
+    if not constants:
+        row = _with_unit_of_formula(name, row, trial, is_given=bool(units or powers))
     REGISTERED[name] = row
 
 
@@ -363,8 +370,62 @@ def _check(name: str, row: Field) -> None:
         )
 
 
-def _try_out(name: str, row: Field) -> None:
-    """Compute the field from made-up moments."""
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Fields that were computed from made-up moments, by name."""
+
+    fields: Mapping[str, NDArray]
+    moments: Mapping[str, NDArray]
+    options: Options
+
+
+def _with_unit_of_formula(name: str, row: Field, trial: _Trial, *, is_given: bool) -> Field:
+    """Return the row with the unit of its formula; raise ValueError if another one was given."""
+    powers = _powers_of_formula(name, row, trial)
+    if powers is None or powers == row.powers:
+        return row
+    way_out = "pass constants=True if numbers in the formula have units of their own"
+    if not all(power.is_integer() for power in powers):
+        if is_given:
+            why = "its formula has none: it mixes dimensions, or takes a root of one"
+            _refuse(name, f"its unit was given as {row.units!r}, and {why}; {way_out}")
+        return row
+    length, mass, time = map(int, powers)
+    unit = units_of((length, mass, time))
+    if is_given:
+        why = f"its formula has the unit {unit!r}"
+        _refuse(
+            name,
+            f"its unit was given as {row.units!r}, and {why}: leave units= and powers= out, or {way_out}",
+        )
+    return replace(row, units=unit)
+
+
+def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...] | None:
+    """Return the powers of (length, mass, time) of a formula, NaN if it mixes dimensions; None if it gives no numbers.
+
+    It is computed again from inputs in units of half the length, mass or time.
+    """
+    values = np.asarray(trial.fields[name], float)
+    is_number = np.isfinite(values) & (values != 0)
+    if not is_number.any():
+        return None
+    powers = []
+    for k in range(3):
+        fields = {n: trial.fields[n] * 2.0 ** FIELDS[n].powers[k] for n in row.fields}
+        moments = {n: trial.moments[n] * 2.0 ** MOMENTS[n].powers[..., k] for n in row.moments}
+        viscosity = 2.0 ** powers_of("Pa s")[k] * (trial.options.fluid_viscosity or 0.0)
+        options = replace(trial.options, fluid_viscosity=viscosity)
+        with np.errstate(all="ignore"):
+            scaled = row.compute(SimpleNamespace(**fields), SimpleNamespace(**moments), options)
+            power = np.log2(np.asarray(scaled, float) / values)[is_number]
+        nearest = round(2 * power[0]) / 2 if np.isfinite(power[0]) else np.nan
+        powers.append(nearest if np.allclose(power, nearest, rtol=0.0, atol=1e-6) else np.nan)
+    return tuple(powers)
+
+
+def _try_out(name: str, row: Field) -> _Trial:
+    """Return the field, computed from made-up moments."""
     options = Options(fluid_viscosity=1.0, own=(OwnRow(name, row),))
     moments = _made_up(moments_of((name,), options))
     part = {
@@ -399,6 +460,7 @@ def _try_out(name: str, row: Field) -> None:
             name,
             "what its formula gives at a node depends on other nodes, which are computed block by block",
         )
+    return _Trial(found, moments, options)
 
 
 def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:

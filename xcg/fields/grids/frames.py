@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, unit, unit_vector, vector
+from xcg.common.checks import axis_vector, is_positive, unit, unit_vector, vector
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading, mark_measured
@@ -224,7 +224,7 @@ class Cylindrical:
     are r, theta and z. At each angle the sums are turned into these axes, then they are averaged
     over theta, and fields follow from the averages: so the velocity gradient holds V_theta / r by
     itself, and a rigid rotation has no shear rate and no temperature. On the axis itself r and
-    theta have no direction: vectors and tensors are NaN there.
+    theta have no direction: there, vectors and tensors are NaN but for their part along z.
 
     Examples
     --------
@@ -242,10 +242,7 @@ class Cylindrical:
     error: float = 1e-3
 
     def __post_init__(self) -> None:
-        if isinstance(self.axis, str) and self.axis not in COMPONENTS:
-            raise ValueError(f"{self}: expected 'x', 'y', 'z' or a direction as its axis")
-        if not isinstance(self.axis, str):
-            unit_vector("axis", self.axis)
+        axis_vector("axis", self.axis)
         if not is_positive(self.error):
             raise ValueError(f"{self}: expected a positive error, such as 1e-3")
         _ = self.rotated
@@ -253,7 +250,7 @@ class Cylindrical:
     @property
     def rotated(self) -> Rotated:
         """The axes in which the cylinder's is z, and theta is 0 along x."""
-        z = np.eye(3)[COMPONENTS.index(self.axis)] if isinstance(self.axis, str) else self.axis
+        z = axis_vector("axis", self.axis) if isinstance(self.axis, str) else self.axis
         given = Rotated(z=tuple(np.asarray(z, float).tolist()), x=self.x, origin=self.origin)
         along_x = self.x is None and Rotated(z=given.z).axes[2] @ np.eye(3)[0] > 1.0 - _PARALLEL**2
         return Rotated(z=given.z, x=(0.0, 1.0, 0.0), origin=self.origin) if along_x else given

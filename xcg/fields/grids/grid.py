@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_finite, rising_pair
-from xcg.common.messages import warn_once, warn_user
+from xcg.common.messages import warn_once
 from xcg.compiled._jit import THREADS, for_each
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
@@ -126,10 +126,11 @@ def nodes_along(
             "spacing or smaller bounds"
         )
     if count > 1 and step > 2 * cutoff and not cells:
-        warn_user(
+        warn_once(
+            f"spacing along {a}",
             f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
             "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
-            "sampling='cell' for averages over the spacing around each node"
+            "sampling='cell' for averages over the spacing around each node",
         )
     return first + step * np.arange(int(count)), float(step)
 

@@ -17,7 +17,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import floats, is_positive, rising_pair, unit_vector, vector
+from xcg.common.checks import (
+    axis_vector,
+    floats,
+    is_finite,
+    is_positive,
+    rising_pair,
+    unit_vector,
+    vector,
+)
 from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import geometry as loops
 from xcg.fields.grids.frames import axis_of, corners, frame_about, turned
@@ -264,8 +272,8 @@ class Cylinder(Wall):
     ----------
     point : three floats
         A point of its axis (m).
-    direction : three floats
-        Along its axis, of any length.
+    axis : {"x", "y", "z"} or three floats
+        Direction of its axis, of any length.
     radius : float
         Radius (m).
     inside : bool
@@ -276,11 +284,11 @@ class Cylinder(Wall):
     Raises
     ------
     ValueError
-        If the vectors are not three finite numbers each, or the radius is not positive.
+        If the point is not three finite numbers, the axis is no direction, or the radius is not positive.
     """
 
     point: Sequence[float]
-    direction: Sequence[float]
+    axis: str | Sequence[float]
     radius: float
     inside: bool = True
     low: float | None = None
@@ -288,9 +296,12 @@ class Cylinder(Wall):
 
     def __post_init__(self) -> None:
         vector("point", self.point)
-        unit_vector("direction", self.direction)
+        axis_vector("axis", self.axis)
         if not is_positive(self.radius):
             raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
+        for name, end in (("low", self.low), ("high", self.high)):
+            if end is not None and not is_finite(end):
+                raise ValueError(f"{name}={end!r}: expected a finite coordinate (m), or None")
         if self.low is not None and self.high is not None:
             rising_pair("(low, high)", (self.low, self.high))
 
@@ -301,7 +312,7 @@ class Cylinder(Wall):
     @cached_property
     def _frame(self) -> tuple[NDArray, NDArray, NDArray]:
         """The axis, and the directions of theta = 0 and a quarter turn."""
-        axis = unit_vector("direction", self.direction)
+        axis = axis_vector("axis", self.axis)
         return (axis, *frame_about(axis))
 
     def _from_axis(self, points: NDArray) -> NDArray:
@@ -348,7 +359,7 @@ class Cylinder(Wall):
     def in_axes(self, axes: NDArray, origin: NDArray) -> Cylinder:
         """Return the cylinder in other axes."""
         point = axes @ (vector("point", self.point) - origin)
-        return replace(self, point=point.tolist(), direction=(axes @ self._frame[0]).tolist())
+        return replace(self, point=point.tolist(), axis=(axes @ self._frame[0]).tolist())
 
     def varies(self, axis: int) -> bool:
         """Return whether a shift along an axis matters."""

@@ -1,4 +1,4 @@
-"""Tables of the profiles of registered kernels: polynomials for values at points, and for integrals along lines.
+"""Tables of the profiles of kernels: polynomials for values at points, and for integrals along lines.
 
 Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few
 polynomials within radii each, whose integrals are closed forms (`xcg.compiled.polynomials`).
@@ -92,9 +92,7 @@ def check_table(name: str, profile: Profile) -> None:
     if not profile_integral(profile, 3) > 0:
         raise ValueError(f"the profile of kernel {name!r} must have a positive integral")
     largest = _largest(profile)
-    error = np.abs(
-        codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact
-    )
+    error = np.abs(codes.sample(codes.TABLE, table_of(profile, 0), _PLACES, False) - exact)
     if error.max() > _MOST_ERROR * largest:
         warn_user(
             f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "
@@ -126,7 +124,7 @@ def _line_error(profile: Profile) -> float:
         radii = np.hypot(distance, half * (2.0 * share - 1.0))
         exact = 0.5 * (_values(profile, radii.ravel()).reshape(radii.shape) @ weights).mean()
         chord = np.array([[half, distance]]), np.array([2.0 * half, 0.0])
-        found = mean_along(*chord, 0, codes.TABLE, codes.TABULATED, table_of(profile, 0))
+        found = mean_along(*chord, 0, codes.TABLE, table_of(profile, 0))
         largest = max(largest, abs(float(found[0]) - exact))
     return largest / _largest(profile)
 

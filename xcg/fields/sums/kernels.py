@@ -11,7 +11,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from itertools import accumulate
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
@@ -26,8 +26,6 @@ from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.frame import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
-
-_SHIFTED = np.zeros((3, 1, codes.PIECE))  # any array
 
 
 class Kernel:
@@ -56,7 +54,6 @@ class Kernel:
     smoothness = -1  # continuous derivatives
     # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
     _norms: tuple[float, ...] = ()
-    _table: NDArray | None = PLAIN  # as loops take it
     # radii over the cutoff where the profile is not smooth, the last of the support
     _rims: Sequence[float] = (1.0,)
 
@@ -113,7 +110,7 @@ class Kernel:
         dimension = self.dimension or 3
         seen = dimension if seen is None else seen
         if seen == 0:  # averaged over every axis: each grain counts in full
-            return KernelCode(codes.HEAVISIDE, 1.0, PLAIN, 1.0)
+            return KernelCode(codes.HEAVISIDE, PLAIN, 1.0)
         codimension = dimension - seen
         if not 0 <= codimension <= 2:
             raise ValueError(
@@ -122,9 +119,12 @@ class Kernel:
             )
         code = self.code + codimension
         kind = LUCY_FULL if code == codes.LUCY else code
-        return KernelCode(
-            kind, self.spread, self._table, self._unit_norm(dimension) / self.cutoff**seen
-        )
+        norm = self._unit_norm(dimension) / self.cutoff**seen
+        return KernelCode(kind, self._table(codimension), norm)
+
+    def _table(self, codimension: int) -> NDArray | None:
+        """Return the polynomials that loops take, `PLAIN` for kernels with formulas."""
+        return PLAIN
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
@@ -137,7 +137,7 @@ class Kernel:
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
         q = np.abs(np.asarray(r, float)) / self.cutoff
-        values = codes.sample(w.kind, w.spread, w.table, np.ravel(q), derivative).reshape(q.shape)
+        values = codes.sample(w.kind, w.table, np.ravel(q), derivative).reshape(q.shape)
         return values * (w.norm / self.cutoff if derivative else w.norm)
 
     def value(self, r: ArrayLike, seen: int | None = None) -> NDArray:
@@ -166,7 +166,7 @@ class Kernel:
         rows = np.ascontiguousarray(values, float).reshape(-1, values.shape[-1])
         place = np.zeros((len(places), 2))
         place[:, 2 - seen :] = places / size
-        return codes.weighted_means(w.kind, w.spread, w.table, rows, place, self.cutoff / size)
+        return codes.weighted_means(w.kind, w.table, rows, place, self.cutoff / size)
 
     def segment(
         self, points: ArrayLike, start: ArrayLike, end: ArrayLike, order: int = 0
@@ -195,7 +195,7 @@ class Kernel:
         w = self.weights(r.shape[1])
         start, end = np.asarray(start, float), np.asarray(end, float)
         return w.norm * mean_along(
-            (r - start) / self.cutoff, (end - start) / self.cutoff, order, w.kind, w.spread, w.table
+            (r - start) / self.cutoff, (end - start) / self.cutoff, order, w.kind, w.table
         )
 
 
@@ -243,7 +243,7 @@ class Gaussian(Kernel):
         As `Kernel`.
     """
 
-    name, code, ratio, _any_ratio = "gaussian", codes.GAUSSIAN, 3.0, True
+    name, code, ratio, _any_ratio = "gaussian", codes.TABLE, 3.0, True
 
     def __init__(
         self,
@@ -255,11 +255,20 @@ class Gaussian(Kernel):
     ) -> None:
         super().__init__(width, cutoff=cutoff, dimension=dimension)
         self.shifted = bool(shifted)
+        if self.cutoff > _FARTHEST * self.width:
+            raise ValueError(
+                f"width={self.width:g} and cutoff={self.cutoff:g}: expected a cutoff of at most {_FARTHEST} w, where a "
+                "Gaussian is 1.5e-8 of its peak; the usual cutoff is 3 w"
+            )
         if self.shifted:
-            self.name, self.smoothness, self._table = _SHIFTED_GAUSSIAN, 0, _SHIFTED
+            self.name, self.smoothness = _SHIFTED_GAUSSIAN, 0
+        self.profile = _gaussian_profile(self.spread, self.shifted)
 
     def __repr__(self) -> str:
         return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
+
+    def _table(self, codimension: int) -> NDArray:
+        return table_of(self.profile, codimension)
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
@@ -284,6 +293,23 @@ class Gaussian(Kernel):
 
 
 _SHIFTED_GAUSSIAN = "shifted gaussian"
+# Cutoff over width of a Gaussian: its table is right to 1e-15 of the peak, and 7 digits are left at
+# the rim, where a node may see nothing else.
+_FARTHEST = 6
+
+
+@lru_cache
+def _gaussian_profile(spread: float, shifted: bool) -> Callable[[NDArray], NDArray]:
+    """Return the profile of q = r / c of a Gaussian; the same object each time, as tables are kept by it."""
+
+    def gaussian(q: NDArray) -> NDArray:
+        return np.exp(-0.5 * (q / spread) ** 2)
+
+    def above_edge(q: NDArray) -> NDArray:
+        # a product, as a difference has no digits close to the rim
+        return -gaussian(q) * np.expm1(-0.5 * (1.0 - q * q) / spread**2)
+
+    return above_edge if shifted else gaussian
 
 
 class Heaviside(Kernel):
@@ -312,12 +338,8 @@ class _Registered(Kernel):
     def _unit_norm(self, dimension: int) -> float:
         return 1 / profile_integral(self.profile, dimension)
 
-    def weights(self, seen: int | None = None) -> KernelCode:
-        found = super().weights(seen)
-        if seen == 0:
-            return found
-        codimension = 0 if seen is None else (self.dimension or 3) - seen
-        return found._replace(spread=codes.TABULATED, table=table_of(self.profile, codimension))
+    def _table(self, codimension: int) -> NDArray:
+        return table_of(self.profile, codimension)
 
 
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]

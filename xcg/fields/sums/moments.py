@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as loops
 from xcg.scene.contacts import Contacts
-from xcg.scene.schema import ROTATION, Frame
+from xcg.scene.schema import ROTATION, Frame, powers_of
 
 Column = Callable[[Frame, Contacts], NDArray]
 # Share of Coulomb's limit from which a contact slides: codes write forces with few digits.
@@ -206,6 +206,8 @@ class Moment:
         with the velocities of images in sheared boxes.
     formula : str
         What is summed.
+    units : str or tuple of str
+        Unit of what is summed, or one for each component; the moment is that per volume.
     shape : tuple of int
         Components of the result at a node.
     level : int
@@ -249,6 +251,14 @@ class Moment:
     paired: bool = False
     optional: tuple[str, ...] = ()
     vector: bool = True
+    units: str | tuple[str, ...] = "1"
+
+    @cached_property
+    def powers(self) -> NDArray:
+        """Powers of (length, mass, time) of the moment, (3,) or (components, 3)."""
+        if isinstance(self.units, str):
+            return np.array(powers_of(self.units)) - [3, 0, 0]
+        return np.array([powers_of(units) for units in self.units]) - [3, 0, 0]
 
     @cached_property
     def columns(self) -> NDArray:
@@ -303,6 +313,7 @@ def _at_contacts(
     shape: tuple[int, ...] = (),
     layout: tuple[Any, ...] = (),
     optional: tuple[str, ...] = (),
+    units: str = "1",
 ) -> Moment:
     return Moment(
         variables,
@@ -313,6 +324,7 @@ def _at_contacts(
         at_contacts=True,
         layout=layout,
         optional=optional,
+        units=units,
     )
 
 
@@ -331,96 +343,113 @@ _power_moment = partial(
 _along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
     # kinematic columns, relative to the node: x = r_i - r, u = v_i - U
-    "count": Moment((), "1, where Psi > 0", (), loops.VELOCITY, loops.COUNT),
-    "mass": Moment(("mass",), "m", (), loops.VELOCITY, loops.MASS),
-    "momentum": Moment(_MV, "m u", (3,), loops.VELOCITY, loops.MOMENTUM),
-    "kinetic": Moment(_MV, "m u u", (3, 3), loops.FLUCTUATION, loops.KINETIC, layout=_SYMMETRIC),
-    "offset": Moment(("mass",), "m x", (3,), loops.LINEAR, loops.OFFSET, layout=_OFFSETS),
-    "shear": Moment(_MV, "m u x", (3, 3), loops.LINEAR, loops.SHEAR, layout=_SHEARS),
-    "spread": Moment(("mass",), "m x x", (3, 3), loops.LINEAR, loops.SPREAD, layout=_SYMMETRIC),
+    # not times Psi, and so a number, and not one per volume
+    "count": Moment((), "1, where Psi > 0", (), loops.VELOCITY, loops.COUNT, units="m^3"),
+    "mass": Moment(("mass",), "m", (), loops.VELOCITY, loops.MASS, units="kg"),
+    "momentum": Moment(_MV, "m u", (3,), loops.VELOCITY, loops.MOMENTUM, units="kg m s^-1"),
+    "kinetic": Moment(_MV, "m u u", (3, 3), loops.FLUCTUATION, loops.KINETIC, layout=_SYMMETRIC, units="J"),
+    "offset": Moment(("mass",), "m x", (3,), loops.LINEAR, loops.OFFSET, layout=_OFFSETS, units="kg m"),
+    "shear": Moment(_MV, "m u x", (3, 3), loops.LINEAR, loops.SHEAR, layout=_SHEARS, units="kg m^2 s^-1"),
+    "spread": Moment(("mass",), "m x x", (3, 3), loops.LINEAR, loops.SPREAD, layout=_SYMMETRIC, units="kg m^2"),
     # these with Psi once more
-    "square": Moment(("mass",), "m^2 Psi", (), loops.FLUCTUATION, loops.SQUARE),
-    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), loops.SQUARED, loops.SQUARE_OFFSET),
-    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), loops.SQUARED, loops.SQUARE_SPREAD, layout=_SYMMETRIC),
+    "square": Moment(("mass",), "m^2 Psi", (), loops.FLUCTUATION, loops.SQUARE, units="kg^2 m^-3"),
+    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), loops.SQUARED, loops.SQUARE_OFFSET, units="kg^2 m^-2"),
+    "square_spread": Moment(
+        ("mass",), "m^2 Psi x x", (3, 3), loops.SQUARED, loops.SQUARE_SPREAD, layout=_SYMMETRIC,
+        units="kg^2 m^-1",
+    ),
     # columns of constants
     "number": Moment((), "1", column=one_a_particle),
-    "volume": Moment(("volume",), "V", column=partial(of_frame, "volume")),
-    "size2": Moment(("diameter",), "d^2", column=partial(_power, 2)),
-    "size3": Moment(("diameter",), "d^3", column=partial(_power, 3)),
-    "size4": Moment(("diameter",), "d^4", column=partial(_power, 4)),
+    "volume": Moment(("volume",), "V", column=partial(of_frame, "volume"), units="m^3"),
+    "size2": Moment(("diameter",), "d^2", column=partial(_power, 2), units="m^2"),
+    "size3": Moment(("diameter",), "d^3", column=partial(_power, 3), units="m^3"),
+    "size4": Moment(("diameter",), "d^4", column=partial(_power, 4), units="m^4"),
     "box_gradient": Moment(
-        ("mass",), "m, times the gradient along averaged axes of a sheared box", (3, 3), column=_weighted_box_gradient
+        ("mass",), "m, times the gradient along averaged axes of a sheared box", (3, 3), column=_weighted_box_gradient,
+        units="kg s^-1",
     ),
-    "interval": Moment(("interval",), "t' - t", column=partial(of_frame, "interval")),
+    "interval": Moment(("interval",), "t' - t", column=partial(of_frame, "interval"), units="s"),
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(
-        ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL
+        ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL,
+        units="m^3",
     ),
     "directors": Moment(("director",), "n n", (3, 3), column=_director_dyads, layout=_SYMMETRIC),
-    "force": Moment(_FORCE, "sum_c f", (3,), column=partial(of_contacts, "forces"), contacts=True),
-    "inertia": Moment(("moment_of_inertia",), "I", column=partial(of_frame, "moment_of_inertia")),
-    "spin": Moment(_I_OMEGA, "I omega", (3,), column=spins),
-    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=partial(carried, spins)),
-    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=rotational_energies),
+    "force": Moment(_FORCE, "sum_c f", (3,), column=partial(of_contacts, "forces"), contacts=True, units="N"),
+    "inertia": Moment(("moment_of_inertia",), "I", column=partial(of_frame, "moment_of_inertia"), units="kg m^2"),
+    "spin": Moment(_I_OMEGA, "I omega", (3,), column=spins, units="J s"),
+    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=partial(carried, spins), units="J m"),
+    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=rotational_energies, units="J"),
     "rotational_energy_flux": Moment(
-        ("velocity",), "I omega^2 v / 2", (3,), column=partial(carried, rotational_energies), optional=ROTATION
+        ("velocity",), "I omega^2 v / 2", (3,), column=partial(carried, rotational_energies), optional=ROTATION,
+        units="J m s^-1",
     ),
     "some_rotational_energy": Moment(
-        (), "I omega^2 / 2", column=rotational_energies, optional=ROTATION
+        (), "I omega^2 / 2", column=rotational_energies, optional=ROTATION,
+        units="J",
     ),
-    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=energies, optional=ROTATION),
+    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=energies, optional=ROTATION, units="J"),
     "energy_flux": Moment(
-        _MV, "(m v^2 + I omega^2) v / 2", (3,), column=partial(carried, energies), optional=ROTATION
+        _MV, "(m v^2 + I omega^2) v / 2", (3,), column=partial(carried, energies), optional=ROTATION,
+        units="J m s^-1",
     ),
-    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=torques, contacts=True),
-    "power": _power_moment("sum_c f.u", column=powers),
+    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=torques, contacts=True, units="J"),
+    "power": _power_moment("sum_c f.u", column=powers, units="W"),
     # in passes of their own, relative to the node
     "rotation": Moment(
         _I_OMEGA, "I (1, o, o o), I^2 Psi, o = omega", (11,), loops.FLUCTUATION,
         column=partial(weighted, *_I_OMEGA), layout=_ABOUT,
+        units=("kg m^2", *("J s",) * 3, *("J",) * 6, "kg^2 m"),
     ),
-    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV)),
+    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV), units="J m s^-1"),
     "load_bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "load_bearing"), contacts=True),
     "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points
     "contacts": _at_contacts((), "1", one_a_contact),
     "load_bearing_contacts": _at_contacts(
-        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing")
+        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing"),
     ),
     "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
     "normals": _at_contacts(
-        (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
+        (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL,
     ),
-    "branch_length": _at_contacts((), "l . n", branch_length, optional=_NORMAL),
+    "branch_length": _at_contacts((), "l . n", branch_length, optional=_NORMAL, units="m"),
     "branch_normals": _at_contacts(
-        (), "l . n n n", partial(normals, branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
+        (), "l . n n n", partial(normals, branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        units="m",
     ),
-    "normal_force": _at_contacts(_FORCE, "f . n", _NORMAL_FORCE, optional=_NORMAL),
+    "normal_force": _at_contacts(_FORCE, "f . n", _NORMAL_FORCE, optional=_NORMAL, units="N"),
     "normal_force_normals": _at_contacts(
-        _FORCE, "f . n n n", partial(normals, _NORMAL_FORCE), (3, 3), _SYMMETRIC, optional=_NORMAL
+        _FORCE, "f . n n n", partial(normals, _NORMAL_FORCE), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        units="N",
     ),
-    "tangential_normals": _at_contacts(_FORCE, "f_t n", tangential_normals, (3, 3), optional=_NORMAL),
-    "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
+    "tangential_normals": _at_contacts(_FORCE, "f_t n", tangential_normals, (3, 3), optional=_NORMAL, units="N"),
+    "pair_force": Moment(
+        _FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True, units="N"
+    ),
     "contact_couple": Moment(
-        _FORCE, "(b_i - b_j) x f", (3,), column=couples, contacts=True, at_contacts=True
+        _FORCE, "(b_i - b_j) x f", (3,), column=couples, contacts=True, at_contacts=True,
+        units="J",
     ),
-    "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, at_contacts=True),
-    "wall_power": _power_moment("f.u of the wall", column=of_walls, at_contacts=True),
+    "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, at_contacts=True, units="W"),
+    "wall_power": _power_moment("f.u of the wall", column=of_walls, at_contacts=True, units="W"),
     # weighted by grad Psi
-    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
-    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS, units="kg m^-1"),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS, units="kg s^-1"),
     # along branches, and at walls
-    "contact": _along_branches("f a, along the branch"),
+    "contact": _along_branches("f a, along the branch", units="J"),
     "strong_contact": _along_branches(
         "f a, along the branch, of contacts that push more than the mean", column=strong_forces,
         optional=_NORMAL,
+        units="J",
     ),
-    "pair_contact": _along_branches("f a, along the branch, by phase of the partner", paired=True),
-    "couple": _along_branches("(b x f) a, along the branch", column=torque_of_sides),
+    "pair_contact": _along_branches("f a, along the branch, by phase of the partner", paired=True, units="J"),
+    "couple": _along_branches("(b x f) a, along the branch", column=torque_of_sides, units="J m"),
     "side_power": _power_moment(
-        "(f.u) a, along the branch", (3,), column=power_of_sides, along_branches=True
+        "(f.u) a, along the branch", (3,), column=power_of_sides, along_branches=True,
+        units="W m",
     ),
-    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
+    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True, units="N"),
 }  # fmt: skip
 
 # powers of the cutoff in the kinematic columns, which the deposit computes with lengths in cutoffs

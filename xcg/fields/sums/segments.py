@@ -38,13 +38,11 @@ from xcg.scene.schema import Frame
 SINGLE = 1e-4
 
 
-def _quicker(
-    kind: int | None, spread: float | None, table: NDArray | None, rtol: float
-) -> tuple[int, ...]:
+def _quicker(kind: int | None, table: NDArray | None, rtol: float) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
-    if spread is kinds.TABULATED and table is not None:
+    if table is not None:
         # closed forms of one or two shells take less time than two points, of three less than four;
         # not so in planes
         shells = np.count_nonzero(table[kinds.SHELLS, RADIUS])
@@ -55,7 +53,6 @@ def _quicker(
 @lru_cache(maxsize=64)
 def _limits(
     kind: int | None,
-    spread: float | None,
     table: bytes | None,
     table_shape: tuple[int, ...],
     seen: int,
@@ -71,10 +68,10 @@ def _limits(
     rows = 1 if seen == 1 else 24
 
     def kept(length: float, order: int) -> bool:
-        return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
+        return largest_error(length, order, rows, kind, array) <= 0.95 * rtol
 
     limits, limit = [], 0.0
-    for order in _quicker(kind, spread, array, rtol):
+    for order in _quicker(kind, array, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)
@@ -98,8 +95,8 @@ def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
         return np.zeros(0)
     w = kernel.weights(seen)
     if w.table is None:
-        return _limits(w.kind, w.spread, None, (), seen, rtol)
-    return _limits(w.kind, w.spread, w.table.tobytes(), w.table.shape, seen, rtol)
+        return _limits(w.kind, None, (), seen, rtol)
+    return _limits(w.kind, w.table.tobytes(), w.table.shape, seen, rtol)
 
 
 # Segments of more contacts than this are not kept, as each takes 80 bytes.

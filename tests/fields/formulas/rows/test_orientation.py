@@ -5,7 +5,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import shared_data
 
 NAMES = [
     "orientation_tensor",
@@ -241,31 +240,3 @@ def test_dumps_of_superquadrics_need_no_names(tmp_path, engine, columns, whole):
     np.testing.assert_allclose(
         ds.cg.derive_director().director[0, 0], [0.0, -0.96, 0.28], atol=1e-15
     )
-
-
-def test_contact_points_of_mfix_lie_on_the_surfaces_of_its_superquadrics():
-    """Of 668 ellipsoids and 111 spheres: 1 for a point on the surface, less by the overlap."""
-    data = shared_data("mfix_bedload")
-    files = {
-        "particles": data / "DES_FB1_0150.vtp.gz",
-        "contacts": data / "ENTIRE_DOMAIN_0150.vtp.gz",
-    }
-    ds = xcg.open_scene(**files, engine="mfix", allow_unknown=True).isel(time=0).compute()
-    row = {number: k for k, number in enumerate(ds.particle_id.values.tolist())}
-    first = np.array([row.get(number, -1) for number in ds.contact_i.values.tolist()])
-    to = ds.contact_point.values - ds.position.values[first]
-    near = (first >= 0) & (np.linalg.norm(to, axis=1) < 0.02)  # not across an edge
-    axes = [
-        ds.expand_dims("time").cg.derive_director(axis=a).director.values[0][first[near]]
-        for a in "xyz"
-    ]
-    inside = sum(
-        ((to[near] * axis).sum(axis=1) / ds[f"half_axis_{a}"].values[first[near]]) ** 2
-        for a, axis in zip("xyz", axes, strict=True)
-    )
-    assert near.sum() > 1000
-    assert np.percentile(inside, [5, 50, 95]) == pytest.approx([0.86, 0.98, 1.02], abs=0.02)
-    volume = ds.expand_dims("time").cg.derive_superquadric().volume[0]
-    np.testing.assert_allclose(
-        volume, ds.volume, rtol=1e-3
-    )  # MFiX rounds diameters to a micrometre
