@@ -73,7 +73,7 @@ class Measure(FrameAnalysis):
         Names in `QUANTITIES`.
     regions : mapping
         Bounds by name of the region; the name is empty where there is one region only, and no
-        bounds are those of the scene.
+        bounds mean the whole scene.
     groups : tuple of int
         Values of `by`; empty without phases.
     depth : float or str or None

@@ -138,7 +138,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slope`` (component), dh/dx and dh/dy, those that exist; ``intercept``, the height of the fit
+        ``slope`` (component), dh/dx and dh/dy, if resolved; ``intercept``, the height of the fit
         at x = y = 0 (m); ``angle`` against the level (degrees); and standard errors ``slope_error``
         and ``angle_error``, from the scatter about the fit with one independent node for each
         support of the kernel (by the attribute ``cutoff``). NaN for fewer nodes than the fit takes.
@@ -216,7 +216,7 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
     Returns
     -------
     array (..., 2 k + 3)
-        Slopes, their errors, the height at 0, the angle and its error (degrees). Errors are those of independent
+        Slopes, their errors, the height at 0, the angle and its error (degrees). Errors hold for independent
         nodes, with `shared` nodes for one of them.
     """
     count = places.shape[1]

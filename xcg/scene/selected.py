@@ -58,7 +58,7 @@ def select(
     xarray.Dataset
         The scene with all other particles and contacts turned into padding. Rows that are padding
         in all steps are left out where the scene is in memory. Measured sizes and extent, which
-        default widths and meshes follow from, stay those of the scene; `measure` takes those of the
+        default widths and meshes follow from, stay as in the scene; `measure` takes the values of the
         selection.
 
     Raises

@@ -67,8 +67,8 @@ m = ds.cg.microstructure(
 fig, ax = plt.subplots()
 ax.plot(m.time, m.segregation_index.sel(phase="2"), "C3o-", label="centres: 0 mixed, 1 apart")
 ax.plot(m.time, m.lacey_index.sel(phase="bulk"), "C0s-", label="Lacey in layers: 1 mixed, 0 apart")
-ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylim=(-0.1, 1.1))
-ax.legend()
+ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="index", ylim=(-0.1, 1.1))
+ax.legend(loc="center right")
 plt.show()
 
 # %%
