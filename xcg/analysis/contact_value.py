@@ -74,7 +74,7 @@ def contact_value(
     --------
     >>> import xcg
     >>> ds = xcg.datasets.random_scene(2000)  # random places: spheres overlap freely
-    >>> abs(float(ds.cg.contact_value().contact_value) - 1) < 0.2
+    >>> abs(float(ds.cg.contact_value().contact_value[0]) - 1) < 0.2
     True
     """
     if not (is_finite(reach) and 1.05 <= reach <= 10):
