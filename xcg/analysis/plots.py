@@ -330,6 +330,9 @@ def movie(
                 if k == 0 and len(figure.axes) == 1:
                     _draw_colour_bar(steps[k], name, mesh, values)
             drawing.set_title(ax, _title(steps[k]))
+            if k == 0:  # frames keep the layout of the first: it would take half of their time
+                figure.draw_without_rendering()
+                figure.set_layout_engine("none")
             bar.update()
 
         film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
