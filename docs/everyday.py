@@ -5,7 +5,8 @@ Run from the root of the repository, on a machine that does nothing else::
     python -m docs.everyday [--repeats 5] [--only one] [--write]
 
 Every program is a process of its own, and the programs take turns. `--write` puts the table into docs/accuracy.md.
-OVITO takes part where it is installed (``pip install ovito``).
+OVITO takes part where it is installed (``pip install ovito``). Optional packages that xarray and
+pandas load with them, such as pint and pyarrow, make imports slower: leave them out.
 """
 
 from __future__ import annotations
@@ -271,12 +272,14 @@ ROWS = (
 def run(imports: str, job: str, files: str) -> dict[str, float]:
     """Run a program in a new process, and return what it measured."""
     code = TIMED.format(imports=imports, job=job.format(files=repr(files)))
+    environment = os.environ | {"MPLBACKEND": "agg"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code],
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"MPLBACKEND": "agg"},
+        env=environment,
     )
     if done.returncode:
         raise RuntimeError(done.stderr[-2000:])

@@ -96,7 +96,7 @@ def test_the_history_of_residuals_is_their_own_call():
         .cg.balance(width=1.2, quantities=["force"], spacing=1.0)
         .attrs["history"]
     )
-    assert "balance(width=1.2, quantities=['force'], kernel='lucy'" in history
+    assert "balance(width=1.2, spacing=1.0, kernel='lucy'" in history
     assert "coarse_grain" not in history
 
 

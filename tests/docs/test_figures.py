@@ -21,7 +21,7 @@ def test_listed_scripts_have_pictures_that_can_be_turned(script, tmp_path, monke
     monkeypatch.setattr(pv, "BUILDING_GALLERY", True)
     plotter = pv.Plotter(off_screen=True, window_size=(60, 40))
     plotter.add_mesh(pv.Cube(), color="white")
-    plotter.show()
+    plotter.show(auto_close=False)
     variables = {
         "src_file": f"examples/gallery/cases/{script}.py",
         "image_path_iterator": iter([str(tmp_path / "picture.png")]),

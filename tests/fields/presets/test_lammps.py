@@ -40,7 +40,10 @@ def test_fields_equal_those_of_lammps(chute):
         if name == "velocity":  # zero there where nothing is, NaN here
             assert (np.isnan(found).any(axis=1) == (table[:, 2] == 0)).all()
             found = np.nan_to_num(found)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 * np.abs(expected).max())
+        rounding = (
+            2e-13 if name == "stress/contacts" else 1e-14
+        )  # of the polynomials along branches
+        np.testing.assert_allclose(found, expected, rtol=0, atol=rounding * np.abs(expected).max())
 
 
 def test_the_boundary_force_equals_that_of_lammps_where_no_contact_crosses_an_edge(chute):

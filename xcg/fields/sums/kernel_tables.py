@@ -30,7 +30,7 @@ _MOST_ERROR = 1e-10  # of values at points, relative to the largest
 # of quadratures along chords; and parts of these that tell it
 _MOST_LINE_ERROR = 1e-7
 _PANELS = 2000
-_SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
+_SHELL_ERROR = 1e-13  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many
 # times that of a value.
 _LARGEST_TERMS = 5e3

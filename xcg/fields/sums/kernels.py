@@ -392,7 +392,7 @@ def register_kernel(
         in the marginal in a plane.) A warning says where values of P itself are off by more than
         1e-10, or where P jumps inside. Integrals along segments are closed forms, right to a few
         1e-12 of the largest value (and to rounding over the length of segments below a tenth of c),
-        where up to eight polynomials of q, each between two radii, are P to 1e-12. Registration
+        where up to eight polynomials of q, each between two radii, are P to 1e-13. Registration
         determines these polynomials. Other profiles, such as one that ends like a root, take a long
         quadrature; a warning says where it is off by more than 1e-7.
     ratio : float
