@@ -41,8 +41,9 @@ class KernelCode(NamedTuple):
     ----------
     kind : int or None
         Code + codimension, or `LUCY_FULL`.
-    table : (3, intervals, PIECE), or None
-        Polynomials of a `TABLE`, see `tabulated`, and its `SHELLS`; `PLAIN` for other kinds.
+    table : (4, intervals, PIECE), or None
+        Polynomials of a `TABLE`, see `tabulated`, its `SHELLS`, and the one that is `EVEN`; `PLAIN`
+        for other kinds.
     norm : float
         Factor to the values.
     """
@@ -73,6 +74,10 @@ PIECE = 8  # coefficients of a piece of a table: a line of cache
 # Of a table: shells of the value, or in codimension 1 those that its marginal takes
 # (`xcg.compiled.polynomials`). Without any, lines are left to quadrature.
 SHELLS = 2
+# Of a table of codimension 0: number of coefficients of a polynomial of y = 2 q^2 - 1, and these,
+# the highest power first, where the profile is such a polynomial to rounding; else 0.
+EVEN = 3
+FOUR = 4  # coefficients of it that are taken at once
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
 
 # --- value and gradient ----------------------------------------------------------------------------------
@@ -140,7 +145,7 @@ def tabulated(kind, table, row, q2):
 
 @inlined
 def interpolate(table, row, q2):
-    """Polynomials on equal intervals of q, highest power first; table (3, intervals, PIECE)."""
+    """Polynomials on equal intervals of q, highest power first; table (4, intervals, PIECE)."""
     if table is PLAIN:
         return 0.0
     x = math.sqrt(q2) * table.shape[1]
@@ -177,9 +182,36 @@ def fill_values(kind, table, norm, by_gradient, q2, count, out):
     elif kind == HEAVISIDE:
         for k in range(padded(count)):
             out[k] = norm
+    elif kind == TABLE and _is_even(table):
+        _fill_even(table, norm, q2, count, out)
     else:
         for k in range(count):
             out[k] = norm * value(kind, table, min(q2[k], 1.0))
+
+
+@inlined
+def _is_even(table):
+    """Return whether a profile is one polynomial of the squared distance."""
+    if table is PLAIN:
+        return False
+    return table[EVEN, 0, 0] > 0.0
+
+
+@inner
+def _fill_even(table, norm, q2, count, out):
+    """Write norm x the polynomial of y = 2 q^2 - 1, which has no cancelling terms and no branch."""
+    if table is PLAIN:
+        return
+    for k in range(padded(count)):
+        out[k] = 0.0
+    for last in range(FOUR, int(table[EVEN, 0, 0]) + 1, FOUR):
+        a = norm * table[EVEN, (last - 3) // PIECE, (last - 3) % PIECE]
+        b = norm * table[EVEN, (last - 2) // PIECE, (last - 2) % PIECE]
+        c = norm * table[EVEN, (last - 1) // PIECE, (last - 1) % PIECE]
+        d = norm * table[EVEN, last // PIECE, last % PIECE]
+        for k in range(padded(count)):
+            y = 2.0 * min(q2[k], 1.0) - 1.0
+            out[k] = (((out[k] * y + a) * y + b) * y + c) * y + d
 
 
 @inner

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -181,6 +182,22 @@ def test_gaussians_are_their_closed_forms(seen, ratio, shifted):
     found = kernel.derivative(r, seen)
     error = 1e-9 * (steepest + largest / ratio)
     np.testing.assert_allclose(found, scale * slope, rtol=0, atol=error)
+
+
+@pytest.mark.parametrize("shifted", [False, True])
+@pytest.mark.parametrize("ratio", [0.5, 3.0, 5.0])
+def test_sums_in_a_volume_take_a_gaussian_to_rounding(ratio, shifted):
+    """Of one grain, at any distance: a polynomial of the squared distance, or a table for far cutoffs."""
+    ds = xcg.scene_from_arrays(position=np.zeros((1, 3)), diameter=1.0, mass=1.0, species=[1])
+    kernel = xcg.Gaussian(cutoff=1.0, width=1.0 / ratio, dimension=3, shifted=shifted)
+    r = np.linspace(0.0, 1.1, 401)
+    at = {a: xr.DataArray(r * n, dims="p") for a, n in zip("xyz", (0.48, 0.6, 0.64), strict=True)}
+    found = ds.cg.coarse_grain("density", at=at, kernel=kernel).density.values.ravel()
+    bell = np.exp(-0.5 * (ratio * r) ** 2)
+    exact = np.where(r < 1.0, bell - np.exp(-0.5 * ratio**2) * shifted, 0.0)
+    exact *= kernel.value(0.0) / exact[0]
+    inside = np.abs(r - 1.0) > 1e-9
+    np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=1e-14 * exact[0])
 
 
 def test_a_gaussian_cut_where_it_has_no_digits_raises():

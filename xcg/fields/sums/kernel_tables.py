@@ -34,6 +34,8 @@ _SHELL_ERROR = 1e-13  # of the polynomials of shells, relative to the largest va
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many
 # times that of a value.
 _LARGEST_TERMS = 5e3
+_EVEN_ERROR = 2e-15  # of a polynomial of the squared radius, relative to the largest value
+_MOST_EVEN = 24  # coefficients of it: more lose digits
 _JUMP = 1e-4  # relative to the largest value
 _AT_END = 1.0 - 1e-12  # where the last jump shows
 _NEARLY = 0.97  # of the way that a piece may reach: as far as this the lowest degree is taken
@@ -153,7 +155,7 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     take, where there are any.
     """
     degree = codes.PIECE - 1
-    table = np.zeros((3, _INTERVALS, codes.PIECE))
+    table = np.zeros((4, _INTERVALS, codes.PIECE))
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
     value = np.vectorize(_integrated(profile, codimension))
     pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
@@ -168,11 +170,34 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
         for row, values in enumerate((series, Chebyshev.fit(q, slope, degree, domain))):
             powers = np.polynomial.chebyshev.cheb2poly(values.coef)
             table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
+    if codimension == 0:
+        even = _even(profile)
+        table[codes.EVEN].flat[: 1 + len(even)] = [len(even), *even]
     shells = _shells(profile)
     table[codes.SHELLS] = _columns(
         (shells, _beyond(shells, 1.0), _beyond(shells, 2.0 * math.pi))[codimension]
     )
     return table
+
+
+def _even(profile: Profile) -> list[float]:
+    """Return a profile as a polynomial of 2 q^2 - 1, the highest power first; nothing where it is none to rounding.
+
+    The number of coefficients is a multiple of `FOUR`, as loops take them.
+    """
+    largest = _largest(profile)
+    exact = _values(profile, _PLACES)
+    for count in range(codes.FOUR, _MOST_EVEN + 1, codes.FOUR):
+        series = Chebyshev.interpolate(
+            lambda y: _values(profile, np.sqrt(0.5 * (y + 1.0))), count - 1, (-1.0, 1.0)
+        )
+        polynomial = series.convert(kind=Polynomial)
+        error = np.abs(polynomial(2.0 * _PLACES**2 - 1.0) - exact).max()
+        if error <= _EVEN_ERROR * largest:
+            coefficients = np.zeros(count)
+            coefficients[: len(polynomial.coef)] = polynomial.coef
+            return coefficients[::-1].tolist()
+    return []
 
 
 def _integrated(profile: Profile, codimension: int) -> Callable[[float], float]:
