@@ -335,16 +335,15 @@ def movie(
                 figure.set_layout_engine("none")
             bar.update()
 
-        film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
         part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
         try:
             with matplotlib.rc_context(settings):
-                film.save(
-                    part_of_file,
-                    writer="pillow" if path.suffix == ".gif" else "ffmpeg",
-                    fps=fps,
-                    dpi=dpi,
-                )
+                writer = animation.writers["pillow" if path.suffix == ".gif" else "ffmpeg"](fps=fps)
+                # FuncAnimation would draw each frame twice
+                with writer.saving(figure, part_of_file, dpi):
+                    for k in range(count):
+                        draw(k)
+                        writer.grab_frame()
             part_of_file.replace(path)
         finally:
             part_of_file.unlink(missing_ok=True)
