@@ -332,7 +332,7 @@ def movie(
             drawing.set_title(ax, _title(steps[k]))
             if k == 0:  # frames keep the layout of the first: it would take half of their time
                 figure.draw_without_rendering()
-                figure.set_layout_engine("none")
+                figure.set_layout_engine(None)
             bar.update()
 
         part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
