@@ -103,6 +103,10 @@ TABLE = [
         "compiled/program.py", "rows[a, k] - rows[b, k]", "rows[b, k] - rows[a, k]",
         "test_operations_on_rows_equal_those_of_numpy",
     ),
+    Mutation(
+        "compiled/smoothing.py", "* y + c) * y + d", "* y + d) * y + c",
+        "test_sums_in_a_volume_take_a_gaussian_to_rounding",
+    ),
     Mutation("compiled/elementary.py", "math.pi - found", "math.pi + found", "test_angles"),
     Mutation(
         "readers/engines/mfix.py", "table[:, k] * arrays[_SCALE]", "table[:, k]",
