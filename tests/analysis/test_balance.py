@@ -44,6 +44,7 @@ def close_frames(dt, seed=1, *, species=False):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_force_residual_falls_with_the_mesh():
     ds = xcg.datasets.random_scene(100, seed=1, periodic="xy")
     norms = [
