@@ -8,6 +8,7 @@ from tests.analysis import hard_spheres
 from tests.analysis.test_radial_distribution import gas
 
 
+@pytest.mark.slow
 def test_hard_spheres_follow_carnahan_and_starling():
     f = hard_spheres().cg.contact_value()
     error = float(f.contact_value.std("time")) / np.sqrt(f.sizes["time"])

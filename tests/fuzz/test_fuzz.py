@@ -150,7 +150,7 @@ def checked(tmp_path_factory):
 @pytest.mark.parametrize("bounds", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_calls_with_hostile_arguments_raise(bounds, request):
     """In a process of its own: results or errors of the package, nothing else."""
-    count = 500 if bounds else 250
+    count = 500 if bounds else 120
     command = [sys.executable, "-m", "tests.fuzz.calls", "--count", str(count)]
     environment = request.getfixturevalue("checked") if bounds else os.environ
     done = subprocess.run(
