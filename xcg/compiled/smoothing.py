@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
-from xcg.compiled.polynomials import lucy_line_value, lucy_plane_value
+from xcg.compiled.polynomials import AT_ONCE, lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
@@ -77,7 +77,6 @@ SHELLS = 2
 # Of a table of codimension 0: number of coefficients of a polynomial of y = 2 q^2 - 1, and these,
 # the highest power first, where the profile is such a polynomial to rounding; else 0.
 EVEN = 3
-FOUR = 4  # coefficients of it that are taken at once
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
 
 # --- value and gradient ----------------------------------------------------------------------------------
@@ -204,7 +203,7 @@ def _fill_even(table, norm, q2, count, out):
         return
     for k in range(padded(count)):
         out[k] = 0.0
-    for last in range(FOUR, int(table[EVEN, 0, 0]) + 1, FOUR):
+    for last in range(AT_ONCE, int(table[EVEN, 0, 0]) + 1, AT_ONCE):
         a = norm * table[EVEN, (last - 3) // PIECE, (last - 3) % PIECE]
         b = norm * table[EVEN, (last - 2) // PIECE, (last - 2) % PIECE]
         c = norm * table[EVEN, (last - 1) // PIECE, (last - 1) % PIECE]

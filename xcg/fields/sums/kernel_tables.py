@@ -183,11 +183,11 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
 def _even(profile: Profile) -> list[float]:
     """Return a profile as a polynomial of 2 q^2 - 1, the highest power first; nothing where it is none to rounding.
 
-    The number of coefficients is a multiple of `FOUR`, as loops take them.
+    The number of coefficients is a multiple of `AT_ONCE`, as loops take them.
     """
     largest = _largest(profile)
     exact = _values(profile, _PLACES)
-    for count in range(codes.FOUR, _MOST_EVEN + 1, codes.FOUR):
+    for count in range(AT_ONCE, _MOST_EVEN + 1, AT_ONCE):
         series = Chebyshev.interpolate(
             lambda y: _values(profile, np.sqrt(0.5 * (y + 1.0))), count - 1, (-1.0, 1.0)
         )

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import accumulate
-from typing import Any, ClassVar, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,7 @@ class Kernel:
     smoothness = -1  # continuous derivatives
     # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
     _norms: tuple[float, ...] = ()
+    profile: Any = None  # P(q) of kernels that loops take from a table
     # radii over the cutoff where the profile is not smooth, the last of the support
     _rims: Sequence[float] = (1.0,)
 
@@ -125,7 +126,7 @@ class Kernel:
 
     def _table(self, codimension: int) -> NDArray | None:
         """Return the polynomials that loops take, `PLAIN` for kernels with formulas."""
-        return PLAIN
+        return PLAIN if self.profile is None else table_of(self.profile, codimension)
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
@@ -275,9 +276,6 @@ class Gaussian(Kernel):
     def __repr__(self) -> str:
         return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
 
-    def _table(self, codimension: int) -> NDArray:
-        return table_of(self.profile, codimension)
-
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
         tail = math.exp(-0.5 / s**2)
@@ -343,13 +341,9 @@ class _Registered(Kernel):
     """Kernel of a profile P(q) that a user registered."""
 
     code = codes.TABLE
-    profile: ClassVar[Any]  # a static method
 
     def _unit_norm(self, dimension: int) -> float:
         return 1 / profile_integral(self.profile, dimension)
-
-    def _table(self, codimension: int) -> NDArray:
-        return table_of(self.profile, codimension)
 
 
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
