@@ -33,6 +33,7 @@ import numba
 from numba.core import cgutils as cgutils
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 # Threads for a single step in memory (NUMBA_NUM_THREADS, else the processors of this process).
@@ -82,8 +83,11 @@ class _Cache(FunctionCache):
         self._cache_file._source_stamp = self._cache_file._source_stamp, _SOURCES
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        # `super().load_overload` would first load all that Numba needs to compile, which takes as
+        # long as reading 100 MB; compiled code needs memory alone
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            return self._load_overload(sig, target_context)
         except Exception:  # a damaged file can make unpickling raise anything
             try:
                 self.flush()
