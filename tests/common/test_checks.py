@@ -8,7 +8,19 @@ import pytest
 
 import xcg
 from tests import ROOT
-from xcg.common.checks import floats, is_finite, is_positive, is_whole
+from xcg.common.checks import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    above,
+    between,
+    check,
+    floats,
+    is_finite,
+    is_positive,
+    is_whole,
+    whole,
+)
 from xcg.fields.coarse_grain import PRESETS
 from xcg.fields.formulas.field import (
     WEIGHTS,
@@ -215,3 +227,37 @@ def test_a_wrong_choice_lists_the_valid_ones(name, choices):
         ValueError, match="(?s)" + ".*".join((f"{name}='other'", *get_args(choices)))
     ):
         xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", **{name: "other"})
+
+
+@pytest.mark.parametrize(
+    ("kind", "taken", "others", "expected"),
+    [
+        (
+            FINITE,
+            [0, -1.5, np.float32(2)],
+            [np.nan, np.inf, "1", True, [1.0]],
+            "a finite length (m)",
+        ),
+        (POSITIVE, [1, 1e-300], [0.0, -1, np.inf], "a positive length (m)"),
+        (NOT_NEGATIVE, [0.0, 3], [-1e-300, np.inf], "a finite length (m) of at least 0"),
+        (whole(2), [2, 3.0, 10**30], [1, 2.5, None], "a whole length (m) of at least 2"),
+        (whole(1, 3), [1, 3], [0, 4], "a whole length (m) from 1 to 3"),
+        (above(0, 90), [1e-9, 90], [0, 91, "45"], "a length (m) above 0 and up to 90"),
+        (between(0, 1), [0.5], [0, 1, np.nan], "a length (m) between 0 and 1"),
+    ],
+)
+def test_kinds_of_numbers_take_what_their_words_say(kind, taken, others, expected):
+    for value in taken:
+        check("edge", value, kind, "m")
+    for value in others:
+        with pytest.raises(ValueError, match=r"^edge=") as raised:
+            check("edge", value, kind, "m", hint="; see the docs")
+        assert str(raised.value) == f"edge={value!r}: expected {expected}; see the docs"
+
+
+def test_none_passes_only_where_it_is_optional():
+    check("edge", None, POSITIVE, optional=True)
+    with pytest.raises(ValueError, match=r"edge=None: expected a positive number$"):
+        check("edge", None, POSITIVE)
+    with pytest.raises(ValueError, match=r"edge=0: expected a positive number, or None$"):
+        check("edge", 0, POSITIVE, optional=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeGuard, get_args
 
 import numpy as np
@@ -39,6 +41,96 @@ def is_positive(value: Any) -> TypeGuard[float]:
 def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
     """Return whether this is one whole number in a range."""
     return is_finite(value) and float(value).is_integer() and least <= value <= most
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Kind of numbers that an argument takes.
+
+    Attributes
+    ----------
+    fits : function
+        Whether a value is one of them.
+    adjective : str
+        In messages, with its article: "a positive".
+    limits : str
+        What follows the noun in messages: "from 1 to 30".
+    """
+
+    fits: Callable[[Any], bool]
+    adjective: str
+    limits: str = ""
+
+
+FINITE = Kind(is_finite, "a finite")
+POSITIVE = Kind(is_positive, "a positive")
+NOT_NEGATIVE = Kind(lambda value: is_finite(value) and value >= 0, "a finite", "of at least 0")
+
+
+def whole(least: int, most: float = math.inf) -> Kind:
+    """Return the kind of whole numbers in a range, ends included."""
+    limits = f"of at least {least}"
+    if math.isfinite(most):
+        limits = f"from {least} to {most:.0f}"
+    return Kind(lambda value: is_whole(value, least, most), "a whole", limits)
+
+
+def above(low: float, high: float) -> Kind:
+    """Return the kind of numbers above `low` and up to `high`."""
+    return Kind(
+        lambda value: is_finite(value) and low < value <= high,
+        "a",
+        f"above {low:g} and up to {high:g}",
+    )
+
+
+def between(low: float, high: float) -> Kind:
+    """Return the kind of numbers between two that do not belong to it."""
+    return Kind(
+        lambda value: is_finite(value) and low < value < high, "a", f"between {low:g} and {high:g}"
+    )
+
+
+_NOUNS = {"m": "length", "Pa": "stress", "s": "time", "s-1": "rate", "kg": "mass"}
+
+
+def check(
+    name: str,
+    value: Any,
+    kind: Kind,
+    unit: str = "",
+    *,
+    optional: bool = False,
+    hint: str = "",
+) -> None:
+    """Raise ValueError unless an argument is one number of a kind.
+
+    Parameters
+    ----------
+    name : str
+        The caller's name for the argument, at the start of the message.
+    unit : str
+        Unit that the argument is in; lengths, times and others are called so.
+    optional : bool
+        None passes, too.
+    hint : str
+        End of the message, such as ", such as 0.02".
+
+    Examples
+    --------
+    >>> check("spacing", -1.0, POSITIVE, "m", optional=True)
+    Traceback (most recent call last):
+    ValueError: spacing=-1.0: expected a positive length (m), or None
+    """
+    if kind.fits(value) or (optional and value is None):
+        return
+    expected = [kind.adjective, _NOUNS.get(unit, "number")]
+    if unit:
+        expected.append(f"({unit})")
+    if kind.limits:
+        expected.append(kind.limits)
+    otherwise = ", or None" if optional else ""
+    raise ValueError(f"{name}={plain(value)}: expected {' '.join(expected)}{otherwise}{hint}")
 
 
 def check_choice(name: str, given: Any, choices: Any) -> None:
