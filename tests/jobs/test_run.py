@@ -77,7 +77,7 @@ def start(job: Path, *words: str, before="", **options) -> subprocess.Popen:
 
 
 def steps_there(job: Path) -> int:
-    log = job.parent / "out" / ".fields.begun" / "done.jsonl"
+    log = job.parent / "out" / ".fields.begun" / "done_0.jsonl"
     return log.read_text().count("}}") if log.exists() else 0
 
 

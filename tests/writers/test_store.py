@@ -73,7 +73,7 @@ def test_an_error_midway_keeps_the_steps_before(tmp_path, suffix, compression, m
         with pytest.raises(RuntimeError, match="stopped"):
             xcg.save(fields(fail_at=3, seen=[]), path, **options)
         assert not path.exists()
-        lines = (tmp_path / f".f{suffix}.begun/done.jsonl").read_text()
+        lines = (tmp_path / f".f{suffix}.begun/done_0.jsonl").read_text()
         done = {int(first) for first in re.findall(r"\[(\d+),", lines)}
         seen = []
         xcg.save(fields(seen=seen), path, **options)

@@ -99,35 +99,32 @@ class StoreLayout:
         ds = encoding.noted(storable(ds.drop_encoding()))
         # texts and dates are left to xarray, which writes them as something else; coordinates in
         # memory are small
-        numbers = {
-            name: v
-            for name, v in ds.variables.items()
-            if v.dtype.kind in "biufc" and "time" in v.dims and v.size
-        }
         over = [
-            str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None
+            str(name)
+            for name, v in ds.variables.items()
+            if v.dtype.kind in "biufc"
+            and "time" in v.dims
+            and v.size
+            and (name in ds.data_vars or v.chunks is not None)
         ]
         ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
-        rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
+        lazy_rest = {
+            name: v for name, v in ds.variables.items() if v.chunks is not None and name not in over
+        }
         # at once, as one task computes all fields of a step
-        ds = ds.assign(dask.compute(rest)[0])
-        constant = [
-            str(n) for n, v in ds.data_vars.items() if n not in over and v.dtype.kind == "f"
-        ]
-        for name in constant:
-            values = ds.variables[name]
-            reduced = encoding.reduced(values.to_numpy(), name)
-            ds = ds.assign({name: values.copy(data=reduced)})
+        ds = ds.assign(dask.compute(lazy_rest)[0])
+        for name, data in ds.data_vars.items():
+            if name not in over and data.dtype.kind == "f":
+                reduced = encoding.reduced(data.to_numpy(), str(name))
+                ds = ds.assign({name: data.variable.copy(data=reduced)})
         ds = _aligned(ds, over)
-        chunks = (
-            ds.variables[name].chunksizes["time"][0]
-            for name in over
-            if ds.variables[name].chunks is not None
+        steps = max(
+            (ds.variables[name].chunksizes.get("time", (1,))[0] for name in over), default=1
         )
-        layout = cls(
-            ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1)))
-        )
-        return layout if together is None else replace(layout, steps=together(layout))
+        layout = cls(ds, over, encoding, max(1, min(steps, ds.sizes.get("time", 1))))
+        if together is not None:
+            layout = replace(layout, steps=together(layout))
+        return layout
 
     @property
     def constant(self) -> list[str]:
@@ -146,11 +143,19 @@ class StoreLayout:
     @property
     def threads(self) -> int:
         """Threads of a task: tasks share the processors; a single one has them all."""
-        return 1 if self.lazy and self.ds.sizes["time"] > self.steps else THREADS
+        has_several_tasks = self.lazy and self.ds.sizes["time"] > self.steps
+        return 1 if has_several_tasks else THREADS
+
+    @property
+    def step_numbers(self) -> NDArray:
+        """Number of each step; its place in time without the coordinate ``step``."""
+        if "step" in self.ds.coords:
+            return self.ds["step"].to_numpy()
+        return np.arange(self.ds.sizes.get("time", 1))
 
     def chunk_shape(self, name: str) -> tuple[int, ...]:
-        """Shape of the chunks on disk of a variable over time, whole along other dimensions."""
-        return tuple(self.steps if dim == "time" else n for dim, n in self.ds[name].sizes.items())
+        """Shape of the chunks on disk of a variable over time, which is its first axis, whole along the others."""
+        return (self.steps, *self.ds[name].shape[1:])
 
     def outline(self) -> xr.Dataset:
         """Return the same Dataset with placeholders, which nothing computes, for the arrays that tasks write."""
@@ -209,8 +214,10 @@ def client() -> Any:
     distributed = sys.modules.get("distributed")
     if distributed is None:
         return None
-    of_scheduler = getattr(get_scheduler(), "__self__", None)
-    return of_scheduler if isinstance(of_scheduler, distributed.Client) else None
+    owner = getattr(get_scheduler(), "__self__", None)
+    if isinstance(owner, distributed.Client):
+        return owner
+    return None
 
 
 def lock_for(path: Path) -> AbstractContextManager[Any]:
@@ -261,12 +268,12 @@ def write_file(
     progress: bool | None = False,
 ) -> None:
     """Write one file; `progress` as in `xcg.steps.mapping.shown`."""
-    work = path.with_name(f".{path.name}.begun") if resume else None
-    output = Output(ds, {path: kind}, encoding)
-    # callbacks of dask count the tasks of this process, and those of a cluster report by themselves
-    batch = None if client() is None else 1
-    steps = write_files([output], overwrite=overwrite, work=work, batch=batch)
+    work = None
+    if resume:
+        work = path.with_name(f".{path.name}.begun")
+    steps = write_files([Output(ds, {path: kind}, encoding)], overwrite=overwrite, work=work)
     done = next(steps)
+    # callbacks of dask count the tasks of this process, and those of a cluster report by themselves
     with shown(ds.sizes.get("time", 1), progress, done=done) as bar, count_tasks(bar, _writes):
         for written in steps:
             bar.update(written - bar.n)
@@ -299,7 +306,7 @@ def write_files(
     about : mapping of str to str
         Distinguishes this run from others of the same Dataset, and names what differs.
     batch : int, optional
-        Chunks of time between two reports; by default all.
+        Chunks of time between two reports; by default all. A cluster reports each.
     replaced : sequence of Path
         Files of an earlier run, which are removed at the end.
 
@@ -319,8 +326,9 @@ def write_files(
     for output in outputs:
         layout, described = _laid_out(output, is_resumed=work is not None)
         layouts.append(layout)
-        prefix = f"{output.name}: " if len(outputs) > 1 else ""
-        state |= {f"{prefix}{key}": value for key, value in described.items()}
+        if len(outputs) > 1:
+            described = {f"{output.name}: {key}": value for key, value in described.items()}
+        state |= described
     with ExitStack() as held:
         folder = held.enter_context(work_folder(work, next(iter(targets))))
         for output in outputs[1:]:  # its files may belong to a run of another name as well
@@ -367,8 +375,7 @@ def _begin_all(
             kind.begin(layout, begun.folder / path.name, is_begun)
             for path, kind in output.files.items()
         ]
-        write = _WriteTask(tuple(stores), begun, state, begun.log(k), _numbers(layout.ds))
-        writes.append(write)
+        writes.append(_WriteTask(tuple(stores), begun, state, begun.log(k), layout.step_numbers))
     if not is_begun:
         begun.begin(state)
     return writes
@@ -389,10 +396,6 @@ def _laid_out(output: Output, *, is_resumed: bool) -> tuple[StoreLayout, dict[st
     return layout, state | {"steps in a chunk": str(layout.steps)}
 
 
-def _numbers(ds: xr.Dataset) -> NDArray:
-    return ds["step"].to_numpy() if "step" in ds.coords else np.arange(ds.sizes.get("time", 1))
-
-
 @dataclass(frozen=True, eq=False)
 class _WriteTask:
     """Writes the values of some steps to all stores, and notes that they are there."""
@@ -408,12 +411,14 @@ class _WriteTask:
         self.begun.matches(self.state)
         for store in self.stores:
             store(parts, steps)
-        if noted:
-            skipped = (
-                np.flatnonzero(joined(parts[SKIPPED])) + steps.start if SKIPPED in parts else ()
-            )
-            causes = skips_heard()
-            self.log.add(steps, {int(t): causes.get(int(self.numbers[t]), "") for t in skipped})
+        if not noted:
+            return
+        causes: dict[int, str] = {}
+        if SKIPPED in parts:
+            heard = skips_heard()
+            for t in np.flatnonzero(joined(parts[SKIPPED])) + steps.start:
+                causes[int(t)] = heard.get(int(self.numbers[t]), "")
+        self.log.add(steps, causes)
 
     def describe_skipped(self) -> None:
         """Add the steps that were skipped to the attributes of all files, and why."""
@@ -423,8 +428,9 @@ class _WriteTask:
         steps = self.numbers[list(skipped)]
         heard = self.log.causes()
         because: list[str] = []
-        for step, cause in zip(steps.tolist(), skipped.values(), strict=True):
-            if cause := cause or heard.get(step, ""):
+        for step, own_cause in zip(steps.tolist(), skipped.values(), strict=True):
+            cause = own_cause or heard.get(step)
+            if cause:
                 because.append(f"step {step}: {cause}")
         for store in self.stores:
             store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
@@ -470,16 +476,16 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generato
     yield sum(stop - first for first, stop in done)
     now = {name: ds[name].to_numpy() for name in layout.over if ds.variables[name].chunks is None}
     arrays = {name: ds.variables[name].data for name in layout.lazy}
-    for first in range(0, ds.sizes["time"] if now else 0, layout.steps):
-        part = slice(first, min(first + layout.steps, ds.sizes["time"]))
-        # what is in memory was written before the tasks
-        if (part.start, part.stop) in done or (arrays and done):
-            continue
-        write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
+    if now and not (arrays and done):  # else written before the tasks
+        for first in range(0, ds.sizes["time"], layout.steps):
+            part = slice(first, min(first + layout.steps, ds.sizes["time"]))
+            if (part.start, part.stop) not in done:
+                values = {name: [of_steps[part]] for name, of_steps in now.items()}
+                write(values, part, noted=not arrays)
     if not arrays:
         return
     cluster = client()
-    if cluster is not None and batch is not None:
+    if cluster is not None:
         batch = 1  # the cluster orders its tasks by itself
     graph, layer, waits = graph_of(arrays, write, layout.steps, done, batch)
     ready = sum(stop - first for first, stop in done)
@@ -541,10 +547,10 @@ def graph_of(
     )
 
 
-def _take_and_write(write: _WriteTask, gathered: Gathered, steps: slice, *given: Any) -> None:
-    a_chunk = len(gathered.sources)
+def _take_and_write(write: _WriteTask, gathered: Gathered, steps: slice, *sources: Any) -> None:
+    count = len(gathered.sources)  # of a chunk
     parts = [
-        gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)
+        gathered.take(sources[first : first + count]) for first in range(0, len(sources), count)
     ]
     write({name: [part[name] for part in parts] for name in parts[0]}, steps)
 
@@ -563,10 +569,16 @@ def _writes(key: Any) -> bool:
 class Mismatch(SceneError):
     """An interrupted run was of another scene or call; `folder` holds what it wrote, `changed` says what differs."""
 
-    def __init__(self, folder: Path, message: str, changed: Sequence[str] = ()) -> None:
-        super().__init__(message)
+    def __init__(self, folder: Path, changed: Sequence[str]) -> None:
+        super().__init__(
+            f"{folder} is of a save that was interrupted, of another scene or call ({'; '.join(changed)}); "
+            "repeat the call that began it, or remove the folder to start over"
+        )
         self.folder = folder
         self.changed = changed
+
+    def __reduce__(self) -> tuple[type[Mismatch], tuple[Path, Sequence[str]]]:
+        return Mismatch, (self.folder, self.changed)
 
 
 @dataclass(frozen=True)
@@ -585,18 +597,13 @@ class Begun:
         if not file.exists():
             return False
         before = json.loads(file.read_text())
-        wrong = [key for key in sorted({*before, *state}) if before.get(key) != state.get(key)]
-        if wrong:
-            changed = [
-                f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}"
-                for key in wrong
-            ]
-            raise Mismatch(
-                self.folder,
-                f"{self.folder} is of a save that was interrupted, of another scene or call ({'; '.join(changed)}); "
-                "repeat the call that began it, or remove the folder to start over",
-                changed,
-            )
+        changed = [
+            f"{key}: {_short(state.get(key, 'none'))} instead of {_short(before.get(key, 'none'))}"
+            for key in sorted({*before, *state})
+            if before.get(key) != state.get(key)
+        ]
+        if changed:
+            raise Mismatch(self.folder, changed)
         return True
 
     def clear(self) -> None:
@@ -620,7 +627,7 @@ class Begun:
 
     def log(self, output: int) -> Log:
         """Return the log of an output, by its place among all."""
-        return Log(self.folder / (f"done_{output}.jsonl" if output else "done.jsonl"))
+        return Log(self.folder / f"done_{output}.jsonl")
 
 
 @dataclass(frozen=True)
@@ -643,7 +650,7 @@ class Log:
 
     def steps(self) -> set[tuple[int, int]]:
         """First and last (exclusive) step of each chunk that is there."""
-        return {(first, stop) for first, stop in (line["steps"] for line in self._lines())}
+        return {tuple(line["steps"]) for line in self._lines()}
 
     def skipped(self) -> dict[int, str]:
         """Return the steps that were skipped, by their place in time, and why."""
@@ -659,7 +666,9 @@ class Log:
         return {int(step): cause for given in causes for step, cause in given.items()}
 
     def _lines(self) -> Iterator[dict[str, Any]]:
-        for line in self.file.read_text().splitlines() if self.file.exists() else ():
+        if not self.file.exists():
+            return
+        for line in self.file.read_text().splitlines():
             if line.endswith("}}"):  # else the process ended while it wrote the line
                 yield json.loads(line)
 
@@ -673,15 +682,17 @@ def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict
     state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding)}
     for name, data in ds.variables.items():
         state[f"shape of {name!r}"] = f"{dict(data.sizes)} {data.dtype}"
-        state[f"values of {name!r}"] = (
-            data.data.name if data.chunks is not None else tokenize(data.to_numpy())
-        )
-    # which has the time of the call
-    attrs = {name: value for name, value in ds.attrs.items() if name != "history"}
-    return state | {
-        f"attribute {name!r}": str(np.asarray(value).tolist()) for name, value in attrs.items()
-    }
+        if data.chunks is None:
+            state[f"values of {name!r}"] = tokenize(data.to_numpy())
+        else:
+            state[f"values of {name!r}"] = data.data.name
+    for name, value in ds.attrs.items():
+        if name != "history":  # which has the time of the call
+            state[f"attribute {name!r}"] = str(np.asarray(value).tolist())
+    return state
 
 
-def _short(text: str | None) -> str:
-    return "none" if text is None else text if len(text) < 60 else f"{text[:57]}..."
+def _short(text: str) -> str:
+    if len(text) < 60:
+        return text
+    return f"{text[:57]}..."
