@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,21 +96,20 @@ def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
 
 
 def _fcf_rows(arrays: Frame) -> Iterator[str]:
-    principal, direction = -arrays["principal_stress"], arrays["principal_direction"]
-    numbers = np.concatenate(
+    numbers = np.column_stack(
         [
-            -arrays["major_stress"][:, None],
+            -arrays["major_stress"],
             arrays["major_direction"],
-            principal,
-            direction.reshape(len(direction), 9),
-        ],
-        axis=1,
+            -arrays["principal_stress"],
+            arrays["principal_direction"].reshape(-1, 9),
+        ]
     )
     for p in np.flatnonzero(arrays["chain_id"] >= 0):
         source = ",".join(f"{v:.9g}" for v in (*arrays["position"][p], arrays["diameter"][p] / 2))
         stress = ",".join(f"{v:.9g}" for v in numbers[p])
-        parent = arrays["parent_id"][p]
-        link = "starting" if parent < 0 else f'"{parent}"'
+        link = f'"{arrays["parent_id"][p]}"'
+        if arrays["parent_id"][p] < 0:
+            link = "starting"
         yield f"{arrays['particle_id'][p]},{source},{arrays['chain_id'][p]},{stress},{link},"
 
 
@@ -122,10 +121,12 @@ def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) ->
         raise ValueError(
             f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"
         )
-    numbers = np.atleast_1d(fc["step"].to_numpy()).tolist() if "step" in fc.coords else range(count)
+    numbers: Sequence[int] = range(count)
+    if "step" in fc.coords:
+        numbers = np.atleast_1d(fc["step"].to_numpy()).tolist()
     files = [Path(pattern.replace("{step}", str(number))) for number in numbers]
-    if len(set(files)) < count:
-        twice = next(file for file in files if files.count(file) > 1)
+    twice = next((file for file in files if files.count(file) > 1), None)
+    if twice is not None:
         raise ValueError(
             f"{twice} is the name of several steps, whose numbers are equal; give others by assign_coords(step=...)"
         )
@@ -237,14 +238,16 @@ def polydata_of(step: ChainStep) -> Any:
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 
     mesh = _Mesh.of(step)
-    poly, points, lines = vtkPolyData(), vtkPoints(), vtkCellArray()
+    points = vtkPoints()
     points.SetData(numpy_to_vtk(mesh.points, deep=True))
-    poly.SetPoints(points)
+    lines = vtkCellArray()
     offsets = 2 * np.arange(len(mesh.lines) + 1)
     lines.SetData(
         numpy_to_vtkIdTypeArray(offsets, deep=True),
         numpy_to_vtkIdTypeArray(mesh.lines.ravel(), deep=True),
     )
+    poly = vtkPolyData()
+    poly.SetPoints(points)
     poly.SetLines(lines)
     for target, values in (
         (poly.GetPointData(), mesh.point_data),
@@ -301,10 +304,6 @@ def to_vtkhdf(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool =
     return path
 
 
-# the four kinds of cells of PolyData; only lines occur here
-_CELLS = ("Vertices", "Lines", "Polygons", "Strips")
-
-
 def _append_step(root: h5py.Group, mesh: _Mesh) -> None:
     """Add the points, lines and values of one step, and where they begin."""
     points = _append(root, "Points", mesh.points)
@@ -312,14 +311,18 @@ def _append_step(root: h5py.Group, mesh: _Mesh) -> None:
     _append(root, "Steps/PartOffsets", [root["NumberOfPoints"].shape[0] - 1])
     _append(root, "Steps/NumberOfParts", [1])
     _append(root, "Steps/PointOffsets", [points])
-    first_cell, first_end = [], []
-    for kind in _CELLS:
-        ends = mesh.lines.ravel() if kind == "Lines" else np.zeros(0, "int64")
+    first_cell = []
+    first_end = []
+    # the four kinds of cells of PolyData; only lines occur here
+    cells = dict.fromkeys(("Vertices", "Lines", "Polygons", "Strips"), mesh.lines[:0])
+    cells["Lines"] = mesh.lines
+    for kind, lines in cells.items():
+        ends = lines.ravel()
         # every step brings one offset more than cells, which the reader accounts for by itself
-        before = _append(root, f"{kind}/Offsets", 2 * np.arange(len(ends) // 2 + 1))
+        before = _append(root, f"{kind}/Offsets", 2 * np.arange(len(lines) + 1))
         first_cell.append(before - root["NumberOfPoints"].shape[0] + 1)
         first_end.append(_append(root, f"{kind}/Connectivity", ends))
-        _append(root, f"{kind}/NumberOfCells", [len(ends) // 2])
+        _append(root, f"{kind}/NumberOfCells", [len(lines)])
         _append(root, f"{kind}/NumberOfConnectivityIds", [len(ends)])
     _append(root, "Steps/CellOffsets", [first_cell])
     _append(root, "Steps/ConnectivityIdOffsets", [first_end])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +11,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
+from xcg.common.checks import check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled.arrays import round_bits
 
 _MANTISSA = {4: 23, 8: 52}  # bits, by the bytes of a number
 _SINGLE = 2.0**-24  # relative error of a number in single precision
-_MOST_DIGITS = {4: 7, 8: 15}
+_MOST_DIGITS = {"float32": 7, "float64": 15}
 
 
 @dataclass(frozen=True)
@@ -51,29 +53,26 @@ class Encoding:
         ValueError
             If one of them is unknown.
         """
-        try:
-            kind = None if dtype is None else np.dtype(dtype).name
-        except TypeError:  # of other texts
-            kind = str(dtype)
-        if kind not in (None, "float32", "float64"):
-            raise ValueError(f"dtype={dtype!r}: expected 'float32' or 'float64'")
-        most = _MOST_DIGITS[4 if kind == "float32" else 8]
-        if digits is not None and not (isinstance(digits, int) and 1 <= digits <= most):
-            raise ValueError(
-                f"digits={digits!r}: expected a whole number from 1 to {most} for {kind or 'float64'}"
-            )
-        if compression is not None and compression not in range(10):
-            raise ValueError(
-                f"compression={compression!r}: expected a level from 1 to 9, or 0 for none"
-            )
+        kind = None
+        if dtype is not None:
+            with suppress(TypeError):  # of other texts
+                kind = np.dtype(dtype).name
+            if kind not in _MOST_DIGITS:
+                raise ValueError(f"dtype={dtype!r}: expected 'float32' or 'float64'")
+        most = _MOST_DIGITS[kind or "float64"]
+        hint = f"; {kind or 'float64'} holds {most} digits"
+        check("digits", digits, whole(1, most), optional=True, hint=hint)
+        check("compression", compression, whole(0, 9), optional=True, hint="; 0 for none")
         if compression is None:  # see the table in docs/saving.md
             padded = "particle" in ds.dims or "contact" in ds.dims
             compression = int(padded or digits is not None or kind == "float32")
-        return cls(kind, digits, int(compression))
+        return cls(kind, digits and int(digits), int(compression))
 
     def type_of(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """Type on disk of numbers of a type."""
-        return np.dtype(self.dtype) if self.dtype and dtype.kind == "f" else dtype
+        if self.dtype and dtype.kind == "f":
+            return np.dtype(self.dtype)
+        return dtype
 
     def reduced(self, values: NDArray, name: str = "") -> NDArray:
         """Numbers in their type on disk, rounded to the digits that are kept; `name` is the variable's, for messages.
@@ -93,11 +92,14 @@ class Encoding:
             return values
         with np.errstate(over="ignore"):
             out = np.array(values, dtype=kind, order="C", copy=True)
-        bits = self.digits and _bits(self.digits, twice=kind.itemsize < values.itemsize)
-        if bits and (drop := _MANTISSA[kind.itemsize] - bits) > 0:
-            whole = np.dtype(f"u{kind.itemsize}")
-            special = np.array(np.inf, kind).view(whole)[()]
-            round_bits(out.reshape(-1).view(whole), whole.type(drop), special)
+        drop = 0
+        if self.digits is not None:
+            bits = _bits(self.digits, twice=kind.itemsize < values.itemsize)
+            drop = _MANTISSA[kind.itemsize] - bits
+        if drop > 0:
+            unsigned = np.dtype(f"u{kind.itemsize}")
+            special = np.array(np.inf, kind).view(unsigned)[()]
+            round_bits(out.reshape(-1).view(unsigned), unsigned.type(drop), special)
         infinite = np.isinf(out)
         if infinite.any():
             changed = infinite & np.isfinite(values)
@@ -105,8 +107,9 @@ class Encoding:
                 unrounded = values[changed].astype(kind)
             beyond = values[changed][np.isinf(unrounded)]
             if beyond.size:
+                variable = repr(name) if name else "a variable"
                 raise SceneError(
-                    f"{repr(name) if name else 'a variable'} holds {beyond[0]:g}, beyond the range of {kind} (up to "
+                    f"{variable} holds {beyond[0]:g}, beyond the range of {kind} (up to "
                     f"{np.finfo(kind).max:.3g}): save it with dtype='float64', or convert it to other units"
                 )
             out[changed] = unrounded  # rounding carried these beyond the range
@@ -116,7 +119,9 @@ class Encoding:
         """Record on each variable how it was rounded."""
         if self.digits is None:
             return ds
-        error = max(0.5 * 10.0**-self.digits, _SINGLE if self.dtype == "float32" else 0.0)
+        error = 0.5 * 10.0**-self.digits
+        if self.dtype == "float32":
+            error = max(error, _SINGLE)
         note = f"rounded to {self.digits} significant digits: relative error of at most {error:.2g}"
         floats = {name: data for name, data in ds.data_vars.items() if data.dtype.kind == "f"}
         return ds.assign({name: data.assign_attrs(precision=note) for name, data in floats.items()})
@@ -124,6 +129,9 @@ class Encoding:
 
 def _bits(digits: int, *, twice: bool) -> int:
     """Bits of the mantissa that the digits take; `twice` where numbers are rounded to single precision before."""
-    # twice the error that is left for these bits
-    share = 10.0**-digits - (2 * _SINGLE if twice else 0.0)
-    return math.ceil(-math.log2(share)) if share > 0 else _MANTISSA[4]
+    share = 10.0**-digits  # twice the error that is left for these bits
+    if twice:
+        share -= 2 * _SINGLE
+    if share <= 0:
+        return _MANTISSA[4]
+    return math.ceil(-math.log2(share))

@@ -11,7 +11,7 @@ import threading
 import time
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +27,24 @@ _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # which end a process by default; Wi
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary name beside `path` to write to; rename it at the end, or remove it after an error.
+
+    Errors are those of `renamed_file`.
+    """
+    check_file(path, overwrite=overwrite)
+    with _part(path) as part, renamed_file(path, overwrite=overwrite, part=part):
+        yield part
+
+
+@contextmanager
+def renamed_file(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
+    """Rename the file `part` to `path` at the end; it stays after an error.
 
     Parameters
     ----------
-    path : Path
-        The file.
     overwrite : bool
         Replace a file that exists.
-    part : Path, optional
-        Name to write to instead, which stays after an error.
 
     Raises
     ------
@@ -48,10 +55,10 @@ def whole_file(path: Path, *, overwrite: bool, part: Path | None = None) -> Iter
     IsADirectoryError
         If it is a folder.
     OSError
-        If it cannot be written, as where the disk is full. Nothing is left behind then.
+        If it cannot be written, as where the disk is full.
     """
     check_file(path, overwrite=overwrite)
-    with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
+    with _disk_named(path, part):
         yield part
         publish(part, path, overwrite=overwrite)
 
@@ -180,15 +187,19 @@ def _disk_named(path: Path, part: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
-        left = "" if part.parent.suffix == ".begun" else ", and nothing was left behind"
+        left = ", and nothing was left behind"
+        if part.parent.suffix == ".begun":
+            left = ""
         free = _LITTLE
         with suppress(OSError):
             free = shutil.disk_usage(path.parent).free
         number = getattr(error, "errno", None)
         if number in _FULL or free < _LITTLE:
-            full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
+            reason = "the disk is full"
+            if number == errno.EFBIG:
+                reason = "a file may not be larger here"
             raise OSError(
-                f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again"
+                f"{path}: {reason} ({free / 1e6:.0f} MB free){left}; make room and run again"
             ) from error
         if isinstance(error, RuntimeError) and "HDF" in str(error):
             raise OSError(
@@ -295,18 +306,18 @@ def _part(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`; whatever has it at the end is removed."""
     part = part_of(path)
     temporary.add(part)
-    failed = True
     try:
         yield part
-        failed = False
-    finally:
-        remove(part)
+    except BaseException:
         # after one of them failed, tasks may write to a folder for a moment
-        for _ in range(100 if failed else 0):
+        for _ in range(100):
+            remove(part)
             time.sleep(0.05)
             if not part.exists():
                 break
-            remove(part)
+        raise
+    finally:
+        remove(part)
         temporary.discard(part)
 
 
@@ -353,10 +364,13 @@ def locked(path: Path, what: str) -> Iterator[None]:
     try:
         lock.acquire(blocking=False)
     except Timeout:
-        holder = path.read_bytes()[:32].decode("ascii", "replace").strip() if path.is_file() else ""
+        by = "another run"
+        with suppress(OSError):
+            holder = path.read_bytes()[:32].decode("ascii", "replace").strip()
+            if holder:
+                by += f" (process {holder})"
         raise FileExistsError(
-            f"{what} is being written by another run{f' (process {holder})' if holder else ''}; wait for it to end, or "
-            "choose another output folder or name"
+            f"{what} is being written by {by}; wait for it to end, or choose another output folder or name"
         ) from None
     except OSError as error:
         if path.is_symlink():

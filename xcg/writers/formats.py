@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import struct
 import sys
@@ -46,15 +47,12 @@ class StoredArray:
         Shape of its chunks.
     values : callable, optional
         Brings values of the variable, time first, into its form.
-    over_time : bool
-        Whether its first axis is time.
     """
 
     name: str
     variable: str
     chunk: tuple[int, ...]
-    values: Callable[[NDArray], NDArray] | None = None
-    over_time: bool = True
+    values: Callable[[NDArray], NDArray] = np.asarray
 
 
 class Hdf5Store:
@@ -77,18 +75,16 @@ class Hdf5Store:
     def __call__(self, parts: Parts, steps: slice) -> None:
         """Write the values of these steps."""
         values = {name: joined(part) for name, part in parts.items()}
-        here = [array for array in self.arrays if array.variable in values]
-        ready = for_each(
-            here, lambda array: self._packed(array, values[array.variable]), self.threads
+        arrays = [array for array in self.arrays if array.variable in values]
+        packed = for_each(
+            arrays, lambda array: self._packed(array, values[array.variable]), self.threads
         )
         with self._writing() as file:
-            for array, chunks in zip(here, ready, strict=True):
-                if isinstance(chunks, np.ndarray):
-                    file[array.name][steps if array.over_time else ...] = chunks
-                    continue
+            for array, chunks in zip(arrays, packed, strict=True):
                 for (first, *others), chunk in chunks:
-                    first += steps.start if array.over_time else 0
-                    file[array.name].id.write_direct_chunk((first, *others), chunk)
+                    # a file without a time axis has one step, the first
+                    place = (steps.start + first, *others)
+                    file[array.name].id.write_direct_chunk(place, chunk)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add attributes."""
@@ -102,33 +98,21 @@ class Hdf5Store:
             with hdf5_file(self.path, "r+", journal=True) as file:
                 yield file
 
-    def _packed(
-        self, array: StoredArray, values: NDArray
-    ) -> NDArray | list[tuple[tuple[int, ...], Any]]:
-        """Bytes of whole chunks and their places; values as they are where the library has to convert them."""
-        values = self.encoding.reduced(
-            values if array.values is None else array.values(values), array.variable
-        )
-        values = values.view("i1") if values.dtype.kind == "b" else values
-        if values.dtype.kind not in "fiu" or not values.dtype.isnative:
-            return values
-        packed = []
-        for place in product(
-            *(range(0, n, size) for n, size in zip(values.shape, array.chunk, strict=True))
-        ):
-            part = values[
-                tuple(slice(k, k + size) for k, size in zip(place, array.chunk, strict=True))
-            ]
+    def _packed(self, array: StoredArray, values: NDArray) -> list[tuple[tuple[int, ...], Any]]:
+        """Return the places of whole chunks, and their bytes."""
+        values = self.encoding.reduced(array.values(values), array.variable)
+        values = values.astype(values.dtype.newbyteorder("="), copy=False)
+        sizes = list(zip(values.shape, array.chunk, strict=True))
+        packed: list[tuple[tuple[int, ...], Any]] = []
+        for place in product(*(range(0, n, size) for n, size in sizes)):
+            part = values[tuple(map(slice, place, np.add(place, array.chunk)))]
             if part.shape != array.chunk:  # beyond the end
-                whole = np.zeros(array.chunk, part.dtype)
-                whole[tuple(map(slice, part.shape))] = part
-                part = whole
-            data = (
-                deflated(part, self.encoding.level)
-                if self.encoding.level
-                else np.ascontiguousarray(part)
-            )
-            packed.append((place, data))
+                beyond = np.subtract(array.chunk, part.shape)
+                part = np.pad(part, [(0, n) for n in beyond])
+            if self.encoding.level:
+                packed.append((place, deflated(part, self.encoding.level)))
+            else:
+                packed.append((place, np.ascontiguousarray(part)))
         return packed
 
 
@@ -136,8 +120,10 @@ def deflated(values: NDArray, level: int) -> bytes:
     """Shuffle the bytes of numbers and compress them, as the filters of HDF5 of these names do."""
     flat = np.ascontiguousarray(values).reshape(-1)
     out = np.ascontiguousarray(flat.view("u1").reshape(-1, flat.itemsize).T)
-    # isal, required, compresses as well as zlib does, in a seventeenth of the time
-    return (isal_zlib if level <= _ISAL_LEVELS else zlib).compress(out, level)
+    if level <= _ISAL_LEVELS:
+        # isal, required, compresses as well as zlib does, in a seventeenth of the time
+        return isal_zlib.compress(out.data, level)
+    return zlib.compress(out.data, level)
 
 
 # --- HDF5 files ------------------------------------------------------------------------------------------
@@ -155,8 +141,9 @@ class Sink(io.FileIO):
     def __init__(self, path: Path, mode: str, *, journal: bool = False) -> None:
         super().__init__(path, mode)
         self.problem: OSError | None = None
-        # what is before is changed in the end only
-        self._end = os.fstat(self.fileno()).st_size if journal else 0
+        self._end = 0
+        if journal:  # what is before is changed in the end only
+            self._end = os.fstat(self.fileno()).st_size
         self._changes: list[tuple[int, bytes]] = []
 
     def write(self, data: Any) -> int:
@@ -235,15 +222,15 @@ def recover(path: Path) -> None:
     journal = _journal(path)
     if not journal.exists():
         return
-    held = journal.read_bytes()
+    content = journal.read_bytes()
     changes = []
     at = 8
-    while at < len(held):
-        place, size = struct.unpack_from("<qq", held, at)
-        changes.append((place, held[at + 16 : at + 16 + size]))
+    while at < len(content):
+        place, size = struct.unpack_from("<qq", content, at)
+        changes.append((place, content[at + 16 : at + 16 + size]))
         at += 16 + size
     with open(path, "rb+") as file:
-        file.truncate(*struct.unpack_from("<q", held))
+        file.truncate(*struct.unpack_from("<q", content))
         _apply(changes, file.fileno())
 
 
@@ -254,25 +241,22 @@ def _apply(changes: list[tuple[int, bytes]], file: int) -> None:
 
 
 def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
-    ds = layout.ds
-    level = layout.encoding.level
     if not begun:
-        packed = {"zlib": True, "complevel": level, "shuffle": True} if level else {}
-        how: dict[str, Any] = {
-            name: {**packed, "chunksizes": layout.chunk_shape(name)} for name in layout.over
-        }
-        how |= dict.fromkeys(layout.constant, packed)
-        # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any
-        # length.
-        how |= {
-            str(name): {"dtype": "S1"}
-            for name, data in ds.variables.items()
-            if data.dtype.kind in "OUT"
-        }
+        packed: dict[str, Any] = {}
+        if layout.encoding.level:
+            packed = {"zlib": True, "complevel": layout.encoding.level, "shuffle": True}
+        encoding = dict.fromkeys(layout.constant, packed)
+        for name in layout.over:
+            encoding[name] = packed | {"chunksizes": layout.chunk_shape(name)}
+        for key, data in layout.ds.variables.items():
+            # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any
+            # length.
+            if data.dtype.kind in "OUT":
+                encoding[str(key)] = {"dtype": "S1"}
         reserve(path, _HEADER)
         # What this returns would write the zeros of the outline; it is let go, which closes the
         # file.
-        layout.outline().to_netcdf(path, engine="netcdf4", encoding=how, compute=False)
+        layout.outline().to_netcdf(path, engine="netcdf4", encoding=encoding, compute=False)
     arrays = [StoredArray(name, name, layout.chunk_shape(name)) for name in layout.over]
     return Hdf5Store(path, arrays, layout)
 
@@ -314,18 +298,16 @@ class _Plain:
     @classmethod
     def of(cls, folder: Path) -> _Plain | None:
         """Read the metadata of a variable; None where its chunks are something else."""
-        said = json.loads((folder / "zarr.json").read_text())
-        dtype = said["data_type"]
-        fill = said["fill_value"]
-        as_they_are = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
-        known = dtype in ("float32", "float64", "int64") and (
-            fill == "NaN" or not isinstance(fill, str)
-        )
-        if not known or said["codecs"] != as_they_are:
+        metadata = json.loads((folder / "zarr.json").read_text())
+        dtype = metadata["data_type"]
+        fill = metadata["fill_value"]
+        uncompressed = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
+        if dtype not in ("float32", "float64", "int64") or metadata["codecs"] != uncompressed:
             return None
-        return cls(
-            np.dtype(dtype), tuple(said["chunk_grid"]["configuration"]["chunk_shape"]), float(fill)
-        )
+        if isinstance(fill, str) and fill != "NaN":
+            return None
+        shape = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+        return cls(np.dtype(dtype), shape, float(fill))
 
     def write(self, folder: Path, parts: Sequence[NDArray], first: int) -> None:
         """Write the chunk that begins with a step; its file appears when it is whole."""
@@ -334,22 +316,22 @@ class _Plain:
             file.unlink(missing_ok=True)
             return
         missing = self.shape[0] - sum(map(len, parts))
-        beyond = [np.full((missing, *self.shape[1:]), self.fill)] if missing else []
+        beyond = np.full((missing, *self.shape[1:]), self.fill)
         part = part_of(file)
         with open(part, "xb") as opened:
-            for values in (*parts, *beyond):
+            for values in (*parts, beyond):
                 opened.write(np.ascontiguousarray(values, self.dtype).data)
         os.replace(part, file)
 
     def _is_blank(self, values: NDArray) -> bool:
         """Return whether all values are fill values; zeros of another sign differ."""
-        for some in (values.reshape(-1)[:1], values):  # a first look is enough for nearly all
-            blank = (
-                np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
-            )
-            if not blank.all():
-                return False
-        return True
+
+        def are_blank(some: Any) -> bool:
+            if np.isnan(self.fill):
+                return bool(np.isnan(some).all())
+            return bool(((some == self.fill) & ~np.signbit(some)).all())
+
+        return are_blank(values.flat[0]) and are_blank(values)  # the first decides for nearly all
 
 
 @dataclass(frozen=True)
@@ -368,13 +350,13 @@ class _Zarr:
         import zarr
 
         group = None
-        for name, given in parts.items():
-            ready = [self.encoding.reduced(values, name) for values in given]
+        for name, values in parts.items():
+            reduced = [self.encoding.reduced(part, name) for part in values]
             if name in self.plain:
-                self.plain[name].write(self.path / name, ready, steps.start)
+                self.plain[name].write(self.path / name, reduced, steps.start)
                 continue
             group = group or zarr.open_group(self.path, mode="r+")
-            group[name][steps] = joined(ready)
+            group[name][steps] = joined(reduced)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add attributes."""
@@ -391,29 +373,35 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
     BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
     level = layout.encoding.level
     if not begun:
-        packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
-        how = {"compressors": packed, "chunk_key_encoding": _KEYS}
-        each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
-        each |= {name: {"compressors": packed} for name in layout.constant}
+        packed = []
+        if level:
+            packed.append(BloscCodec(cname="zstd", clevel=level, shuffle="shuffle"))
+        encoding: dict[str, Any] = {name: {"compressors": packed} for name in layout.constant}
+        for name in layout.over:
+            encoding[name] = {
+                "compressors": packed,
+                "chunk_key_encoding": _KEYS,
+                "chunks": layout.chunk_shape(name),
+            }
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass
             # over it.
             warnings.filterwarnings("ignore", _NOT_STANDARD)
             layout.outline().to_zarr(
-                path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False
+                path, mode="w", encoding=encoding, zarr_format=3, consolidated=True, compute=False
             )
-    plain = {name: found for name in layout.over if (found := _Plain.of(path / name))}
+    plain = {name: chunks for name in layout.over if (chunks := _Plain.of(path / name))}
     return _Zarr(path, layout.encoding, plain)
 
 
 def _steps_together(layout: StoreLayout) -> int:
     """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
-    chunk = layout.steps
     count = max(1, layout.ds.sizes.get("time", 1))
-    size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
-    return chunk * max(
-        1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk))
-    )
+    all_bytes = sum(layout.ds[name].nbytes for name in layout.over)
+    chunk_bytes = max(1.0, layout.steps * all_bytes / count)
+    wanted = int(min(len(layout.over) * _CHUNK, _TOGETHER) / chunk_bytes)
+    available = math.ceil(count / layout.steps)
+    return layout.steps * max(1, min(wanted, available))
 
 
 ZARR = Format(

@@ -64,9 +64,8 @@ def write_pvd(
     with shown(fields.sizes.get("time", 1), progress) as bar:
 
         def write(step: xr.Dataset, file: Path) -> None:
-            write_by_vtk(
-                vtkXMLImageDataWriter(), image_of(step, encoding), file, overwrite=overwrite
-            )
+            image = image_of(step, encoding)
+            write_by_vtk(vtkXMLImageDataWriter(), image, file, overwrite=overwrite)
             bar.update()
 
         write_series(fields, path, ".vti", write, overwrite=overwrite)
@@ -87,14 +86,15 @@ def image_of(step: xr.Dataset, encoding: Encoding = _AS_THEY_ARE) -> Any:
         data = step[array.variable]
         values = np.asarray(array.values(data.variable, frame))
         values = encoding.reduced(values, array.variable)
-        found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
-        found.SetName(array.name)
+        column = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
+        column.SetName(array.name)
         rank = len({"component", "direction"} & {*data.dims})
-        for k, label in enumerate(product(COMPONENTS, repeat=rank) if rank else ()):
-            found.SetComponentName(k, "".join(label))
+        if rank:
+            for k, label in enumerate(product(COMPONENTS, repeat=rank)):
+                column.SetComponentName(k, "".join(label))
         if "units" in data.attrs:
-            found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
-        image.GetPointData().AddArray(found)
+            column.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
+        image.GetPointData().AddArray(column)
     return image
 
 
@@ -133,8 +133,9 @@ def write_series(
     ValueError
         If times are no numbers that rise; likewise.
     """
-    known = times_of(fields)
-    times = np.zeros(1) if known is None else known
+    times = times_of(fields)
+    if times is None:
+        times = np.zeros(1)
     names = [path.with_name(f"{path.stem}_{t:04d}{suffix}") for t in range(len(times))]
     for name in (*names, path):
         check_file(name, overwrite=overwrite)
@@ -146,7 +147,7 @@ def write_series(
     with hidden_folder(path) as folder:
         for step, name in zip(each_step(fields), names, strict=True):
             write(step, folder / name.name)
-        old = _steps_of(path, suffix)
+        old = _listed_files(path, suffix)
         check_target(path, overwrite=overwrite)
         path.unlink(missing_ok=True)
         for name in names:
@@ -157,15 +158,14 @@ def write_series(
         name.unlink(missing_ok=True)
 
 
-def _steps_of(path: Path, suffix: str) -> set[Path]:
-    """Files of the series that a list names, only files that this module has named."""
-    if not path.exists():
-        return set()
-    with suppress(SceneError):  # a list by another hand, or damaged
-        listed = {Path(name) for names, _ in read_collection(str(path)) for name in names}
-        own = re.compile(rf"{re.escape(path.stem)}_\d{{4,}}{re.escape(suffix)}")
-        return {name for name in listed if name.parent == path.parent and own.fullmatch(name.name)}
-    return set()
+def _listed_files(path: Path, suffix: str) -> set[Path]:
+    """Return the files that a list names, as far as this module has named them."""
+    listed: set[Path] = set()
+    if path.exists():
+        with suppress(SceneError):  # a list by another hand, or damaged
+            listed = {Path(name) for names, _ in read_collection(str(path)) for name in names}
+    series = re.compile(rf"{re.escape(path.stem)}_\d{{4,}}{re.escape(suffix)}")
+    return {name for name in listed if name.parent == path.parent and series.fullmatch(name.name)}
 
 
 _OTHERS = ("time", "phase", "component", "direction")
@@ -235,24 +235,22 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
         raise ValueError(
             f"the fields have the dimensions {dims} beside {', '.join(_OTHERS)}: expected one, that of its points"
         )
-    without = [str(name) for name, data in fields.data_vars.items() if dims[0] not in data.dims]
+    (dim,) = dims
+    without = [str(name) for name, data in fields.data_vars.items() if dim not in data.dims]
     if without or not fields.data_vars:
         raise ValueError(
             f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars"
         )
-    size = fields.sizes[dims[0]]
+    size = fields.sizes[dim]
     counts = {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()}
-    fits = [
-        kind
-        for kind, count in counts.items()
-        if count == size and dims[0] in (kind, *({dims[0]} - set(counts)))
-    ]
-    if len(fits) != 1:
+    kinds = [dim] if dim in counts else list(counts)
+    fitting = [kind for kind in kinds if counts[kind] == size]
+    if len(fitting) != 1:
         raise ValueError(
             f"{os.fspath(path)} has {counts['point']} points and {counts['cell']} cells, and the fields have {size} "
-            f"along {dims[0]!r}: take them at=xcg.mesh_points(...) of it, or name the dimension 'point' or 'cell'"
+            f"along {dim!r}: take them at=xcg.mesh_points(...) of it, or name the dimension 'point' or 'cell'"
         )
-    return dims[0], fits == ["cell"]
+    return dim, fitting == ["cell"]
 
 
 def _check_places(
@@ -265,9 +263,9 @@ def _check_places(
             away = np.abs(fields[a].to_numpy() - places[:, k])
             if not away.max() <= _CLOSE * size:
                 row = int(away.argmax())
-                found = np.broadcast_to(fields[a].to_numpy(), len(places))[row]
+                of_field = np.broadcast_to(fields[a].to_numpy(), len(places))[row]
                 raise ValueError(
-                    f"{os.fspath(path)}: the field's {dim} {row} is at {a} = {found:.9g}, and that of the mesh at "
+                    f"{os.fspath(path)}: the field's {dim} {row} is at {a} = {of_field:.9g}, and that of the mesh at "
                     f"{places[row, k]:.9g}: the fields are those of another mesh, or in another order"
                 )
 
@@ -293,18 +291,19 @@ def _write_mesh_step(
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
-    step = step.isel(time=0) if "time" in step.dims else step
+    if "time" in step.dims:
+        step = step.isel(time=0)
     grid = vtkUnstructuredGrid()
     grid.ShallowCopy(bare)
-    target = grid.GetCellData() if cells else grid.GetPointData()
+    target = grid.GetPointData()
+    if cells:
+        target = grid.GetCellData()
     for array in arrays_of(step):
         data = array.part(step[array.variable].variable)
-        values = data.transpose(
-            dim, *(d for d in ("component", "direction") if d in data.dims)
-        ).to_numpy()
-        found = numpy_to_vtk(
-            np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True
-        )
-        found.SetName(array.name)
-        target.AddArray(found)
+        order = (dim, "component", "direction")
+        values = data.transpose(*order, missing_dims="ignore").to_numpy()
+        rows = np.ascontiguousarray(values.reshape(len(values), -1), array.dtype)
+        column = numpy_to_vtk(rows, deep=True)
+        column.SetName(array.name)
+        target.AddArray(column)
     write_by_vtk(vtkXMLUnstructuredGridWriter(), grid, path, overwrite=overwrite)

@@ -135,7 +135,7 @@ class Recorder:
             raise
 
     def _continue(self) -> None:
-        engine = "zarr" if self.path.suffix == ".zarr" else None
+        engine = {".nc": "netcdf4", ".zarr": "zarr"}[self.path.suffix]
         with xr.open_dataset(self.path, chunks=None, engine=engine) as recorded:
             if "time" not in recorded.dims:
                 raise SceneError(
@@ -170,9 +170,10 @@ class Recorder:
         if "time" in ds.dims:
             chunks = [ds.isel(time=steps) for steps in chunks_of_time(ds)]
         for chunk in chunks:
-            # fields first: of a lazy scene they need only some variables
-            fields = _fields(chunk, self._request) if "position" in ds else chunk
-            for step in each_step(fields):
+            if "position" in ds:
+                # before values are loaded: fields need only some variables of a lazy scene
+                chunk = _fields(chunk, self._request)
+            for step in each_step(chunk):
                 self._add(_with_time(step))
 
     def _add(self, fields: xr.Dataset) -> None:
@@ -241,29 +242,21 @@ def _check_request(request: Request, recorded: xr.Dataset) -> None:
     extent = json.loads(recorded.attrs.get("extent", "{}"))
     for a, length in (request.extent or {}).items():
         pairs[f"extent along {a}"] = (length, extent.get(a, np.nan))
-    bounds = request.bounds or {}
-    spacing: Any = request.spacing
-    if not isinstance(spacing, Mapping):
-        spacing = dict.fromkeys("xyz", spacing)
-    for a, step in spacing.items():
-        if step is None or isinstance(step, str) or recorded.sizes.get(a, 0) < 2:
-            continue
-        recorded_step = float(recorded[a][1] - recorded[a][0])
-        if a in recorded.attrs.get("periodic", "") and a not in bounds:
-            # the nearest that divides the period
-            period = recorded.sizes[a] * recorded_step
-            step = period / max(1, np.floor(period / step + 0.5))
-        pairs[f"spacing along {a}"] = (step, recorded_step)
+    pairs |= _spacings(request, recorded)
     if not isinstance(request.width, str | Mapping | None):
         pairs["width"] = (request.width, recorded.attrs["width"])
-    for a, (low, high) in bounds.items():
+    for a, (low, high) in (request.bounds or {}).items():
         if a not in recorded.dims:
             continue
         x = recorded[a].to_numpy()
-        step = x[1] - x[0] if len(x) > 1 else np.inf
+        last = x[-1]
+        step = np.inf
+        if len(x) > 1:
+            step = x[1] - x[0]
         # the last node lies before its bound where the spacing does not divide the range
-        reaches_bound = 0 <= high - x[-1] < step * (1 - 1e-6)
-        pairs[a] = ((low, high), (x[0], high if reaches_bound else x[-1]))
+        if 0 <= high - last < step * (1 - 1e-6):
+            last = high
+        pairs[a] = ((low, high), (x[0], last))
     for name, (requested, of_file) in pairs.items():
         if not np.allclose(requested, of_file, rtol=1e-6, atol=0):
             raise SceneError(
@@ -273,6 +266,24 @@ def _check_request(request: Request, recorded: xr.Dataset) -> None:
         raise SceneError(
             f"by={request.by!r}: the steps that are there have no phases; record to another file"
         )
+
+
+def _spacings(request: Request, recorded: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Return the spacing of the request and that of the file along each axis, by names for messages."""
+    pairs: dict[str, tuple[float, float]] = {}
+    spacing: Any = request.spacing
+    if not isinstance(spacing, Mapping):
+        spacing = dict.fromkeys("xyz", spacing)
+    for a, step in spacing.items():
+        if step is None or isinstance(step, str) or recorded.sizes.get(a, 0) < 2:
+            continue
+        recorded_step = float(recorded[a][1] - recorded[a][0])
+        if a in recorded.attrs.get("periodic", "") and a not in (request.bounds or {}):
+            # the nearest that divides the period
+            period = recorded.sizes[a] * recorded_step
+            step = period / max(1, np.floor(period / step + 0.5))
+        pairs[f"spacing along {a}"] = (step, recorded_step)
+    return pairs
 
 
 def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:

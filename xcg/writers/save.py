@@ -40,11 +40,11 @@ _WRITERS: dict[str, Writer | Format] = {
     ".pvd": write_pvd,
 }
 _NAMES = {
-    ".nc": "NetCDF",
-    ".h5": "HDF5",
-    ".zarr": "Zarr",
-    ".vtkhdf": "VTKHDF",
-    ".pvd": "images for any ParaView",
+    ".nc": ".nc (NetCDF)",
+    ".h5": ".h5 (HDF5)",
+    ".zarr": ".zarr (Zarr)",
+    ".vtkhdf": ".vtkhdf (VTKHDF)",
+    ".pvd": ".pvd (images for any ParaView)",
 }
 
 
@@ -177,7 +177,7 @@ def save(
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
-        known = ", ".join(f"{end} ({_NAMES[end]})" if end in _NAMES else end for end in _WRITERS)
+        known = ", ".join(_NAMES.get(end, end) for end in _WRITERS)
         hint = _OTHER_SUFFIXES.get(path.suffix, "")
         raise ValueError(f"{path}: expected a name that ends with {known}{hint}")
     with_units = [
@@ -208,12 +208,8 @@ def save(
         write_file(
             ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress
         )
+    elif writer is write_pvd:
+        write_pvd(ds, path, encoding, overwrite=overwrite, progress=progress)
     else:
-        writer(
-            ds,
-            path,
-            encoding,
-            overwrite=overwrite,
-            **({"progress": progress} if writer is write_pvd else {}),
-        )
+        writer(ds, path, encoding, overwrite=overwrite)
     return path

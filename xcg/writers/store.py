@@ -43,9 +43,9 @@ from xcg.writers.files import (
     is_published,
     locked,
     remove,
+    renamed_file,
     signals_wait,
     sync,
-    whole_file,
     work_folder,
 )
 
@@ -199,14 +199,14 @@ class Format:
     together : callable, optional
         See `StoreLayout.of`.
     whole : callable
-        Context that gives a whole file its name, as `whole_file`.
+        Context that gives a complete file its name, as `renamed_file`.
     """
 
     name: str
     begin: Callable[[StoreLayout, Path, bool], Store]
     check: Callable[[xr.Dataset], xr.Dataset] = lambda ds: ds
     together: Callable[[StoreLayout], int] | None = None
-    whole: Callable[..., AbstractContextManager[Path]] = whole_file
+    whole: Callable[..., AbstractContextManager[Path]] = renamed_file
 
 
 def client() -> Any:

@@ -42,6 +42,13 @@ _BAR = {
     "title_font_size": 20,
     "label_font_size": 18,
 }
+# variables whose units arrays of other names have
+_VARIABLES = {
+    "stress": "major_stress",
+    "force": "contact_force",
+    "force_magnitude": "contact_force",
+    "radius": "diameter",
+}
 _TICKS = 5  # steps between the ends of a bar, about
 _LETTERS = 14  # in a line of the title of a bar
 
@@ -109,9 +116,8 @@ def to_pyvista(
             "these fields are on a cylinder, and an image has x, y and z: draw them with f.cg.plot"
         )
     step = checked(step_at(ds, index)).compute()
-    return _noted(
-        pv.wrap(image_of(step)), step, {array.name: array.variable for array in arrays_of(step)}
-    )
+    variables = {array.name: array.variable for array in arrays_of(step)}
+    return _noted(pv.wrap(image_of(step)), step, variables)
 
 
 def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
@@ -119,7 +125,7 @@ def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
     units = {
         array: str(step[name].attrs["units"])
         for array, name in variables.items()
-        if "units" in step[name].attrs
+        if name in step and "units" in step[name].attrs
     }
     times = {name: step[name].values.item() for name in ("time", "step") if name in step.coords}
     mesh.user_dict = {"units": units, **times}
@@ -134,37 +140,35 @@ def _blocks(pv: Any, ds: xr.Dataset, index: int, *, shapes: bool, chains: xr.Dat
     }
     frame, lattice, source = frame_at(ds, index, [*rows["particle"], *rows["contact"]])
     step = step_at(ds, index)
-    found = pv.MultiBlock()
+    blocks = pv.MultiBlock()
     grains = pv.PolyData(frame["position"])
-    for name in rows["particle"] if grains.n_points else ():  # PyVista takes no empty vectors
-        grains.point_data[name] = frame[name]
+    if grains.n_points:  # PyVista takes no empty vectors
+        grains.point_data.update({name: frame[name] for name in rows["particle"]})
     sizes = frame.get("diameter", np.zeros(0))
     if shapes and len(sizes):
         grains = grains.glyph(geom=pv.Sphere(**_SPHERE), scale="diameter", orient=False)
-    found["particles"] = _noted(grains, step, {name: name for name in rows["particle"]})
+    blocks["particles"] = _noted(grains, step, {name: name for name in rows["particle"]})
     if "contact_i" in frame:
         values = {name: frame[name] for name in rows["contact"]}
         if "contact_force" in frame:
             values["force_magnitude"] = np.linalg.norm(frame["contact_force"], axis=1)
         start, end, contact = _branches(Contacts.of(frame, lattice, source))
-        lines = _lines(
-            pv, start, end, {name: of_contact[contact] for name, of_contact in values.items()}
-        )
-        lines = _tubes(pv, lines, sizes) if shapes else lines
-        variables = {
-            name: "contact_force" if name == "force_magnitude" else name for name in values
-        }
-        found["contacts"] = _noted(lines, step, variables)
+        lines = _lines(pv, start, end, {name: data[contact] for name, data in values.items()})
+        if shapes:
+            lines = _tubes(pv, lines, sizes)
+        variables = {name: _VARIABLES.get(name, name) for name in values}
+        blocks["contacts"] = _noted(lines, step, variables)
     if chains is not None:
-        found["chains"] = _links(pv, chains, index, shapes=shapes)
+        blocks["chains"] = _links(pv, chains, index, shapes=shapes)
     if lattice.edges is not None and np.isfinite(lattice.edges).all():
-        found["box"] = _box(pv, lattice.edges, lattice.cell)
-    return found
+        blocks["box"] = _box(pv, lattice.edges, lattice.cell)
+    return blocks
 
 
 def _branches(contacts: Contacts) -> tuple[NDArray, NDArray, NDArray]:
     """Return the ends (n, 3) of lines from the centre of each grain to its contact points, and their contacts."""
-    i, j = np.flatnonzero(contacts.i >= 0), np.flatnonzero(contacts.j >= 0)
+    i = np.flatnonzero(contacts.i >= 0)
+    j = np.flatnonzero(contacts.j >= 0)
     start = contacts.position[np.concatenate([contacts.i[i], contacts.j[j]])]
     branch = np.concatenate([contacts.branch_i[i], contacts.branch_j[j]])
     return start, start - branch, np.concatenate([i, j])
@@ -184,8 +188,8 @@ def _box(pv: Any, edges: NDArray, cell: NDArray | None) -> Any:
 def _lines(pv: Any, start: NDArray, end: NDArray, values: Mapping[str, NDArray]) -> Any:
     """Separate lines by their ends, (n, 3) each, and values."""
     lines = pv.line_segments_from_points(np.stack([start, end], axis=1).reshape(-1, 3))
-    for name, of_line in values.items() if len(start) else ():  # PyVista takes no empty vectors
-        lines.cell_data[name] = of_line
+    if len(start):  # PyVista takes no empty vectors
+        lines.cell_data.update(values)
     return lines
 
 
@@ -193,18 +197,15 @@ def _tubes(pv: Any, lines: Any, sizes: NDArray) -> Any:
     """Tubes in place of lines, with radii by the force, for grains of these diameters."""
     if not lines.n_lines:
         return lines
-    start, end = np.asarray(lines.points)[np.asarray(lines.lines).reshape(-1, 3)[:, 1:]].transpose(
-        1, 0, 2
-    )
+    ends = np.asarray(lines.lines).reshape(-1, 3)[:, 1:].T
+    start, end = np.asarray(lines.points)[ends]
     values = {name: np.asarray(lines.cell_data[name]) for name in lines.cell_data}
     force = values.get("force_magnitude", np.ones(len(start)))
     largest = np.percentile(force, STRONGEST) or force.max(initial=0.0) or 1.0
     apart = _lines(pv, start, end, values)
-    radius = (
-        WIDEST * sizes.mean() / 2
-        if len(sizes)
-        else 0.05 * np.linalg.norm(end - start, axis=1).mean()
-    )
+    radius = 0.05 * np.linalg.norm(end - start, axis=1).mean()
+    if len(sizes):
+        radius = WIDEST * sizes.mean() / 2
     apart.point_data["radius"] = np.repeat(radius * np.clip(force / largest, THINNEST, 1.0), 2)
     return apart.tube(scalars="radius", absolute=True, n_sides=8)
 
@@ -212,21 +213,13 @@ def _tubes(pv: Any, lines: Any, sizes: NDArray) -> Any:
 def _links(pv: Any, fc: xr.Dataset, index: int, *, shapes: bool) -> Any:
     """Links of the chains of a step."""
     require_chains(fc, "to_pyvista")
-    one = step_at(fc, index)
-    (step,) = steps_of(one, VTK_VARIABLES)
+    one_step = step_at(fc, index)
+    (step,) = steps_of(one_step, VTK_VARIABLES)
     links = pv.wrap(polydata_of(step))
-    links = _tubes(pv, links, 2 * np.asarray(links.point_data["radius"])) if shapes else links
-    of = {
-        "stress": "major_stress",
-        "force": "contact_force",
-        "force_magnitude": "contact_force",
-        "radius": "diameter",
-    }
-    return _noted(
-        links,
-        one,
-        {name: of.get(name, name) for name in links.array_names if of.get(name, name) in one},
-    )
+    if shapes:
+        links = _tubes(pv, links, 2 * np.asarray(links.point_data["radius"]))
+    variables = {name: _VARIABLES.get(name, name) for name in links.array_names}
+    return _noted(links, one_step, variables)
 
 
 def view(
@@ -295,35 +288,22 @@ def view(
     >>> f.cg.view("density")  # doctest: +SKIP
     """
     pv = extra("pyvista", "view", "a picture in 3D")
-    parts = {
-        "component": component,
-        "direction": direction,
-        "phase": None if phase == "bulk" else phase,
-    }
-    if ignored := [
-        name
-        for name, part in parts.items()
-        if part is not None and ("position" in ds or "chain_id" in ds)
-    ]:
-        raise ValueError(
-            f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains"
-        )
-    target = pv.Plotter() if plotter is None else plotter
+    part = {"component": component, "direction": direction, "phase": phase}
+    if "position" in ds or "chain_id" in ds:
+        for name, label in part.items():
+            if label not in (None, "bulk"):
+                raise ValueError(
+                    f"{name}= chooses a part of a field of a result: leave it out for a scene and chains"
+                )
+    target = plotter or pv.Plotter()
     style = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
-    if "position" in ds and "chain_id" not in ds:
-        _draw_scene(target, ds, field, index, contacts, chains, style)
-    elif "chain_id" in ds:
+    if "chain_id" in ds:
         links: Any = to_pyvista(ds, index)
         _draw(target, links, field or "stress", links.user_dict["units"], style)
+    elif "position" in ds:
+        _draw_scene(target, ds, field, index, contacts, chains, style)
     else:
-        _draw_field(
-            target,
-            ds,
-            field,
-            index,
-            {"component": component, "direction": direction, "phase": phase},
-            style,
-        )
+        _draw_field(target, ds, field, index, part, style)
     target.add_axes()
     if plotter is None:
         target.show()
@@ -334,8 +314,8 @@ def view(
 def _show_once(plotter: Any) -> None:
     """Keep a notebook from repeating a picture, as the result of the cell that has shown it."""
     ipython: Any = sys.modules.get("IPython")
-    shell = ipython.get_ipython() if ipython else None
-    if shell is None:
+    shell = ipython and ipython.get_ipython()
+    if not shell:
         return
     cell = shell.execution_count
 
@@ -354,32 +334,39 @@ def _draw(
     names = [*mesh.point_data, *mesh.cell_data]
     if array not in names and mesh.n_points:
         raise ValueError(unknown("field", array, names, "others are those of to_pyvista()"))
-    if mesh.n_points:
-        text = array.replace("_", " ") + (", magnitude" if mesh[array].ndim > 1 else "")
-        unit = f"[{units[array]}]" if units.get(array, "1") != "1" else ""
-        title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
-        size = mesh[array] if mesh[array].ndim == 1 else np.linalg.norm(mesh[array], axis=1)
-        others = dict(style)
-        low, high = others.pop("vmin"), others.pop("vmax")
-        low = np.nanmin(size) if low is None else low
-        high = np.nanmax(size) if high is None else high
-        check_ends(low, high, style["vmin"], style["vmax"])
-        drawn = plotter.add_mesh(
-            mesh, scalars=array, clim=(low, high), scalar_bar_args=_BAR | {"title": title}, **others
-        )
-        bar = plotter.scalar_bars[title]
-        _put_ticks(bar, low, high)
-        table = drawn.mapper.lookup_table
-        if (size > high).any():
-            table.above_range_color = table.values[-1]
-            bar.SetAboveRangeAnnotation("above")
-            bar.DrawAboveRangeSwatchOn()
-        if (size < low).any():
-            table.below_range_color = table.values[0]
-            bar.SetBelowRangeAnnotation("below")
-            bar.DrawBelowRangeSwatchOn()
-        # by the normals of spheres and tubes, which smooth_shading would compute anew
-        drawn.prop.interpolation = "Gouraud"
+    if not mesh.n_points:
+        return
+    text = array.replace("_", " ")
+    size = mesh[array]
+    if size.ndim > 1:
+        text += ", magnitude"
+        size = np.linalg.norm(size, axis=1)
+    unit = ""
+    if units.get(array, "1") != "1":
+        unit = f"[{units[array]}]"
+    title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
+    options = dict(style)
+    vmin = options.pop("vmin")
+    vmax = options.pop("vmax")
+    low = np.nanmin(size) if vmin is None else vmin
+    high = np.nanmax(size) if vmax is None else vmax
+    check_ends(low, high, vmin, vmax)
+    drawn = plotter.add_mesh(
+        mesh, scalars=array, clim=(low, high), scalar_bar_args=_BAR | {"title": title}, **options
+    )
+    bar = plotter.scalar_bars[title]
+    _put_ticks(bar, low, high)
+    table = drawn.mapper.lookup_table
+    if (size > high).any():
+        table.above_range_color = table.values[-1]
+        bar.SetAboveRangeAnnotation("above")
+        bar.DrawAboveRangeSwatchOn()
+    if (size < low).any():
+        table.below_range_color = table.values[0]
+        bar.SetBelowRangeAnnotation("below")
+        bar.DrawBelowRangeSwatchOn()
+    # by the normals of spheres and tubes, which smooth_shading would compute anew
+    drawn.prop.interpolation = "Gouraud"
 
 
 def _put_ticks(bar: Any, low: float, high: float) -> None:
@@ -405,21 +392,19 @@ def _draw_scene(
     style: Mapping[str, Any],
 ) -> None:
     blocks: Any = to_pyvista(ds, index, chains=chains)
-    before = (
-        {"contacts": "force_magnitude"}
-        if contacts
-        else {"chains": "stress"}
-        if chains is not None
-        else {}
-    )
     if not blocks["particles"].n_points:
         return
-    if before and field is None:
+    arrays: dict[str, str] = {}  # of the blocks that are drawn
+    if contacts:
+        arrays["contacts"] = "force_magnitude"
+    elif chains is not None:
+        arrays["chains"] = "stress"
+    if arrays and field is None:
         plotter.add_mesh(blocks["particles"], color="grey", opacity=FAINT)
     else:
-        named = field or ("velocity" if "velocity" in ds else "diameter")
-        before = {"particles": named} | before
-    for block, array in before.items():
+        usual = "velocity" if "velocity" in ds else "diameter"
+        arrays = {"particles": field or usual, **arrays}
+    for block, array in arrays.items():
         if block not in blocks.keys():  # noqa: SIM118
             raise ValueError(
                 f"contacts={contacts!r}: the scene has no contacts; ds.cg.find_contacts() finds them"
@@ -429,10 +414,9 @@ def _draw_scene(
     if "box" in blocks.keys():  # noqa: SIM118
         box = blocks["box"]
         points = np.array(box.points)
+        periodic = str(ds.attrs.get("periodic", ""))
         for k, axis in enumerate(COMPONENTS):
-            if axis not in str(
-                ds.attrs.get("periodic", "")
-            ):  # it may be much higher than the grains
+            if axis not in periodic:  # it may be much higher than the grains
                 points[:, k] = points[:, k].clip(*bounds[k])
         box.points = points
         plotter.add_mesh(box, color="black", line_width=1)

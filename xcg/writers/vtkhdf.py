@@ -88,10 +88,10 @@ def to_vtkhdf(
         numbers.
     """
     options = {"dtype": dtype, "digits": digits, "compression": compression}
-    given = [f"{name}=" for name, value in options.items() if value is not None]
-    if given and "chain_id" in fields:
+    passed = ", ".join(f"{name}=" for name, value in options.items() if value is not None)
+    if passed and "chain_id" in fields:
         raise ValueError(
-            f"{path}: chains in VTKHDF are written as they are; leave out {', '.join(given)}, or save as .nc or .zarr"
+            f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
         )
     encoding = Encoding.of(fields, dtype, digits, compression)
     write_vtkhdf(fields, Path(path), encoding, overwrite=overwrite)
@@ -125,15 +125,21 @@ class Image:
         return cls(nodes, origin, spacing, times_of(fields))
 
     @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return 1 if self.times is None else len(self.times)
+
+    @property
     def temporal(self) -> bool:
         """Return whether there are several steps."""
-        return self.times is not None and len(self.times) > 1
+        return self.steps > 1
 
     def shape(self, components: int) -> tuple[int, ...]:
         """Shape on disk: the reader wants no axes of length one, but at least one axis."""
-        time = (len(self.times),) if self.times is not None and self.temporal else ()
-        space = tuple(n for n in reversed(self.nodes) if n > 1)
-        return (time + space or (1,)) + ((components,) if components > 1 else ())
+        lengths = [n for n in (self.steps, *reversed(self.nodes)) if n > 1] or [1]
+        if components > 1:
+            lengths.append(components)
+        return tuple(lengths)
 
 
 @dataclass(frozen=True)
@@ -148,21 +154,22 @@ class _Array:
 
     def part(self, data: xr.Variable) -> xr.Variable:
         """Return the phase of a variable."""
-        return data if self.phase is None else data.isel(phase=self.phase)
+        if self.phase is None:
+            return data
+        return data.isel(phase=self.phase)
 
     def values(self, data: xr.Variable, image: Image) -> NDArray:
         """Values of some steps in the order on disk; time first, unless the image has one step only."""
         data = self.part(data)
-        sizes: dict[Hashable, int] = {
-            **dict(zip(COMPONENTS, image.nodes, strict=True)),
-            "time": data.sizes.get("time", 1),
-        }
-        present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
-        values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
+        steps = data.sizes.get("time", 1)
+        sizes: dict[Hashable, int] = dict(zip(COMPONENTS, image.nodes, strict=True))
+        sizes |= {"time": steps, **data.sizes}
+        present = [dim for dim in _ON_DISK if dim in sizes]
+        values = data.set_dims(sizes).transpose(*present).to_numpy()
         shape = image.shape(self.components)
-        return values.reshape((sizes["time"], *shape[1:]) if image.temporal else shape).astype(
-            self.dtype
-        )
+        if image.temporal:
+            shape = (steps, *shape[1:])
+        return values.reshape(shape).astype(self.dtype)
 
 
 def arrays_of(fields: xr.Dataset) -> list[_Array]:
@@ -176,13 +183,15 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
             )
         # VTK knows floating point of 4 and 8 bytes, and no truth values
         of_kind = {"f": np.dtype(f"f{min(max(data.dtype.itemsize, 4), 8)}"), "b": np.dtype("u1")}
-        dtype = of_kind.get(data.dtype.kind, data.dtype)
+        dtype = of_kind.get(data.dtype.kind, data.dtype.newbyteorder("="))
         if "phase" not in data.dims:
             arrays.append(_Array(str(name), str(name), None, components, dtype))
             continue
         for index, phase in enumerate(map(str, fields["phase"].to_numpy())):
-            label = name if phase == "bulk" else f"{name}_phase_{phase.replace('/', '_')}"
-            arrays.append(_Array(str(label), str(name), index, components, dtype))
+            label = str(name)
+            if phase != "bulk":
+                label += f"_phase_{phase.replace('/', '_')}"
+            arrays.append(_Array(label, str(name), index, components, dtype))
     names = [array.name for array in arrays]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -222,10 +231,11 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
         ordered = in_order(fields, dim, COMPONENTS)
         if ordered is None:
             users = sorted(str(name) for name, data in fields.data_vars.items() if dim in data.dims)
-            labels = list(map(str, labels_along(fields, dim)))
-            found = labels if dim in fields.coords else f"{fields.sizes[dim]} entries"
+            labels: object = f"{fields.sizes[dim]} entries"
+            if dim in fields.coords:
+                labels = list(map(str, labels_along(fields, dim)))
             raise ValueError(
-                f"'{dim}' of {users} holds {found}, expected x, y and z; keep all three, or write one of "
+                f"'{dim}' of {users} holds {labels}, expected x, y and z; keep all three, or write one of "
                 f"them with fields.sel({dim}='x')"
             )
         fields = ordered
@@ -239,20 +249,19 @@ def _numbers(fields: xr.Dataset, name: str) -> NDArray:
             f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)"
         )
     values = fields[name].to_numpy()
-    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-        bad = (
-            values.ravel()[0] if values.dtype.kind not in "fiu" else values[~np.isfinite(values)][0]
-        )
-        raise ValueError(f"coordinate '{name}' holds {bad!r}; expected finite numbers")
+    wrong = values
+    if values.dtype.kind in "fiu":
+        wrong = values[~np.isfinite(values)]
+    if wrong.size:
+        raise ValueError(f"coordinate '{name}' holds {wrong.flat[0]!r}; expected finite numbers")
     return values.astype("float64")
 
 
 def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
     """Nodes, origin and spacing along one axis."""
-    if axis not in fields.sizes:
-        fixed = axis in fields.coords and fields[axis].ndim == 0
-        return 1, float(_numbers(fields, axis)) if fixed else 0.0, 1.0
-    nodes = _numbers(fields, axis)
+    nodes = np.zeros(1)
+    if axis in fields.sizes or (axis in fields.coords and fields[axis].ndim == 0):
+        nodes = _numbers(fields, axis).reshape(-1)
     if not nodes.size:
         raise ValueError(f"dimension '{axis}' has no nodes; expected at least one")
     if nodes.size == 1:
@@ -276,9 +285,9 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
 
 def times_of(fields: xr.Dataset) -> NDArray | None:
     """Return the times of the steps, None for a result that knows no time."""
-    if "time" not in fields.sizes:
-        return _numbers(fields, "time").reshape(1) if "time" in fields.coords else None
-    times = _numbers(fields, "time")
+    if "time" not in fields.sizes and "time" not in fields.coords:
+        return None
+    times = _numbers(fields, "time").reshape(-1)
     if not times.size:
         raise ValueError(
             "fields has no time steps (the size of 'time' is 0); expected at least one"
@@ -297,25 +306,25 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
 
 def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
     image = Image.of(layout.ds)
-    rows = arrays_of(layout.ds)
-    found = []
-    for row in rows:
-        chunk = _blocks(
-            image.shape(row.components), row.dtype.itemsize, layout.steps if image.temporal else 0
-        )
-        values = partial(_on_disk, row, layout.ds[row.variable].dims, image)
-        found.append(
-            StoredArray(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal)
-        )
+    arrays = arrays_of(layout.ds)
+    steps = 0
+    if image.temporal:
+        steps = layout.steps
+    chunks = [_blocks(image.shape(a.components), a.dtype.itemsize, steps) for a in arrays]
     if not begun:
         with hdf5_file(path, "w") as file:
-            _lay_out(file, layout, image, rows, [array.chunk for array in found])
-    over = [array for array in found if array.variable in layout.over]
+            _lay_out(file, layout, image, arrays, chunks)
+    over: list[StoredArray] = []
+    for array, chunk in zip(arrays, chunks, strict=True):
+        if array.variable in layout.over:
+            on_disk = partial(_on_disk, array, layout.ds[array.variable].dims, image)
+            name = f"VTKHDF/PointData/{array.name}"
+            over.append(StoredArray(name, array.variable, chunk, on_disk))
     return Hdf5Store(path, over, layout, "xcg")
 
 
-def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
-    return row.values(xr.Variable(dims, values), image)
+def _on_disk(array: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
+    return array.values(xr.Variable(dims, values), image)
 
 
 def _lay_out(
@@ -326,7 +335,8 @@ def _lay_out(
     chunks: list[tuple[int, ...]],
 ) -> None:
     """Write all but the values over time."""
-    fields, encoding = layout.ds, layout.encoding
+    fields = layout.ds
+    encoding = layout.encoding
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
     root.attrs["Type"] = np.bytes_("ImageData")  # the reader takes ASCII of fixed length only
@@ -335,13 +345,12 @@ def _lay_out(
     root.attrs["Spacing"] = image.spacing
     root.attrs["Direction"] = np.eye(3).ravel()
     data = root.create_group("PointData")
-    packed = (
-        {"compression": "gzip", "compression_opts": encoding.level, "shuffle": True}
-        if encoding.level
-        else {}
-    )
+    packed: dict[str, Any] = {}
+    if encoding.level:
+        packed = {"compression": "gzip", "compression_opts": encoding.level, "shuffle": True}
     for array, chunk in zip(arrays, chunks, strict=True):
-        shape, dtype = image.shape(array.components), encoding.type_of(array.dtype)
+        shape = image.shape(array.components)
+        dtype = encoding.type_of(array.dtype)
         target = data.create_dataset(array.name, shape, dtype, chunks=chunk, **packed)
         _describe(target, fields[array.variable].attrs)
         if array.variable not in layout.over:
@@ -364,8 +373,11 @@ def _blocks(shape: tuple[int, ...], itemsize: int, steps: int) -> tuple[int, ...
 
     HDF5 stores the last slab whole, so that uneven ones would take memory beyond the end.
     """
-    block = [min(steps, shape[0]), *shape[1:]] if steps else list(shape)
-    first = 1 if steps else 0
+    block = list(shape)
+    first = 0
+    if steps:
+        block[0] = min(steps, shape[0])
+        first = 1
     if first < len(block):
         slab = itemsize * int(np.prod(block[:first])) * int(np.prod(block[first + 1 :]))
         slabs = math.ceil(shape[first] / max(1, _BLOCK // slab))
