@@ -213,7 +213,7 @@ def test_misspelt_names_suggest_the_right_ones(scene, method, given, message):
         (lambda ds: ds.cg.select("species = 1"), "== compares"),
         (lambda ds: ds.cg.select("type == 1"), "did you mean 'species'"),
         (lambda ds: ds.cg.info, r"print\(ds\.cg\)"),
-        (lambda ds: ds.cg.to_dataframe, r"xarray, ds\.to_dataframe"),
+        (lambda ds: ds.cg.to_dataframe, r"ds\.to_dataframe, a method of xarray"),
         (lambda ds: ds.cg.mixing_index, r"microstructure\(\['lacey_index'"),
         (lambda ds: ds.cg.principal_stress, "did you mean 'principal'"),
         (lambda ds: ds.cg.strain, r"ds\.cg\.displacement\('strain'\)"),

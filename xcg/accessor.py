@@ -13,7 +13,9 @@ from typing import Any
 
 import xarray as xr
 
-SCENE, RESULT, CHAINS = "scene", "result", "chains"
+SCENE = "scene"
+RESULT = "result"
+CHAINS = "chains"
 _SUMMARIES = {
     SCENE: ("xcg.scene.description", "summary_of_scene"),
     RESULT: ("xcg.steps.labels", "summary_of_result"),
@@ -62,28 +64,27 @@ _OTHER_NAMES = {
 }
 
 
-_DESCRIBING = ("info", "describe", "summary", "help")
-_TURNING = ("rotate", "rotated", "tilt", "cylindrical")
+_CALLS = {
+    **dict.fromkeys(("info", "describe", "summary", "help"), "print(ds.cg)"),
+    **dict.fromkeys(("rotate", "rotated", "tilt"), "the argument frame=xcg.Rotated(...)"),
+    "cylindrical": "the argument frame=xcg.Cylindrical(...)",
+}
 
 
 def _likely_call(name: str) -> str:
     """Return the method, call or field that was probably meant, as the end of a message."""
     fields = import_module("xcg.fields.formulas.registry")
-    if name in fields.CALLS and name not in _OTHER_NAMES:
-        return f"; did you mean {fields.CALLS[name]}?"
-    if name in _DESCRIBING:
-        return "; print(ds.cg) describes a Dataset"
-    if name in _TURNING:
-        return "; other axes are an argument, frame=xcg.Rotated(...) or frame=xcg.Cylindrical(...)"
+    calls = fields.CALLS | _CALLS
     field = fields.OTHER_NAMES.get(name, name)
-    methods = [n for n, m in vars(CoarseGrainAccessor).items() if isinstance(m, Method)]
-    if field in fields.FIELDS and fields.FIELDS[field].option == "lag":
-        return f"; did you mean ds.cg.displacement({field!r})?"
-    if field in fields.FIELDS and name not in _OTHER_NAMES:
-        return f"; a field is computed by its name, ds.cg.coarse_grain({field!r})"
-    if hasattr(xr.Dataset, name) and name not in _OTHER_NAMES:
-        return f"; it is a method of xarray, ds.{name}"
+    if field in fields.FIELDS:
+        method = "displacement" if fields.FIELDS[field].option == "lag" else "coarse_grain"
+        calls.setdefault(name, f"ds.cg.{method}({field!r})")
+    if hasattr(xr.Dataset, name):
+        calls.setdefault(name, f"ds.{name}, a method of xarray")
+    if name in calls and name not in _OTHER_NAMES:
+        return f"; did you mean {calls[name]}?"
     messages = import_module("xcg.common.messages")
+    methods = [n for n, m in vars(CoarseGrainAccessor).items() if isinstance(m, Method)]
     return str(messages.did_you_mean(name, methods, synonyms=_OTHER_NAMES))
 
 

@@ -17,7 +17,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -82,9 +81,11 @@ def plain_messages(quiet: bool) -> Iterator[None]:
     options = {str(p.name): max(p.opts, key=len) for p in taken if isinstance(p, click.Option)}
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
-        if not quiet:
-            start = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the bar, which is drawn again
-            click.echo(f"{start}warning: {printable(_as_options(str(message), options))}", err=True)
+        if quiet:
+            return
+        if sys.stderr.isatty():
+            click.echo("\r\x1b[K", err=True, nl=False)  # over the bar, which is drawn again
+        click.echo(f"warning: {printable(_as_options(str(message), options))}", err=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", SceneWarning)
@@ -102,9 +103,11 @@ def plain_messages(quiet: bool) -> Iterator[None]:
 def _as_options(message: str, options: Mapping[str, str]) -> str:
     """Call arguments of the library what the line calls them: ``missing='skip'`` is ``--missing skip`` there."""
 
-    def called(found: re.Match) -> str:
-        name, value = found.groups()
-        return " ".join(filter(None, (options[name], value))) if name in options else found[0]
+    def called(argument: re.Match) -> str:
+        name, value = argument.groups()
+        if name not in options:
+            return argument[0]
+        return " ".join(filter(None, (options[name], value)))
 
     for in_python, here in _FOR_PYTHON.items():
         message = re.sub(in_python, here, message)
@@ -171,11 +174,11 @@ def takes_files(command: Callable) -> Callable:
 
 def said(options: Mapping[str, Any]) -> dict[str, Any]:
     """Keep the options that were said, as arguments of functions."""
-    return {
-        name: list(v) if isinstance(v, tuple) else v
-        for name, v in options.items()
-        if v not in (None, ())
-    }
+    arguments = {name: value for name, value in options.items() if value not in (None, ())}
+    for name, value in arguments.items():
+        if isinstance(value, tuple):
+            arguments[name] = list(value)
+    return arguments
 
 
 def _stress(
@@ -290,12 +293,9 @@ def statistics_table(fc: xr.Dataset) -> str:
     lines = [f"{'step':>10s}{'time':>12s}{heads}"]
     for t in range(fc.sizes["time"]):
         step = fc.isel(time=t)
-        skipped = "skipped" in step.coords and step["skipped"].item()
-        values = (
-            f"{'skipped':>9s}"
-            if skipped
-            else "".join(f"{step[name].item():9.4g}" for name in names)
-        )
+        values = "".join(f"{step[name].item():9.4g}" for name in names)
+        if "skipped" in step.coords and step["skipped"].item():
+            values = f"{'skipped':>9s}"
         lines.append(f"{step['step'].item():10d}{step['time'].item():12.5g}{values}")
     return "\n".join(lines)
 
@@ -336,8 +336,9 @@ def convert(
     from xcg.writers.save import save
 
     with plain_messages(quiet):
-        is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
-        scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
+        scene: dict[str, Any] = {"particles": list(files)}
+        if len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini"):
+            scene = read_config(files[0]).scene
         encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
         # a step that was saved alone gets its time
         ds = conform(open_scene(**scene | said(options)))
@@ -428,13 +429,20 @@ def _computer(
     """Return the context in which a job computes: on its cluster, under a dashboard, or neither."""
     from xcg.jobs.cluster import cluster_of
 
-    if job.scheduler and jobs:
-        raise click.UsageError(
-            "--jobs is for this machine; a cluster takes as many chunks as it has threads"
-        )
     if job.scheduler:
-        return cluster_of(job, (lambda _: None) if quiet else partial(click.echo, err=True))
-    return _dashboard(jobs) if dashboard else nullcontext()
+        if jobs:
+            raise click.UsageError(
+                "--jobs is for this machine; a cluster takes as many chunks as it has threads"
+            )
+
+        def tell(line: str) -> None:
+            if not quiet:
+                click.echo(line, err=True)
+
+        return cluster_of(job, tell)
+    if dashboard:
+        return _dashboard(jobs)
+    return nullcontext()
 
 
 def _outline(job: Job) -> str:

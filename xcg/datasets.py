@@ -184,13 +184,13 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     from xcg.readers.open import open_scene  # and with it dask, which scenes in memory do without
 
     sample = _SAMPLES[name]
-    for folder in _FOLDERS:
-        if (folder / sample.folder).is_dir():
-            found = folder / sample.folder
-            contacts = {"contacts": str(found / sample.contacts)} if sample.contacts else {}
-            return open_scene(
-                str(found / sample.particles), **{**contacts, **sample.options, **options}
-            )
+    for parent in _FOLDERS:
+        folder = parent / sample.folder
+        if folder.is_dir():
+            arguments = sample.options | options
+            if sample.contacts:
+                arguments.setdefault("contacts", str(folder / sample.contacts))
+            return open_scene(str(folder / sample.particles), **arguments)
     raise FileNotFoundError(
         f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again"
     )
@@ -201,10 +201,8 @@ _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0
 
 def _lattice(cells: int | NDArray, basis: NDArray, edge: float) -> NDArray:
     counts = np.broadcast_to(cells, 3)
-    corner = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(
-        -1, 1, 3
-    )
-    return ((corner + basis) * edge).reshape(-1, 3)
+    corners = np.indices(tuple(counts)).reshape(3, -1).T
+    return ((corners[:, None] + basis) * edge).reshape(-1, 3)
 
 
 def simple_cubic(
@@ -214,14 +212,8 @@ def simple_cubic(
 
     Its volume fraction is pi/6 and its stress ``force / diameter^2`` times the identity.
     """
-    return _bonded(
-        _lattice(cells, np.zeros((1, 3)), diameter),
-        cells * diameter,
-        diameter,
-        diameter,
-        force,
-        options,
-    )
+    sites = _lattice(cells, np.zeros((1, 3)), diameter)
+    return _bonded(sites, cells * diameter, diameter, diameter, force, options)
 
 
 def face_centred_cubic(
@@ -247,9 +239,10 @@ def face_centred_cubic(
     **options
         For `scene_from_arrays`.
     """
-    length = diameter if bond is None else bond
-    edge = np.sqrt(2) * length
-    return _bonded(_lattice(cells, _FCC, edge), cells * edge, diameter, length, force, options)
+    if bond is None:
+        bond = diameter
+    edge = np.sqrt(2) * bond
+    return _bonded(_lattice(cells, _FCC, edge), cells * edge, diameter, bond, force, options)
 
 
 def _bonded(
@@ -273,7 +266,7 @@ def _bonded(
     branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
     rows, branch = images_within(branch, np.full(len(pairs), reach), period)
     pairs = pairs[rows]
-    given = {
+    arguments = {
         "diameter": np.full(len(position), diameter),
         "density": 2500.0,
         "velocity": np.zeros_like(position),
@@ -284,7 +277,7 @@ def _bonded(
         "box": [[0.0, edge]] * 3,
         "periodic": "xyz",
     }
-    return scene_from_arrays(position, **(given | options))
+    return scene_from_arrays(position, **(arguments | options))
 
 
 def random_scene(
@@ -328,30 +321,32 @@ def random_scene(
     position[:, :seen] = rng.uniform(0, edge, (particles, seen))
     mean = edge * (0.6 / max(particles, 1)) ** (1 / seen)
     diameter = mean * rng.uniform(1.0, polydispersity, particles) * 2 / (1 + polydispersity)
-    period = np.array([edge if a in periodic else 0.0 for a in "xyz"])
+    period = edge * np.array([a in periodic for a in COMPONENTS])
     tree = cKDTree(position, boxsize=period)
     pairs = tree.query_pairs(0.75 * diameter.max(initial=0.0), output_type="ndarray").reshape(-1, 2)
-    i, j = pairs[:, 0], pairs[:, 1]
+    i, j = pairs.T
     force = rng.normal(size=(len(pairs), 3)) * moving
     branch = minimum_image(position[i] - position[j], np.where(period > 0, period, np.inf))
     point = position[i] - 0.5 * branch
-    for k, axis in enumerate("xyz"[:seen]):
+    for k, axis in enumerate(COMPONENTS[:seen]):
         if walls and axis not in periodic:
             near = np.flatnonzero(position[:, k] < 0.5 * diameter)
             foot = position[near]
             foot[:, k] = 0.0
             push = np.zeros_like(foot)
             push[:, k] = rng.uniform(0, 1, len(near))
-            i, j = np.concatenate([i, near]), np.concatenate([j, np.full(len(near), -1 - k)])
-            force, point = np.concatenate([force, push]), np.concatenate([point, foot])
+            i = np.concatenate([i, near])
+            j = np.concatenate([j, np.full(len(near), -1 - k)])
+            force = np.concatenate([force, push])
+            point = np.concatenate([point, foot])
     velocity = rng.normal(size=(particles, 3)) * moving
     species = 1 + rng.integers(0, 2, particles)
-    turning = rng.normal(size=(particles, 3)) * np.array([1, 1, 1] if dimension == 3 else [0, 0, 1])
-    given = {
+    turns = np.array([dimension == 3, dimension == 3, True])
+    arguments = {
         "diameter": diameter,
         "density": 2500.0,
         "velocity": velocity,
-        "angular_velocity": turning,
+        "angular_velocity": rng.normal(size=(particles, 3)) * turns,
         "species": species,
         "contact_i": i,
         "contact_j": j,
@@ -363,7 +358,7 @@ def random_scene(
     }
     with warnings.catch_warnings():  # points are in the middle of pairs that need not touch
         warnings.filterwarnings("ignore", ".*contact points lie")
-        return scene_from_arrays(position, **(given | options))
+        return scene_from_arrays(position, **(arguments | options))
 
 
 def dense_packing(
@@ -409,9 +404,8 @@ def dense_packing(
     across = max(1, round((particles / 4) ** (1 / 3)))
     cells = np.array([across, across, max(1, -(-particles // (4 * across**2)))])
     edge = diameter * (particles * np.pi / 6 / volume_fraction / cells.prod()) ** (1 / 3)
-    position = rng.permutation(_lattice(cells, _FCC + 0.25, edge))[
-        :particles
-    ] + jitter * diameter * rng.normal(size=(particles, 3))
+    position = rng.permutation(_lattice(cells, _FCC + 0.25, edge))[:particles]
+    position += jitter * diameter * rng.normal(size=(particles, 3))
     box = cells * edge
     position %= box
     period = np.where([a in periodic for a in COMPONENTS], box, np.inf)
@@ -430,7 +424,7 @@ def dense_packing(
     branch = branch[nearest]
     length = length[nearest]
     push = rng.exponential(size=(len(pairs), 1)) * branch / length[:, None]
-    given = {
+    arguments = {
         "diameter": np.full(particles, diameter),
         "density": 2500.0,
         "velocity": rng.normal(size=(particles, 3)),
@@ -442,4 +436,4 @@ def dense_packing(
         "box": np.stack([np.zeros(3), box], axis=1),
         "periodic": periodic,
     }
-    return scene_from_arrays(position, **(given | options))
+    return scene_from_arrays(position, **(arguments | options))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -16,15 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
-BOTH_SIGNS = (
-    0.1  # of the larger end of a field, which the smaller one has where colours are about zero
-)
+# of the larger end of a field, which the smaller one has where colours are about zero
+BOTH_SIGNS = 0.1
 PERCENTILES = (90, 95, 98)  # of sizes, where a picture may end
 FAR = 4.0  # times the first of these: beyond, numbers are so large that others could not be told apart
 SMOOTH = 400  # cells along an axis of a smooth map
 ROUNDED = 1.5  # nodes over which the rim of a smooth map is rounded
 NEAREST = 0.1  # of the distance between nodes: a rim is at least as far from every node
-BESIDE, BELOW = 1.9, 1.0  # inches of labels and bar beside a map, and of labels below and above it
+BESIDE = 1.9  # inches of labels and bar beside a map
+BELOW = 1.0  # inches of labels below and above it
 TITLE = 0.75  # of the width of a figure, which the longest line of a title may have
 SMALLEST = (3.2, 2.0)  # inches of a figure, for its title and for the label of its bar
 _SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
@@ -51,9 +52,9 @@ def unit_in_unicode(units: str) -> str:
     return _POWER.sub(lambda found: (found[1] or found[2]).translate(raised), units)
 
 
-def with_unit(text: str, units: str) -> str:
+def with_unit(text: str, units: str, write: Callable[[str], str] = unit_text) -> str:
     """Return a label: a text with its unit in brackets."""
-    unit = unit_text(units)
+    unit = write(units)
     return f"{text} [{unit}]" if unit else text
 
 
@@ -136,8 +137,11 @@ def size_of_figure(
     letters : float
         Size of letters, in 10 points.
     """
-    beside, below = letters * BESIDE, letters * BELOW
-    highest = max(size) if ratio > 1 else size[1]
+    beside = letters * BESIDE
+    below = letters * BELOW
+    highest = size[1]
+    if ratio > 1:
+        highest = max(size)
     width = min(size[0] - beside, (highest - below) / ratio)
     fitted = (width + beside, width * ratio + below)
     smallest = np.minimum(np.multiply(letters, SMALLEST), size)
@@ -165,15 +169,19 @@ def ends_of(values: NDArray) -> tuple[float, float]:
     if not values.size:
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
-    return (low, high) if low < high else (low - 0.5, high + 0.5)
+    if low < high:
+        return low, high
+    return low - 0.5, high + 0.5
 
 
 def check_ends(low: float, high: float, vmin: float | None, vmax: float | None) -> None:
     """Raise ValueError unless colours begin at or below their end, as `vmin` and `vmax` choose them."""
     if low > high:
-        given = f"vmin={vmin!r}" if vmax is None else f"vmax={vmax!r}"
+        argument = f"vmax={vmax!r}"
+        if vmax is None:
+            argument = f"vmin={vmin!r}"
         raise ValueError(
-            f"{given}: the colours would go from {low:.4g} to {high:.4g}; expected vmin below vmax, and numbers "
+            f"{argument}: the colours would go from {low:.4g} to {high:.4g}; expected vmin below vmax, and numbers "
             "between them"
         )
 
@@ -184,10 +192,12 @@ def without_tail(values: NDArray) -> tuple[NDArray, str]:
     Numbers far beyond the 90th percentile of all sizes are set to the highest of `PERCENTILES` that
     is not. The note is empty where there are none.
     """
+    if not values.size:
+        return values, ""
     size = np.abs(values)
     # of few numbers, too, a percentile is one of them
-    levels = np.percentile(size, PERCENTILES, method="lower") if size.size else np.zeros(3)
-    if not 0 < FAR * levels[0] < size.max(initial=0.0):
+    levels = np.percentile(size, PERCENTILES, method="lower")
+    if not 0 < FAR * levels[0] < size.max():
         return values, ""
     k = np.flatnonzero(levels <= FAR * levels[0])[-1]
     return values.clip(-levels[k], levels[k]), f", up to its {PERCENTILES[k]}th percentile"
@@ -207,14 +217,21 @@ def colours_of(
 ) -> dict[str, Any]:
     """Return colours and their ends as asked for; by default of all numbers, about zero where both signs matter."""
     low, high = ends_of(values)
-    end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
-    if end > 0 and _has_both_signs(values):
+    both_signs = _has_both_signs(values)
+    end = max(-low, high)
+    if vmin is not None:
+        end = -vmin
+    if vmax is not None:
+        end = vmax
+    if both_signs and end > 0:
         low, high = -end, end
-    low = low if vmin is None else vmin
-    high = high if vmax is None else vmax
+    if vmin is not None:
+        low = vmin
+    if vmax is not None:
+        high = vmax
     check_ends(low, high, vmin, vmax)
-    about_zero = low == -high and _has_both_signs(values)
-    return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
+    usual = "RdBu_r" if both_signs and low == -high else "viridis"
+    return {"cmap": cmap or usual, "vmin": low, "vmax": high}
 
 
 def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArray]:
@@ -229,13 +246,12 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     if shading == "flat":
         return _edges(across), _edges(up), numbers
     known = np.isfinite(numbers)
-    x, weight_x = _finer(across, None)
-    y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
+    is_circle = value.dims[0] == "theta"
+    x, weight_x = _finer(across)
+    y, weight_y = _finer(up, is_circle=is_circle)
     top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
     bottom = weight_y @ known.astype(float) @ weight_x.T
-    inside = (
-        weight_y @ _distance_from_rim(known, is_circle=value.dims[0] == "theta") @ weight_x.T > 0
-    )
+    inside = weight_y @ _distance_from_rim(known, is_circle=is_circle) @ weight_x.T > 0
     return x, y, np.where(inside, top / np.where(bottom > 0, bottom, 1.0), np.nan)
 
 
@@ -249,7 +265,9 @@ def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
         return np.where(known, 1.0, -1.0)
     from scipy.ndimage import distance_transform_edt, gaussian_filter  # slow to import
 
-    turn = len(known) if is_circle else 0
+    turn = 0
+    if is_circle:
+        turn = len(known)
     around = np.pad(known, ((turn, turn), (0, 0)), mode="wrap")
     distance = np.where(
         around, distance_transform_edt(around) - 0.5, 0.5 - distance_transform_edt(~around)
@@ -258,14 +276,15 @@ def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
     return np.where(known, np.maximum(smooth, NEAREST), np.minimum(smooth, -NEAREST))
 
 
-def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray]:
+def _finer(nodes: NDArray, *, is_circle: bool = False) -> tuple[NDArray, NDArray]:
     """Divide the cells of nodes into parts: edges (m + 1,), and weights of the nodes (m, n)."""
     count = len(nodes)
     parts = -(-SMOOTH // count)
     edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
     middle = 0.5 * (edges[1:] + edges[:-1])
-    if period is not None and edges[-1] - edges[0] < period * (1 - 1e-9):
-        period = None  # a sector of the circle
+    period = None
+    if is_circle and edges[-1] - edges[0] >= 2 * np.pi * (1 - 1e-9):  # else a sector of it
+        period = 2 * np.pi
     weights = np.stack(
         [np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1
     )

@@ -22,7 +22,9 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[A
     bytes_needed = count * np.dtype(dtype).itemsize
     if bytes_needed < _LARGE:
         return np.empty(shape, dtype)
-    flags = {"flags": mmap.MAP_PRIVATE} if hasattr(mmap, "MAP_PRIVATE") else {}
+    flags = {}
+    if hasattr(mmap, "MAP_PRIVATE"):  # Windows has none
+        flags["flags"] = mmap.MAP_PRIVATE
     return np.ndarray(shape, dtype, buffer=mmap.mmap(-1, bytes_needed, **flags))
 
 

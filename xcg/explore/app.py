@@ -127,8 +127,10 @@ class Explorer:
     def _make_controls(self, widgets: Any) -> dict[str, Any]:
         """Return the widgets by name; `_offer` fills the ones that depend on others."""
         pictures = self.pictures
-        names = [name for group in pictures.fields.values() for name in group]
-        first = "velocity" if "velocity" in next(iter(pictures.fields.values())) else names[0]
+        groups = list(pictures.fields.values())
+        first = next(name for group in groups for name in group)
+        if "velocity" in groups[0]:
+            first = "velocity"
         controls = {
             "field": widgets.Select(name="field", groups=pictures.fields, value=first),
             "view": widgets.Select(name="picture", options=list(pictures.views)),
@@ -152,7 +154,8 @@ class Explorer:
 
     def _offer(self) -> None:
         """Offer the axes, components and positions that fit the other choices."""
-        pictures, controls = self.pictures, self.controls
+        pictures = self.pictures
+        controls = self.controls
         view = controls["view"].value
         _set_options(controls["axes"], {" ".join(axes): axes for axes in pictures.views[view]})
         parts = pictures.parts_of(self.choice)
@@ -202,10 +205,13 @@ class Explorer:
         self._offer()
         choice = self.choice
         self._code.param.update(object=self.call, visible=self.controls["call"].value)
-        self._map.visible = choice.view != "profile"
-        self._profile.visible = choice.view == "profile"
-        figure: Map | Profile = self.map if self._map.visible else self.profile
+        figure: Map | Profile = self.map
+        if choice.view == "profile":
+            figure = self.profile
+        self._map.visible = figure is self.map
+        self._profile.visible = figure is self.profile
         refused = ""
+        alert_type = "warning"
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", SceneWarning)
             try:
@@ -216,12 +222,15 @@ class Explorer:
             except Exception as error:  # any: the page has to go on, and to show it
                 self.numbers = None
                 figure.clear()
-                refused = str(error) if isinstance(error, ValueError) else repr(error)
-        said = [str(one.message) for one in caught if issubclass(one.category, SceneWarning)]
-        self.message = printable(refused or "\n\n".join(said))
+                refused = repr(error)
+                if isinstance(error, ValueError):
+                    refused = str(error)
+                alert_type = "danger"
+        texts = [str(w.message) for w in caught if issubclass(w.category, SceneWarning)]
+        self.message = printable(refused or "\n\n".join(texts))
         self._alert.param.update(
             object=html.escape(self.message, quote=False),
-            alert_type="danger" if refused else "warning",
+            alert_type=alert_type,
             visible=bool(self.message),
         )
         if replace(choice, width=USUAL_WIDTH) == self._errors_of:
@@ -246,18 +255,19 @@ class Explorer:
         if latest is not self._latest or choice == self._errors_of or not pictures.widths:
             return
         try:
-            found = await asyncio.to_thread(pictures.errors, choice)
+            errors = await asyncio.to_thread(pictures.errors, choice)
         except Exception as error:  # any, as in `update`
-            found = str(error)
+            errors = str(error)
         if latest is self._latest:
             self._errors_of = choice
-            self._pn.state.execute(partial(self._show_errors, found), schedule=True)
+            self._pn.state.execute(partial(self._show_errors, errors), schedule=True)
 
-    def _show_errors(self, found: Mapping[str, NDArray] | str) -> None:
-        if isinstance(found, str):
-            self.errors.refuse(found)
+    def _show_errors(self, errors: Mapping[str, NDArray] | str) -> None:
+        """Draw errors by their names, or show the message of why they are unknown."""
+        if isinstance(errors, str):
+            self.errors.refuse(errors)
         else:
-            self.errors.draw(found, _number_of(self.choice.width))
+            self.errors.draw(errors, _number_of(self.choice.width))
         self._push()
 
     def _push(self) -> None:
@@ -274,7 +284,10 @@ def _number_of(width: str) -> float:
 def _set_options(control: Any, options: dict[str, Any]) -> None:
     """Offer options in a control; its value stays if it is among them."""
     if control.options != options:
-        value = control.value if control.value in options.values() else next(iter(options.values()))
+        values = list(options.values())
+        value = values[0]
+        if control.value in values:
+            value = control.value
         control.param.update(options=options, value=value)
 
 
@@ -315,8 +328,7 @@ def serve(ds: xr.Dataset, opened: str, port: int = 0, show: bool = True) -> None
     page = f"http://{ADDRESS}:{server.port}"
 
     def stop_without_pages(session: Any) -> None:
-        others = [one for one in server.get_sessions() if one.id != session.id]
-        if not others:
+        if all(other.id == session.id for other in server.get_sessions()):
             server.io_loop.add_callback(server.io_loop.stop)
 
     pn.state.on_session_destroyed(stop_without_pages)

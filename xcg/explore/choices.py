@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -80,11 +81,11 @@ class Pictures:
     ----------
     ds : xarray.Dataset
         A result, lazy or in memory.
-    name : str
-        Name of its variable in the calls that are shown.
 
     Attributes
     ----------
+    name : str
+        Name of its variable in the calls that are shown.
     fields : dict of list of str
         Names of fields by the heading that they are listed under.
     views : dict of list
@@ -93,6 +94,8 @@ class Pictures:
         Letters of the components of vectors.
     phases : list of str
         "bulk" and labels of phases; empty without phases.
+    drawn_phases : list of str
+        Those that `plot` is asked for.
     widths : tuple of str
         Widths of the kernel to choose from; none of a result.
     size : float
@@ -101,35 +104,37 @@ class Pictures:
         Number of steps.
     """
 
+    name = "f"
     widths: tuple[str, ...] = ()
     size = 0.0
     has_grains = False
+    _prepare = staticmethod(with_time)
 
-    def __init__(self, ds: xr.Dataset, name: str = "f") -> None:
-        self.ds = with_time(ds)
-        self.name = name
-        self._steps = "time" if "time" in ds.dims else "step"  # dimension in calls
+    def __init__(self, ds: xr.Dataset) -> None:
+        self.ds = self._prepare(ds)
+        self._dim = "time" if "time" in ds.dims else "step"  # of steps, in calls
         self.steps = self.ds.sizes.get("time", 1)
         self._describe()
         self._step = lru_cache(maxsize=2)(self._read)
 
     def _describe(self) -> None:
         axes = axes_of(self.ds)
-        names = [str(name) for name in self.ds.data_vars if {*axes} & {*self.ds[name].dims}]
-        self.fields = {"fields": names}
-        self.axes = [str(label) for label in self.ds.get("component", [])]
-        self.phases = [str(label) for label in self.ds.get("phase", [])]
-        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(axes) for b in axes[k + 1 :]]
-        views = {"slice": pairs} if len(axes) == 3 else {"map": pairs}
-        self.views: dict[str, list[tuple[str, ...]]] = {
-            **{view: found for view, found in views.items() if found},
-            "profile": [(a,) for a in reversed(axes)],
-        }
         if not axes:
             raise ValueError(
                 f"explore: this result has no axis to draw along, of {', '.join(COMPONENTS)}, r and "
                 f"theta; its dimensions are {', '.join(map(str, self.ds.dims)) or 'none'}"
             )
+        names = [str(name) for name in self.ds.data_vars if {*axes} & {*self.ds[name].dims}]
+        self.fields = {"fields": names}
+        self.axes = [str(label) for label in self.ds.get("component", [])]
+        self.phases = [str(label) for label in self.ds.get("phase", [])]
+        self.drawn_phases = self.phases
+        self.views: dict[str, list[tuple[str, ...]]] = {}
+        if len(axes) == 2:
+            self.views["map"] = [tuple(axes)]
+        if len(axes) == 3:
+            self.views["slice"] = list(combinations(axes, 2))
+        self.views["profile"] = [(a,) for a in reversed(axes)]
 
     def rank_of(self, field: str) -> int:
         """Return the number of indices of a field: 0 of a scalar, 1 of a vector, 2 of a tensor."""
@@ -160,17 +165,20 @@ class Pictures:
         return self.ds.isel(time=slice(time, time + count)).compute()
 
     def _selection(self, time: int) -> str:
-        return f".isel({self._steps}=[{time}])" if self.steps > 1 else ""
+        if self.steps == 1:
+            return ""
+        return f".isel({self._dim}=[{time}])"
 
     def _drawing(self, choice: Choice) -> dict[str, Any]:
         """Return the arguments of `plot`."""
+        drawing: dict[str, Any] = {}
         component, _, direction = choice.part.partition(" ")
-        options = {
-            "component": component,
-            "direction": direction,
-            "phase": choice.phase if choice.phase in self.phases else "",
-        }
-        drawing: dict[str, Any] = {key: value for key, value in options.items() if value}
+        if component:
+            drawing["component"] = component
+        if direction:
+            drawing["direction"] = direction
+        if choice.phase in self.drawn_phases:
+            drawing["phase"] = choice.phase
         if choice.view == "slice" and not self.widths:
             drawing["at"] = {self.cut_axis(choice): choice.position}
         return drawing
@@ -188,8 +196,9 @@ class Pictures:
 
     def call(self, choice: Choice) -> str:
         """Return the Python call that makes the picture."""
-        several = choice.view == "profile" and len(axes_of(self.ds)) > 1
-        averaged = f".cg.profile({choice.axes[0]!r})" if several else ""
+        averaged = ""
+        if choice.view == "profile" and len(axes_of(self.ds)) > 1:
+            averaged = f".cg.profile({choice.axes[0]!r})"
         drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
         return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{drawing}"
 
@@ -197,11 +206,9 @@ class Pictures:
 class ScenePictures(Pictures):
     """Pictures of a scene: each is coarse-grained from its step, which is read once."""
 
+    name = "ds"
     widths = WIDTHS
-
-    def __init__(self, ds: xr.Dataset, name: str = "ds") -> None:
-        super().__init__(conform(ds), name)
-        self._steps = "time" if "time" in ds.dims else "step"
+    _prepare = staticmethod(conform)
 
     def _describe(self) -> None:
         self.scene = describe(self.ds)
@@ -214,7 +221,7 @@ class ScenePictures(Pictures):
             "with further data or options": others,
         }
         self.axes = list(plane)
-        pairs: list[tuple[str, ...]] = [(a, b) for k, a in enumerate(plane) for b in plane[k + 1 :]]
+        pairs: list[tuple[str, ...]] = list(combinations(plane, 2))
         pairs.sort(key=lambda pair: pair != (plane[0], plane[-1]))
         self.views = {"map": pairs}
         if len(plane) == 3:
@@ -222,7 +229,10 @@ class ScenePictures(Pictures):
         self.views["profile"] = [(a,) for a in reversed(plane)]
         self.by = next((name for name in ("phase", "species") if name in self.ds), None)
         groups = describe(self.ds, self.by).values.get(str(self.by), ())
-        self.phases = ["bulk", *map(str, groups)] if len(groups) > 1 else []
+        self.phases = []
+        if len(groups) > 1:
+            self.phases = ["bulk", *map(str, groups)]
+        self.drawn_phases = self.phases[1:]
         self.has_grains = "diameter" in self.ds
 
     def rank_of(self, field: str) -> int:  # noqa: D102
@@ -260,7 +270,7 @@ class ScenePictures(Pictures):
             request["extent"] = {
                 a: float(f"{np.ptp(self.range_of(a)) + self.size:.5g}") for a in open_lengths
             }
-        if choice.phase in self.phases[1:]:
+        if choice.phase in self.drawn_phases:
             request["by"] = self.by
         return request
 
@@ -282,12 +292,6 @@ class ScenePictures(Pictures):
             soonest = 2 * reach * grains / VISITS
         wanted = max(longest / NODES[choice.view], soonest)
         return float(max(min(wanted, width), longest / MOST_NODES))
-
-    def _drawing(self, choice: Choice) -> dict[str, Any]:
-        drawing = super()._drawing(choice)
-        if choice.phase not in self.phases[1:]:
-            drawing.pop("phase", None)
-        return drawing
 
     def result(self, choice: Choice) -> xr.Dataset:
         """Return the field of the step, coarse-grained."""
@@ -338,31 +342,31 @@ class ScenePictures(Pictures):
         far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
         nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
         if self.steps > 1 or f"{choice.field}_error" in FIELDS:
-            found = choose_width(steps, choice.field, frames=1, sample=2, **nodes)
-            parts = {part: found[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
+            sweep = choose_width(steps, choice.field, frames=1, sample=2, **nodes)
+            parts = {part: sweep[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
         else:
-            found = width_sweep(steps, SWEPT, [choice.field, "number_density"], **nodes)
-            bias = found[f"{choice.field}_bias"]
-            field = found[choice.field]
-            weight = found["number_density"].where(field.notnull() & bias.notnull(), 0.0)
+            sweep = width_sweep(steps, SWEPT, [choice.field, "number_density"], **nodes)
+            bias = sweep[f"{choice.field}_bias"]
+            field = sweep[choice.field]
+            weight = sweep["number_density"].where(field.notnull() & bias.notnull(), 0.0)
             others = [dim for dim in field.dims if dim != "width"]
             of_bias = (bias.fillna(0.0) ** 2 * weight).sum(others)
             of_field = (field.fillna(0.0) ** 2 * weight).sum(others)
             parts = {"bias with noise": (of_bias / of_field) ** 0.5}
-        values = {part: one.to_numpy() for part, one in parts.items()}
-        return {"width": found["width"].to_numpy() / self.size, **values}
+        values = {part: errors.to_numpy() for part, errors in parts.items()}
+        return {"width": sweep["width"].to_numpy() / self.size, **values}
 
 
-def written_call(function: str, given: Mapping[str, Any]) -> str:
+def written_call(function: str, arguments: Mapping[str, Any]) -> str:
     """Return a call as text, one argument a line where there are several."""
-    arguments = [format_call("", {name: value})[1:-1] for name, value in given.items()]
     if len(arguments) < 3:
-        return f"{function}({', '.join(arguments)})"
-    lines = "".join(f"    {argument},\n" for argument in arguments)
+        return format_call(function, arguments)
+    words = [format_call("", {name: value})[1:-1] for name, value in arguments.items()]
+    lines = "".join(f"    {word},\n" for word in words)
     return f"{function}(\n{lines})"
 
 
-def pictures_of(ds: xr.Dataset, name: str | None = None) -> Pictures:
+def pictures_of(ds: xr.Dataset) -> Pictures:
     """Return the pictures of a scene or a result.
 
     Raises
@@ -376,5 +380,5 @@ def pictures_of(ds: xr.Dataset, name: str | None = None) -> Pictures:
             "them"
         )
     if "position" in ds:
-        return ScenePictures(ds, name or "ds")
-    return Pictures(ds, name or "f")
+        return ScenePictures(ds)
+    return Pictures(ds)

@@ -33,8 +33,7 @@ def label_of(value: xr.DataArray, name: str) -> str:
     """Return the name in words of a variable, or the letter of an axis, with its unit."""
     letters = {"theta": "θ", **{a: a for a in "rxyz"}}
     text = letters.get(name) or drawing.long_name_of(value, name)
-    unit = drawing.unit_in_unicode(str(value.attrs.get("units", "")))
-    return f"{text} [{unit}]" if unit else text
+    return drawing.with_unit(text, str(value.attrs.get("units", "")), drawing.unit_in_unicode)
 
 
 def place_of(numbers: xr.DataArray) -> str:
@@ -167,23 +166,21 @@ class Profile:
     def draw(self, numbers: xr.DataArray) -> None:
         """Draw numbers (axis, ...): one line for each of the other labels."""
         axis, *others = (str(dim) for dim in numbers.dims)
-        nodes = numbers[axis].to_numpy()
-        labels = list(product(*(numbers[dim].to_numpy() for dim in others)))
-        values = [numbers.sel(dict(zip(others, one, strict=True))).to_numpy() for one in labels]
-        along = [nodes] * len(labels)
-        upright = axis == "z"
+        parts = list(product(*(numbers[dim].to_numpy() for dim in others)))
+        values = [numbers.sel(dict(zip(others, part, strict=True))).to_numpy() for part in parts]
+        across = [numbers[axis].to_numpy()] * len(parts), label_of(numbers[axis], axis)
+        up = values, label_of(numbers, str(numbers.name))
+        if axis == "z":
+            across, up = up, across
         self.lines.data = {
-            "x": values if upright else along,
-            "y": along if upright else values,
-            "colour": [self._palette[k % len(self._palette)] for k in range(len(labels))],
-            "label": [", ".join(map(str, one)) for one in labels],
+            "x": across[0],
+            "y": up[0],
+            "colour": [self._palette[k % len(self._palette)] for k in range(len(parts))],
+            "label": [", ".join(map(str, part)) for part in parts],
         }
         self.figure.legend.visible = bool(others)
-        label = label_of(numbers, str(numbers.name))
-        ends = [label_of(numbers[axis], axis), label]
-        if upright:
-            ends.reverse()
-        self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = ends
+        self.figure.xaxis.axis_label = across[1]
+        self.figure.yaxis.axis_label = up[1]
         self.figure.title.text = _title(place_of(numbers))
 
     def clear(self) -> None:
@@ -246,12 +243,12 @@ class Errors:
         lines = self.lines.data
         if not len(lines["label"]):
             return
-        found = [f"width {width:.3g}\N{NO-BREAK SPACE}d43"]
+        texts = [f"width {width:.3g}\N{NO-BREAK SPACE}d43"]
         for name, widths, values in zip(lines["label"], lines["x"], lines["y"], strict=True):
             error = np.interp(np.log(width), np.log(widths), values, np.nan, np.nan)
             if np.isfinite(error):
-                found.append(f"{name} {100 * error:.3g}\N{NO-BREAK SPACE}%")
-        self._set_title(", ".join(found))
+                texts.append(f"{name} {100 * error:.3g}\N{NO-BREAK SPACE}%")
+        self._set_title(", ".join(texts))
 
     def _set_title(self, text: str) -> None:
         """Set the title, of two lines or more: browsers may keep the room of a shorter one before."""

@@ -90,15 +90,17 @@ def _first_files(job: Job) -> list[str]:
         paths = job.scene.get(key)
         if not isinstance(paths, list) or not paths:  # walls may be columns of the particles
             continue
-        is_pattern = not os.path.exists(paths[0])
-        files += glob.glob(paths[0])[:1] if is_pattern else [paths[0]]
+        if os.path.exists(paths[0]):
+            files.append(paths[0])
+        else:
+            files += glob.glob(paths[0])[:1]
     return files
 
 
 def _check_workers(client: Any, paths: list[str]) -> None:
     """Raise OSError for a worker that cannot do the job as this process would."""
     answers = client.run(_answer, paths, on_error="return")
-    own = version("xcg")
+    expected = version("xcg")
     for worker, answer in sorted(answers.items()):
         if isinstance(answer, Exception):
             raise OSError(
@@ -106,9 +108,9 @@ def _check_workers(client: Any, paths: list[str]) -> None:
                 "command"
             )
         release, unseen = answer
-        if release != own:
+        if release != expected:
             raise OSError(
-                f"the worker {worker} has xcg {release}, and this command {own}; start the workers in the "
+                f"the worker {worker} has xcg {release}, and this command {expected}; start the workers in the "
                 "environment of this command"
             )
         if unseen:

@@ -89,8 +89,11 @@ def read_config(path: str | Path) -> Job:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist")
+    read = _ini
+    if path.suffix.lower() == ".toml":
+        read = _toml
     try:
-        job = _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
+        job = read(path)
     except UnicodeDecodeError as error:
         raise SceneError(
             f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})"
@@ -195,7 +198,9 @@ def _with_paths(path: Path, scene: Mapping[str, Any]) -> dict[str, Any]:
         walls_are_columns = key == "walls" and isinstance(scene[key], dict)
         if walls_are_columns:
             continue
-        files = [scene[key]] if isinstance(scene[key], str) else scene[key]
+        files = scene[key]
+        if isinstance(files, str):
+            files = [files]
         if not isinstance(files, list) or not all(
             isinstance(file, str) and "\0" not in file for file in files
         ):
@@ -268,17 +273,15 @@ class _Section:
 
     def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
         self.source = f"{path}: [{name}]"
-        self.values = dict(values)
+        self.values = values
         self.known: set[str] = set()
 
     def get(self, key: str) -> str | None:
         self.known.add(key.lower())
-        value = next((v for k, v in self.values.items() if k.lower() == key.lower()), None)
-        if value is None:
+        text = self.values.get(key, "").strip("'\"")
+        if text.lower() in ("", "none"):
             return None
-        without_comment = value.split(" #")[0].split(" ;")[0]
-        text = without_comment.strip().strip("'\"")
-        return None if text.lower() in ("", "none") else text
+        return text
 
     def _typed(self, key: str, kind: Callable[[str], Any], expected: str) -> Any:
         text = self.get(key)
@@ -298,7 +301,9 @@ class _Section:
     def flag(self, key: str, default: bool = False) -> bool:
         states = configparser.ConfigParser.BOOLEAN_STATES
         state = self._typed(key, lambda text: states[text.lower()], "True or False")
-        return default if state is None else bool(state)
+        if state is None:
+            return default
+        return bool(state)
 
     def needed(self, key: str) -> str:
         text = self.get(key)
@@ -320,8 +325,8 @@ _SECTIONS = (
 
 
 def _ini(path: Path) -> Job:
-    parser = configparser.ConfigParser(interpolation=None)
-    parser.optionxform = str  # type: ignore[method-assign, assignment]
+    parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=("#", ";"))
+    parser.read_dict({name: {} for name in _SECTIONS})  # so that all exist
     try:
         parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except configparser.Error as error:
@@ -330,15 +335,14 @@ def _ini(path: Path) -> Job:
     if unknown:
         known = ", ".join(_SECTIONS)
         warn_user(f"{path}: unknown sections {unknown} are left out; known are {known}")
-    sections = {
-        name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {})
-        for name in _SECTIONS
-    }
+    sections = {name: _Section(path, name, parser[name]) for name in _SECTIONS}
     paths = sections["paths"]
     scene = _scene(path, sections)
     export = sections["fields_to_export"]
     fields = [name for name in FAMILIES if export.flag(name)]
-    slices = {"axis": "y"} if export.flag(SLICES) else None
+    slices = None
+    if export.flag(SLICES):
+        slices = {"axis": "y"}
     if not fields and slices is None:
         choices = ", ".join((*FAMILIES, SLICES))
         raise SceneError(f"{export.source}: nothing is True; switch on any of {choices}")
@@ -357,25 +361,31 @@ def _ini(path: Path) -> Job:
     kernel, label = KERNELS[spelling.lower()]
     mesh = _mesh(sections["grid_info"])
     flags = sections["flags"]
-    one_phase = flags.flag("partialignore", default=True)
+    phases = None
+    mixture = "Monodisperse"
+    if not flags.flag("partialignore", default=True):
+        phases = {"max_phases": 8}
+        mixture = "Polydisperse"
     output = sections["output_options"]
-    spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
-    output.known |= {"vkthdf_output", "vtkhdf_output"}
+    vtkhdf = ""
+    # the first is Pysammos's own spelling
+    if any([output.flag("vkthdf_output"), output.flag("vtkhdf_output")]):
+        vtkhdf = "steps"
     job = Job(
         scene=scene,
         fields={"fields": fields, "preset": "pysammos"},
-        phases=None if one_phase else {"max_phases": 8},
+        phases=phases,
         mesh={"kernel": kernel, **mesh},
         slices=slices,
         folder=path.parent / (paths.get("output_path") or "PysammosCG"),
-        name=f"CG_{label}_{'Monodisperse' if one_phase else 'Polydisperse'}",
+        name=f"CG_{label}_{mixture}",
         netcdf=output.flag("h5_output"),
-        vtkhdf="steps" if output.flag(spelled) else "",
+        vtkhdf=vtkhdf,
         suffix=".h5",
         on_error=flags.get("on_error") or "raise",  # type: ignore[arg-type]
     )
     for section in sections.values():
-        unread = [key for key in section.values if key.lower() not in section.known]
+        unread = [key for key in section.values if key not in section.known]
         if unread:
             known = ", ".join(sorted(section.known))
             warn_user(
@@ -423,7 +433,7 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
         stem = ""
     by_number: dict[int, str] = {}
     # files that are not compressed come first
-    for file in sorted(parent.iterdir()) if parent.is_dir() else ():
+    for file in sorted(parent.glob("*")):
         match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", plain_name(file.name))
         if match:
             by_number.setdefault(int(match[1]), str(file))
@@ -450,24 +460,25 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
     """Arrays that the files hold for our variables."""
     from xcg.readers.files.vtp import read_header
 
-    of_particles = read_header(particles).names
-    of_contacts = read_header(contacts[0]).names if contacts else ()
+    files = {"particles": particles}
+    if contacts:
+        files["contacts"] = contacts[0]
+    arrays = {kind: read_header(file).names for kind, file in files.items()}
     names: dict[str, str | None] = {}
     for key, ours in KEYS.items():
         array = section.get(key)
+        kind = "contacts" if ours.startswith("contact") else "particles"
         if array is None:
             continue
-        is_contact = ours.startswith("contact")
         if array == _OFF_BY_AN_OVERLAP:
             warn_user(
                 f"{section.source}: {array} is off by one overlap between spheres in MFiX; "
                 "their contact points follow from centres and radii"
             )
-        elif array in (of_contacts if is_contact else of_particles):
+        elif array in arrays.get(kind, ()):
             names[array] = ours
-        elif contacts or not is_contact:
-            file = contacts[0] if is_contact else particles
-            warn_user(f"{section.source} {key} = {array}: no such array in {file}")
+        elif kind in files:
+            warn_user(f"{section.source} {key} = {array}: no such array in {files[kind]}")
     return names
 
 

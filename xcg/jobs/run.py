@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -72,7 +72,9 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     options = {**job.fields, "on_error": job.on_error}
     if job.phases is not None:
         assigned = {"edges", "mapping", "by"} & set(job.phases)
-        function = assign_phases if assigned else find_phases
+        function: Callable[..., xr.Dataset] = find_phases
+        if assigned:
+            function = assign_phases
         _check_arguments(function, job.phases, "phases")
         if job.on_error == "skip":
             # in this thread, which tolerates faults
@@ -87,15 +89,18 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     _check_arguments(coarse_grain, options, "fields")
     if job.mesh is not None:
         options |= pysammos_mesh(ds, **job.mesh)
-    fields = coarse_grain(ds, **options) if options.get("fields", True) else xr.Dataset()
-    if not (job.netcdf or job.vtkhdf):  # fields that no file takes are not computed
-        fields = xr.Dataset()
+    fields = xr.Dataset()
+    # fields that no file takes are not computed
+    if options.get("fields", True) and (job.netcdf or job.vtkhdf):
+        fields = coarse_grain(ds, **options)
     if job.slices is None and not fields.data_vars:
         raise SceneError(
             "nothing to do: no slice is asked for, and no field, or no file for fields "
             "(netcdf or vtkhdf of the output)"
         )
-    slices = None if job.slices is None else _slices(ds, job)
+    slices = None
+    if job.slices is not None:
+        slices = _slices(ds, job)
     return ds, fields, slices
 
 
@@ -175,7 +180,10 @@ def run_job(
         yield count, count
         return
     if existing and not (overwrite or is_begun):
-        raise _exists(existing[0], ", of another job or other input" if resume else "")
+        raise _exists(existing[0], other_job=resume)
+    replaced: list[Path] = []
+    if overwrite:
+        replaced = _images_of(job, targets)
     write = partial(
         write_files,
         [output.to_write() for output in outputs],
@@ -183,7 +191,7 @@ def run_job(
         work=work,
         about=about,
         batch=jobs or os.cpu_count() or 1,
-        replaced=_images_of(job, targets) if overwrite else [],
+        replaced=replaced,
     )
     try:
         for done in write():
@@ -222,16 +230,23 @@ def outputs_of(
     job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = ""
 ) -> list[_Output]:
     """List what a job writes, from what `open_job` returns; `mark` is noted in the files."""
-    series = {job.name: fields} if fields.data_vars else {}
+    series = {}
+    if fields.data_vars:
+        series[job.name] = fields
     if slices is not None:
-        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
+        stem = f"{job.name}_slices"
+        if job.suffix == ".h5":
+            stem = "CG_GranularTemperature_slices"
         series[stem] = slices
     return [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
 
 
-def _exists(path: Path, whose: str = "") -> FileExistsError:
+def _exists(path: Path, *, other_job: bool = False) -> FileExistsError:
+    message = f"{path} exists"
+    if other_job:
+        message += ", of another job or other input"
     return FileExistsError(
-        f"{path} exists{whose}; choose another output folder or name, or overwrite it (--overwrite)"
+        f"{message}; choose another output folder or name, or overwrite it (--overwrite)"
     )
 
 
@@ -314,12 +329,11 @@ def _made_by(path: Path) -> str | None:
     """Return the signature of the job that wrote a file."""
     import h5py
 
-    try:
-        with h5py.File(path) as file:
-            mark = file.get("xcg", file).attrs.get(_JOB)
-    except OSError:
-        return None
-    return mark.decode() if isinstance(mark, bytes) else mark
+    with suppress(OSError), h5py.File(path) as file:
+        mark = file.get("xcg", file).attrs.get(_JOB)
+        if mark is not None:
+            return str(np.asarray(mark).astype(str))
+    return None
 
 
 def _description(job: Job) -> dict[str, str]:
@@ -329,9 +343,11 @@ def _description(job: Job) -> dict[str, str]:
         value = job.scene.get(key, [])
         if isinstance(value, dict):  # walls that are columns of the particles
             continue
-        for path in [value] if isinstance(value, str) else value:
-            is_pattern = glob.has_magic(path) and not Path(path).exists()
-            paths += expand_paths([path], key) if is_pattern else [path]
+        for path in np.atleast_1d(value).tolist():
+            if glob.has_magic(path) and not Path(path).exists():
+                paths += expand_paths([path], key)
+            else:
+                paths.append(path)
     files: list[Path] = []
     for path in map(Path, paths):
         # a folder of Zarr keeps its own time when one of its files changes
@@ -342,7 +358,9 @@ def _description(job: Job) -> dict[str, str]:
     for option, value in vars(job).items():
         if option == "scheduler":  # results are the same wherever they are computed
             continue
-        table = value if isinstance(value, dict) else {"": value}
-        for key, entry in table.items():
-            about[f"[{option}] {key}".rstrip()] = repr(entry)
+        if not isinstance(value, dict):
+            about[f"[{option}]"] = repr(value)
+            continue
+        for key, entry in value.items():
+            about[f"[{option}] {key}"] = repr(entry)
     return about
