@@ -406,14 +406,10 @@ def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any)
 @contextmanager
 def _dashboard(jobs: int | None) -> Iterator[None]:
     """Run dask's tasks on a local cluster, and say where it can be watched."""
-    try:
-        import bokeh  # noqa: F401
-        from distributed import Client
-    except ImportError as error:
-        raise click.ClickException(
-            f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
-        ) from None
-    with Client(
+    from xcg.common.checks import extra
+
+    extra("bokeh", "dashboard", "--dashboard")
+    with extra("distributed", "dashboard", "--dashboard").Client(
         processes=False,
         n_workers=1,
         threads_per_worker=jobs or os.cpu_count(),

@@ -127,13 +127,11 @@ _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "example
 
 
 def __getattr__(name: str) -> Any:
-    """Raise AttributeError with the call that was probably meant."""
-    if name.startswith("_"):
-        raise AttributeError(name)
-    likely = f"; samples are opened by xcg.datasets.open({name!r})"
-    if name not in _SAMPLES:
-        likely = "; samples are listed by xcg.datasets.samples(), and opened by xcg.datasets.open"
-    raise AttributeError(f"module 'xcg.datasets' has no attribute {name!r}{likely}", name=name)
+    """Raise AttributeError; for the name of a sample, with the call that opens it."""
+    message = f"module 'xcg.datasets' has no attribute {name!r}"
+    if name in _SAMPLES:
+        message += f"; open the sample by xcg.datasets.open({name!r})"
+    raise AttributeError(message, name=name)
 
 
 def samples() -> dict[str, str]:

@@ -179,7 +179,7 @@ def test_a_second_recorder_raises(path):
 def test_wrong_arguments_raise(tmp_path):
     with pytest.raises(ValueError, match=r"expected a name that ends with \.nc"):
         xcg.record(tmp_path / "f.vtkhdf", "density")
-    with pytest.raises(ValueError, match="no HDF5 file, which is damaged where a process ends"):
+    with pytest.raises(ValueError, match="an HDF5 file is damaged where a process ends"):
         xcg.record(tmp_path / "f.h5", "density")
     with pytest.raises(TypeError, match="axis"):
         xcg.record(tmp_path / "f.nc", "density", axis="z")

@@ -78,7 +78,9 @@ def did_you_mean(
     likeness, nearest = max(
         ((_similarity(wanted, name), name) for name in plainly), default=(0.0, "")
     )
-    return f"; did you mean {plainly[nearest]!r}?" if likeness >= cutoff else ""
+    if likeness < cutoff:
+        return ""
+    return f"; did you mean {plainly[nearest]!r}?"
 
 
 def _similarity(word: str, other: str) -> float:
@@ -127,8 +129,9 @@ def unknown(
     rest = listed or f"expected one of {', '.join(names)}"
     hint = did_you_mean(str(word), names, synonyms=synonyms)
     if not hint and len(str(word)) > 2:
-        longer = sorted((name for name in names if _plainly(str(word)) in name), key=len)
-        hint = f"; did you mean {longer[0]!r}?" if longer else ""
+        longer = [name for name in names if _plainly(str(word)) in name]
+        if longer:
+            hint = f"; did you mean {min(longer, key=len)!r}?"
     if not hint:
         return f"unknown {what} {word!r}; {rest}"
     return f"unknown {what} {word!r}{hint} {rest[0].upper()}{rest[1:]}"
@@ -195,12 +198,10 @@ def current_worker() -> Any:
 class Once:
     """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    The key is no part of what dask names tasks by, so that equal calls still have equal names. The
-    latest `REMEMBERED` warnings of the process are remembered.
+    The key is no part of what dask names tasks by, so that equal calls still have equal names.
     """
 
-    REMEMBERED: ClassVar[int] = 10_000
-    _said: ClassVar[dict[tuple[str, str], None]] = {}
+    _said: ClassVar[set[tuple[str, str]]] = set()
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     key: str = field(default_factory=lambda: uuid4().hex)
@@ -224,9 +225,7 @@ class Once:
         with self._lock:
             if (self.key, about) in self._said:
                 return
-            self._said[self.key, about] = None
-            if len(self._said) > self.REMEMBERED:
-                del self._said[next(iter(self._said))]
+            self._said.add((self.key, about))
         warn_user(message)
 
     @contextmanager

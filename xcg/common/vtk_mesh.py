@@ -64,19 +64,16 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
 def places_of(mesh: Any, *, centers: bool) -> NDArray:
     """Points (n, 3) of a vtkDataSet, or centres of its cells."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkCommonCore import VTK_DOUBLE, vtkDoubleArray, vtkPoints
+    from vtkmodules.vtkCommonCore import vtkDoubleArray
 
     if centers:
         from vtkmodules.vtkFiltersCore import vtkCellCenters
 
-        found = vtkDoubleArray()
-        found.SetNumberOfComponents(3)
-        found.SetNumberOfTuples(mesh.GetNumberOfCells())
-        vtkCellCenters.ComputeCellCenters(mesh, found)
-        return vtk_to_numpy(found).reshape(-1, 3).copy()
-    points = vtkPoints()
-    points.SetDataType(VTK_DOUBLE)
+        centres = vtkDoubleArray()
+        centres.SetNumberOfComponents(3)
+        centres.SetNumberOfTuples(mesh.GetNumberOfCells())
+        vtkCellCenters.ComputeCellCenters(mesh, centres)
+        return vtk_to_numpy(centres).reshape(-1, 3).copy()
     if hasattr(mesh, "GetPoints") and mesh.GetPoints() is not None:
-        points.DeepCopy(mesh.GetPoints())
-        return vtk_to_numpy(points.GetData()).reshape(-1, 3).astype("float64")
+        return vtk_to_numpy(mesh.GetPoints().GetData()).reshape(-1, 3).astype("float64")
     return np.array([mesh.GetPoint(k) for k in range(mesh.GetNumberOfPoints())])

@@ -75,13 +75,19 @@ class Map:
             x_range=models.Range1d(0, 1), y_range=models.Range1d(0, 1), tools=TOOLS, name="map"
         )
         drawn = self.figure.image(
-            image="image", source=self.image, color_mapper=self._colours,
-            x="x", y="y", dw="dw", dh="dh",
-        )  # fmt: skip
+            **{name: name for name in _EMPTY_IMAGE},
+            source=self.image,
+            color_mapper=self._colours,
+        )
         self.figure.circle(
-            "x", "y", radius="radius", source=self.circles,
-            fill_color=None, line_color="black", line_alpha=0.5,
-        )  # fmt: skip
+            "x",
+            "y",
+            radius="radius",
+            source=self.circles,
+            fill_color=None,
+            line_color="black",
+            line_alpha=0.5,
+        )
         hover = models.HoverTool(
             renderers=[drawn], tooltips=[("value", "@image"), ("place", "$x, $y")]
         )
@@ -204,10 +210,15 @@ class Errors:
         models = extra("bokeh.models", "explore", "explore")
         self.lines = models.ColumnDataSource(_EMPTY_LINES)
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            frame_width=LONGEST // 2, frame_height=LONGEST // 2, tools="save", name="errors",
-            x_axis_type="log", y_axis_type="log",
-            x_axis_label="width of the kernel [d43]", y_axis_label="relative error of this step",
-        )  # fmt: skip
+            frame_width=LONGEST // 2,
+            frame_height=LONGEST // 2,
+            tools="save",
+            name="errors",
+            x_axis_type="log",
+            y_axis_type="log",
+            x_axis_label="width of the kernel [d43]",
+            y_axis_label="relative error of this step",
+        )
         self.figure.multi_line(
             "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
         )

@@ -121,7 +121,6 @@ _OUTPUT: dict[str, tuple[type, ...]] = {
 }
 _ENCODING = ("dtype", "digits", "compression")
 PATHS = ("particles", "contacts", "walls", "restart")
-_TOO_LARGE = 1 << 31  # for the number of a phase
 
 
 def _toml(path: Path) -> Job:
@@ -147,7 +146,13 @@ def _toml(path: Path) -> Job:
     scene = _with_paths(path, data["scene"])
     phases = data.get("phases")
     if phases and "mapping" in phases:
-        phases = phases | {"mapping": _mapping(path, phases["mapping"])}
+        table = phases["mapping"]  # TOML's keys are text
+        try:
+            phases = phases | {"mapping": {int(kind): phase for kind, phase in table.items()}}
+        except ValueError:
+            raise SceneError(
+                f"{path}: mapping = {table!r} in [phases]: expected numbers of types and of phases"
+            ) from None
     return Job(
         scene=scene,
         fields=dict(data.get("fields", {})),
@@ -174,10 +179,9 @@ def _check_output(path: Path, output: dict[str, Any]) -> None:
             expected = " or ".join(kind.__name__ for kind in kinds)
             raise SceneError(f"{path}: {key} = {output[key]!r} in [output]: expected {expected}")
     name = output.get("name", "fields")
-    leads_elsewhere = name.startswith(".") or set(name) & set("/\\\0")
-    if not name or leads_elsewhere or len(name) > 200:
+    if not name or name.startswith(".") or set(name) & set("/\\\0"):
         raise SceneError(
-            f"{path}: name = {name[:60]!r} in [output]: expected the name of a file "
+            f"{path}: name = {name!r} in [output]: expected the name of a file "
             "without its folder and suffix"
         )
     try:
@@ -210,19 +214,6 @@ def _with_paths(path: Path, scene: Mapping[str, Any]) -> dict[str, Any]:
             )
         scene[key] = [str(path.parent / file) for file in files]
     return scene
-
-
-def _mapping(path: Path, table: Mapping[str, Any]) -> dict[int, int]:
-    """Return the phase of each type, from a table of TOML, whose keys are text."""
-    try:
-        mapping = {int(kind): phase for kind, phase in table.items()}
-        if not all(type(phase) is int and 0 <= phase < _TOO_LARGE for phase in mapping.values()):
-            raise ValueError
-    except ValueError:
-        raise SceneError(
-            f"{path}: mapping = {table!r} in [phases]: expected numbers of types and of phases"
-        ) from None
-    return mapping
 
 
 # --- config.ini of Pysammos -----------------------------------------------------------------------
@@ -352,13 +343,7 @@ def _ini(path: Path) -> Job:
             impossible -= {"coordination_number"}
         fields = [name for name in fields if name not in impossible]
 
-    smoothing = sections["smoothing_function"]
-    spelling = smoothing.get("type") or "Lucy"
-    if spelling.lower() not in KERNELS:
-        raise SceneError(
-            f"{smoothing.source} type = {spelling}: expected Lucy, Gaussian or HeavySide"
-        )
-    kernel, label = KERNELS[spelling.lower()]
+    kernel, label = _kernel(sections["smoothing_function"])
     mesh = _mesh(sections["grid_info"])
     flags = sections["flags"]
     phases = None
@@ -392,6 +377,16 @@ def _ini(path: Path) -> Job:
                 f"{section.source}: unknown and left out: {', '.join(unread)}; known are {known}"
             )
     return job
+
+
+def _kernel(section: _Section) -> tuple[str, str]:
+    """Return the name of the kernel, and its name in Pysammos's output."""
+    spelling = section.get("type") or "Lucy"
+    if spelling.lower() not in KERNELS:
+        raise SceneError(
+            f"{section.source} type = {spelling}: expected Lucy, Gaussian or HeavySide"
+        )
+    return KERNELS[spelling.lower()]
 
 
 def _scene(path: Path, sections: Mapping[str, _Section]) -> dict[str, Any]:

@@ -373,9 +373,6 @@ def locked(path: Path, what: str) -> Iterator[None]:
             f"{what} is being written by {by}; wait for it to end, or choose another output folder or name"
         ) from None
     except OSError as error:
-        if path.is_symlink():
-            message = "is a symbolic link, where a lock is expected; remove it"
-            raise OSError(errno.ELOOP, message, str(path)) from error
         if error.errno not in _NO_LOCKS:
             raise
     temporary.add(path)

@@ -112,10 +112,10 @@ class Recorder:
         self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool
     ) -> None:
         if path.suffix not in _FORMATS:
-            message = f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)"
-            if path.suffix == ".h5":
-                message += "; no HDF5 file, which is damaged where a process ends that writes to it"
-            raise ValueError(message)
+            raise ValueError(
+                f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr); "
+                "an HDF5 file is damaged where a process ends that writes to it"
+            )
         check_target(path, overwrite=True)
         self.path = path
         self.steps = 0

@@ -161,14 +161,12 @@ class StoreLayout:
         """Return the same Dataset with placeholders, which nothing computes, for the arrays that tasks write."""
         import dask.array as da  # slow to import
 
-        empty = {}
+        outline = self.ds.copy()
         for name in self.over:
-            data = self.ds[name].variable
-            chunks = tuple((n,) for n in data.shape)
-            tasks = {(f"empty-{name}", *(0,) * data.ndim): None}
-            nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
-            empty[name] = data.copy(data=nothing)
-        return self.ds.assign(empty)
+            data = self.ds.variables[name]
+            zeros = da.zeros(data.shape, dtype=self.encoding.type_of(data.dtype), chunks=-1)
+            outline[name] = data.copy(data=zeros)
+        return outline
 
 
 def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:

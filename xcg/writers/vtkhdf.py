@@ -20,7 +20,7 @@ import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
 from xcg.scene.conform import in_order, labels_along
-from xcg.scene.frame import with_time
+from xcg.scene.frame import check_times, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
@@ -267,11 +267,6 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
     if nodes.size == 1:
         return 1, float(nodes[0]), 1.0
     spacing = (nodes[-1] - nodes[0]) / (nodes.size - 1)
-    if (np.diff(nodes) < 0).all():
-        raise ValueError(
-            f"coordinate '{axis}' falls from {nodes[0]:g} to {nodes[-1]:g}, and images of VTK rise: use "
-            f"fields.sortby('{axis}')"
-        )
     even = nodes[0] + spacing * np.arange(nodes.size)
     if not (spacing > 0 and np.abs(nodes - even).max() <= 1e-6 * spacing):
         row = int(np.argmax(np.abs(nodes - even)))
@@ -292,12 +287,7 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
         raise ValueError(
             "fields has no time steps (the size of 'time' is 0); expected at least one"
         )
-    if not (np.diff(times) > 0).all():
-        row = int(np.argmin(np.diff(times))) + 1
-        raise ValueError(
-            f"'time' goes from {times[row - 1]} to {times[row]} at step {row}, expected to rise; use "
-            "fields.sortby('time'), and drop_duplicates('time') where times occur twice"
-        )
+    check_times(times, "ParaView", "order the steps with sortby('time').drop_duplicates('time')")
     return times
 
 
