@@ -10,6 +10,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import dask.array as da
 import h5py
 import netCDF4
 import numpy as np
@@ -49,6 +50,24 @@ def assert_same_bits(one: xr.Dataset, other: xr.Dataset) -> None:
 @pytest.fixture(params=[".nc", ".zarr"])
 def suffix(request):
     return request.param
+
+
+@pytest.mark.parametrize("compression", [0, 1])
+def test_blocks_of_another_type_than_announced_are_converted(tmp_path, suffix, compression):
+    """As of `map_blocks` with a wrong `dtype`: its bytes are not those of the array in the file."""
+    numbers = np.arange(24.0).reshape(6, 4)
+    blocks = da.from_array(numbers, chunks=(1, 4)).map_blocks(lambda x: x.astype("f4"), dtype="f8")
+    f = xr.Dataset({"a": (("time", "x"), blocks)}, {"time": np.arange(6.0)})
+    saved = reopen(xcg.save(f, tmp_path / f"f{suffix}", compression=compression))
+    assert saved["a"].dtype == "f8"
+    assert saved["a"].values.tolist() == numbers.tolist()
+
+
+@pytest.mark.parametrize("dtype", [">f8", ">i4"])
+def test_numbers_of_another_byte_order_keep_their_values(tmp_path, suffix, dtype):
+    numbers = np.arange(24).reshape(6, 4).astype(dtype)
+    f = xr.Dataset({"a": (("time", "x"), numbers)}, {"time": np.arange(6.0)})
+    assert reopen(xcg.save(f, tmp_path / f"f{suffix}"))["a"].values.tolist() == numbers.tolist()
 
 
 @pytest.mark.parametrize("lazy", [False, True])

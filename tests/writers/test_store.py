@@ -1,6 +1,7 @@
 """Files that an interrupted save began are continued: the bits of an uninterrupted one, and no step twice."""
 
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 import xcg
 from tests import ROOT, steps_of_random_scenes
 from xcg.writers.formats import hdf5_file, recover
+from xcg.writers.store import Mismatch
 
 SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
 STEPS = 6
@@ -189,3 +191,10 @@ def test_a_file_comes_to_the_state_after_the_last_task(tmp_path, monkeypatch):
     with h5py.File(path) as file:
         assert sorted(file) == ["a", "b0", "b1", "b2"]
         assert file["a"][:4].tolist() == [-1.0, -1.0, -1.0, 3.0]
+
+
+def test_the_error_of_another_run_comes_back_from_a_worker(tmp_path):
+    error = Mismatch(tmp_path, ["encoding: a instead of b"])
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error)
+    assert (copy.folder, copy.changed) == (error.folder, error.changed)

@@ -45,6 +45,8 @@ class StoredArray:
         Its name in the file, and that of the variable that it is made of.
     chunk : tuple of int
         Shape of its chunks.
+    dtype : dtype
+        Its type in the file.
     values : callable, optional
         Brings values of the variable, time first, into its form.
     """
@@ -52,6 +54,7 @@ class StoredArray:
     name: str
     variable: str
     chunk: tuple[int, ...]
+    dtype: np.dtype[Any]
     values: Callable[[NDArray], NDArray] = np.asarray
 
 
@@ -101,7 +104,7 @@ class Hdf5Store:
     def _packed(self, array: StoredArray, values: NDArray) -> list[tuple[tuple[int, ...], Any]]:
         """Return the places of whole chunks, and their bytes."""
         values = self.encoding.reduced(array.values(values), array.variable)
-        values = values.astype(values.dtype.newbyteorder("="), copy=False)
+        values = values.astype(array.dtype, copy=False)
         sizes = list(zip(values.shape, array.chunk, strict=True))
         packed: list[tuple[tuple[int, ...], Any]] = []
         for place in product(*(range(0, n, size) for n, size in sizes)):
@@ -257,7 +260,12 @@ def _begin_netcdf(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         # What this returns would write the zeros of the outline; it is let go, which closes the
         # file.
         layout.outline().to_netcdf(path, engine="netcdf4", encoding=encoding, compute=False)
-    arrays = [StoredArray(name, name, layout.chunk_shape(name)) for name in layout.over]
+    arrays: list[StoredArray] = []
+    for name in layout.over:
+        dtype = layout.encoding.type_of(layout.ds[name].dtype).newbyteorder("=")
+        if dtype.kind == "b":
+            dtype = np.dtype("i1")
+        arrays.append(StoredArray(name, name, layout.chunk_shape(name), dtype))
     return Hdf5Store(path, arrays, layout)
 
 

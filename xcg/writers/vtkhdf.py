@@ -309,7 +309,8 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         if array.variable in layout.over:
             on_disk = partial(_on_disk, array, layout.ds[array.variable].dims, image)
             name = f"VTKHDF/PointData/{array.name}"
-            over.append(StoredArray(name, array.variable, chunk, on_disk))
+            dtype = layout.encoding.type_of(array.dtype)
+            over.append(StoredArray(name, array.variable, chunk, dtype, on_disk))
     return Hdf5Store(path, over, layout, "xcg")
 
 
