@@ -45,9 +45,9 @@ def stop(*_: object) -> None:
     abandon = getattr(sys.modules.get("xcg.writers.files"), "abandon", None)
     if abandon is not None:
         abandon()
-    said = "".join(f"\n{words()}" for words in last_words)
+    words = "".join(f"\n{last()}" for last in last_words)
     try:
-        sys.stderr.write(f"\nstopped{said}\n")
+        sys.stderr.write(f"\nstopped{words}\n")
         sys.stderr.flush()
     except (OSError, RuntimeError):  # interrupted while it prints
         pass
@@ -172,8 +172,8 @@ def takes_files(command: Callable) -> Callable:
     return command
 
 
-def said(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Keep the options that were said, as arguments of functions."""
+def passed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Keep the options that were passed, as arguments of functions."""
     arguments = {name: value for name, value in options.items() if value not in (None, ())}
     for name, value in arguments.items():
         if isinstance(value, tuple):
@@ -262,7 +262,7 @@ def chains(
     from xcg.writers.store import write_file
 
     with plain_messages(quiet=False):
-        scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
+        scene = conform(open_scene(list(files), on_error=on_error, **passed(options)))
         fc = force_chains(
             scene,
             alpha,
@@ -341,7 +341,7 @@ def convert(
             scene = read_config(files[0]).scene
         encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
         # a step that was saved alone gets its time
-        ds = conform(open_scene(**scene | said(options)))
+        ds = conform(open_scene(**scene | passed(options)))
         save(ds, output, overwrite=overwrite, progress=not quiet, **encoding)
     click.echo(
         f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})"
@@ -377,7 +377,7 @@ def info(files: tuple[str, ...], **options: Any) -> None:
     from xcg.readers.open import open_scene
 
     with plain_messages(quiet=False):
-        click.echo(repr(open_scene(list(files), **said(options)).cg))
+        click.echo(repr(open_scene(list(files), **passed(options)).cg))
 
 
 @click.command()
@@ -398,7 +398,7 @@ def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any)
     from xcg.readers.open import open_scene
 
     with plain_messages(quiet=False):
-        arguments = {"particles": list(files), **said(options)}
+        arguments = {"particles": list(files), **passed(options)}
         opened = f"import xcg\n\nds = {written_call('xcg.open_scene', arguments)}\n"
         serve(open_scene(**arguments), opened, port=port, show=not no_browser)
 
@@ -509,7 +509,7 @@ def run(
     with plain_messages(quiet):
         # absolute, as workers and later runs may have another current folder
         job = read_config(Path(config).absolute())
-        job = replace(job, **said({"on_error": on_error, "scheduler": scheduler}))
+        job = replace(job, **passed({"on_error": on_error, "scheduler": scheduler}))
         if dry_run:
             click.echo(printable(_outline(job)))
             return

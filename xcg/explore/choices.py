@@ -95,7 +95,7 @@ class Pictures:
     phases : list of str
         "bulk" and labels of phases; empty without phases.
     drawn_phases : list of str
-        Those that `plot` is asked for.
+        Phases that `plot` is called with.
     widths : tuple of str
         Widths of the kernel to choose from; none of a result.
     size : float

@@ -30,7 +30,7 @@ _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # which end a process by default; Wi
 def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary name beside `path` to write to; rename it at the end, or remove it after an error.
 
-    Errors are those of `renamed_file`.
+    It raises the same errors as `renamed_file`.
     """
     check_file(path, overwrite=overwrite)
     with _part(path) as part, renamed_file(path, overwrite=overwrite, part=part):

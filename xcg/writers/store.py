@@ -327,11 +327,11 @@ def write_files(
         if len(outputs) > 1:
             described = {f"{output.name}: {key}": value for key, value in described.items()}
         state |= described
-    with ExitStack() as held:
-        folder = held.enter_context(work_folder(work, next(iter(targets))))
+    with ExitStack() as stack:
+        folder = stack.enter_context(work_folder(work, next(iter(targets))))
         for output in outputs[1:]:  # its files may belong to a run of another name as well
             path = next(iter(output.files))
-            held.enter_context(locked(path.with_name(f".{path.name}.lock"), str(path)))
+            stack.enter_context(locked(path.with_name(f".{path.name}.lock"), str(path)))
         parts = {path: folder / path.name for path in targets}
         begun = Begun(folder)
         is_whole = begun.matches(state) and begun.is_whole()
@@ -339,7 +339,7 @@ def write_files(
             # an earlier run was killed while it gave the files their names
             parts = {path: part for path, part in parts.items() if not is_published(part, path)}
         for path, part in parts.items():
-            held.enter_context(targets[path].whole(path, overwrite=overwrite, part=part))
+            stack.enter_context(targets[path].whole(path, overwrite=overwrite, part=part))
         if is_whole:
             yield max(layout.ds.sizes.get("time", 1) for layout in layouts)
         else:
@@ -352,7 +352,7 @@ def write_files(
             begun.end()
             for path in replaced:
                 path.unlink(missing_ok=True)
-            held.close()
+            stack.close()
 
 
 def _begin_all(
@@ -462,9 +462,9 @@ def _fill_all(
 
 def _note_cause(logs: Sequence[Log], event: tuple[float, Mapping[str, Any]]) -> None:
     """Add the cause of a skipped step to logs, from an event of a worker."""
-    _, said = event
+    _, skip = event
     for log in logs:
-        log.add_cause(said["step"], said["cause"])
+        log.add_cause(skip["step"], skip["cause"])
 
 
 def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generator[int, None, None]:
@@ -661,7 +661,7 @@ class Log:
     def causes(self) -> dict[int, str]:
         """Return the causes that other processes sent, by number of the step."""
         causes = (line.get("causes", {}) for line in self._lines())
-        return {int(step): cause for given in causes for step, cause in given.items()}
+        return {int(step): cause for line in causes for step, cause in line.items()}
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         if not self.file.exists():
