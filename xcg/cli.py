@@ -447,9 +447,9 @@ def _outline(job: Job) -> str:
 
     scene, fields, slices = open_job(job)
     outputs = outputs_of(job, fields, slices)
-    names = ", ".join(str(name) for output in outputs for name in output.ds.data_vars)
+    names = ", ".join(str(name) for of_job in outputs for name in of_job.output.ds.data_vars)
     lines = [repr(scene.cg), names, f"into {job.folder}/{job.name}*"]
-    existing = [path for output in outputs for path in output.paths() if path.exists()]
+    existing = [path for of_job in outputs for path in of_job.paths if path.exists()]
     if existing:
         lines.append(f"{existing[0]} exists; --overwrite replaces it")
     return "\n".join(lines)

@@ -90,6 +90,8 @@ class Pictures:
         Names of fields by the heading that they are listed under.
     views : dict of list
         Axes of the pictures of each view.
+    plane : list of str
+        Axes that pictures can be drawn along.
     axes : list of str
         Letters of the components of vectors.
     phases : list of str
@@ -118,23 +120,23 @@ class Pictures:
         self._step = lru_cache(maxsize=2)(self._read)
 
     def _describe(self) -> None:
-        axes = axes_of(self.ds)
-        if not axes:
+        self.plane = axes_of(self.ds)
+        if not self.plane:
             raise ValueError(
                 f"explore: this result has no axis to draw along, of {', '.join(COMPONENTS)}, r and "
                 f"theta; its dimensions are {', '.join(map(str, self.ds.dims)) or 'none'}"
             )
-        names = [str(name) for name in self.ds.data_vars if {*axes} & {*self.ds[name].dims}]
+        names = [str(name) for name in self.ds.data_vars if {*self.plane} & {*self.ds[name].dims}]
         self.fields = {"fields": names}
         self.axes = [str(label) for label in self.ds.get("component", [])]
         self.phases = [str(label) for label in self.ds.get("phase", [])]
         self.drawn_phases = self.phases
         self.views: dict[str, list[tuple[str, ...]]] = {}
-        if len(axes) == 2:
-            self.views["map"] = [tuple(axes)]
-        if len(axes) == 3:
-            self.views["slice"] = list(combinations(axes, 2))
-        self.views["profile"] = [(a,) for a in reversed(axes)]
+        if len(self.plane) == 2:
+            self.views["map"] = [tuple(self.plane)]
+        if len(self.plane) == 3:
+            self.views["slice"] = list(combinations(self.plane, 2))
+        self.views["profile"] = [(a,) for a in reversed(self.plane)]
 
     def rank_of(self, field: str) -> int:
         """Return the number of indices of a field: 0 of a scalar, 1 of a vector, 2 of a tensor."""
@@ -152,7 +154,7 @@ class Pictures:
 
     def cut_axis(self, choice: Choice) -> str:
         """Return the axis that a slice cuts."""
-        return next(a for a in axes_of(self.ds) if a not in choice.axes)
+        return next(a for a in self.plane if a not in choice.axes)
 
     def range_of(self, axis: str) -> tuple[float, float]:
         """Return the first and last coordinate along an axis."""
@@ -186,7 +188,7 @@ class Pictures:
     def result(self, choice: Choice) -> xr.Dataset:
         """Return the fields of the step that the picture is drawn from."""
         step = self._step(choice.time)
-        if choice.view == "profile" and len(axes_of(step)) > 1:
+        if choice.view == "profile" and len(self.plane) > 1:
             return profile(step, choice.axes[0])
         return step
 
@@ -197,7 +199,7 @@ class Pictures:
     def call(self, choice: Choice) -> str:
         """Return the Python call that makes the picture."""
         averaged = ""
-        if choice.view == "profile" and len(axes_of(self.ds)) > 1:
+        if choice.view == "profile" and len(self.plane) > 1:
             averaged = f".cg.profile({choice.axes[0]!r})"
         drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
         return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{drawing}"
@@ -213,20 +215,20 @@ class ScenePictures(Pictures):
     def _describe(self) -> None:
         self.scene = describe(self.ds)
         self.size = self.scene.sizes.get("d43", 0.0)
-        plane = self.scene.setup.plane
+        self.plane = list(self.scene.setup.plane)
         possible = possible_fields(self.scene, Request())
         others = [name for name in listed() if name not in possible]
         self.fields = {
             "of this scene": list(possible),
             "with further data or options": others,
         }
-        self.axes = list(plane)
-        pairs: list[tuple[str, ...]] = list(combinations(plane, 2))
-        pairs.sort(key=lambda pair: pair != (plane[0], plane[-1]))
+        self.axes = self.plane
+        pairs: list[tuple[str, ...]] = list(combinations(self.plane, 2))
+        pairs.sort(key=lambda pair: pair != (self.plane[0], self.plane[-1]))
         self.views = {"map": pairs}
-        if len(plane) == 3:
+        if len(self.plane) == 3:
             self.views["slice"] = pairs
-        self.views["profile"] = [(a,) for a in reversed(plane)]
+        self.views["profile"] = [(a,) for a in reversed(self.plane)]
         self.by = next((name for name in ("phase", "species") if name in self.ds), None)
         groups = describe(self.ds, self.by).values.get(str(self.by), ())
         self.phases = []
@@ -237,9 +239,6 @@ class ScenePictures(Pictures):
 
     def rank_of(self, field: str) -> int:  # noqa: D102
         return FIELDS[field].rank
-
-    def cut_axis(self, choice: Choice) -> str:  # noqa: D102
-        return next(a for a in self.axes if a not in choice.axes)
 
     def range_of(self, axis: str) -> tuple[float, float]:  # noqa: D102
         k = COMPONENTS.index(axis)

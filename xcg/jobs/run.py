@@ -162,8 +162,8 @@ def run_job(
     mark = hashlib.sha256(f"{about}{version('xcg')}".encode()).hexdigest()
     outputs = outputs_of(job, fields, slices, mark)
     job.folder.mkdir(parents=True, exist_ok=True)
-    count = outputs[0].ds.sizes["time"]
-    targets = [path for output in outputs for path in output.paths()]
+    count = outputs[0].output.ds.sizes["time"]
+    targets = [path for of_job in outputs for path in of_job.paths]
     work = work_of(job)
     is_begun = (work / "state.json").exists()
     # also by a run that was killed at its very end
@@ -186,7 +186,7 @@ def run_job(
         replaced = _images_of(job, targets)
     write = partial(
         write_files,
-        [output.to_write() for output in outputs],
+        [of_job.output for of_job in outputs],
         overwrite=True,
         work=work,
         about=about,
@@ -226,19 +226,48 @@ def _images_of(job: Job, kept: list[Path]) -> list[Path]:
     return images
 
 
+@dataclass(frozen=True)
+class JobOutput:
+    """What a job writes of its fields or slices, and the names of the files in the end."""
+
+    output: Output
+    paths: list[Path]
+
+
 def outputs_of(
     job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = ""
-) -> list[_Output]:
+) -> list[JobOutput]:
     """List what a job writes, from what `open_job` returns; `mark` is noted in the files."""
-    series = {}
+    outputs: list[JobOutput] = []
     if fields.data_vars:
-        series[job.name] = fields
+        files: dict[Path, Format] = {}
+        images: list[Path] = []
+        if job.netcdf:
+            files[job.folder / f"{job.name}{job.suffix}"] = NETCDF
+        if job.vtkhdf == "temporal":
+            files[job.folder / f"{job.name}.vtkhdf"] = VTKHDF
+        paths = list(files)
+        if job.vtkhdf == "steps":
+            numbers = fields["step"].to_numpy()
+            images = [job.folder / f"{job.name}_{int(n):04d}.vtkhdf" for n in numbers]
+            begin = partial(_Images, [path.name for path in images])
+            by_steps = Format("VTKHDF by steps", begin, whole=partial(_whole_images, images))
+            files[job.folder / f"{job.name}.images"] = by_steps
+        outputs.append(_output(job, fields, mark, files, [*paths, *images]))
     if slices is not None:
         stem = f"{job.name}_slices"
         if job.suffix == ".h5":
             stem = "CG_GranularTemperature_slices"
-        series[stem] = slices
-    return [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
+        path = job.folder / f"{stem}{job.suffix}"
+        outputs.append(_output(job, slices, mark, {path: NETCDF}, [path]))
+    return outputs
+
+
+def _output(
+    job: Job, ds: xr.Dataset, mark: str, files: dict[Path, Format], paths: list[Path]
+) -> JobOutput:
+    encoding = Encoding.of(ds, **job.encoding)
+    return JobOutput(Output(ds.assign_attrs({_JOB: mark}), files, encoding), paths)
 
 
 def _exists(path: Path, *, other_job: bool = False) -> FileExistsError:
@@ -248,48 +277,6 @@ def _exists(path: Path, *, other_job: bool = False) -> FileExistsError:
     return FileExistsError(
         f"{message}; choose another output folder or name, or overwrite it (--overwrite)"
     )
-
-
-@dataclass(frozen=True)
-class _Output:
-    """A Dataset, and the files that a job wants of it; their names begin with `stem`."""
-
-    job: Job
-    stem: str
-    ds: xr.Dataset
-
-    def _files(self) -> dict[Path, Format]:
-        netcdf = self.job.folder / f"{self.stem}{self.job.suffix}"
-        if self.stem != self.job.name:  # slices are no image
-            return {netcdf: NETCDF}
-        files: dict[Path, Format] = {}
-        if self.job.netcdf:
-            files[netcdf] = NETCDF
-        if self.job.vtkhdf == "temporal":
-            files[self.job.folder / f"{self.stem}.vtkhdf"] = VTKHDF
-        return files
-
-    def _images(self) -> list[Path]:
-        """Files of one step each."""
-        if self.stem != self.job.name or self.job.vtkhdf != "steps":
-            return []
-        return [
-            self.job.folder / f"{self.stem}_{int(step):04d}.vtkhdf"
-            for step in self.ds["step"].to_numpy()
-        ]
-
-    def paths(self) -> list[Path]:
-        return [*self._files(), *self._images()]
-
-    def to_write(self) -> Output:
-        files = self._files()
-        images = self._images()
-        if images:
-            begin = partial(_Images, [path.name for path in images])
-            whole = partial(_whole_images, images)
-            by_steps = Format("VTKHDF by steps", begin, whole=whole)
-            files[self.job.folder / f"{self.stem}.images"] = by_steps
-        return Output(self.ds, files, Encoding.of(self.ds, **self.job.encoding))
 
 
 class _Images:
