@@ -108,7 +108,9 @@ class Method:
 
     def __get__(self, accessor: CoarseGrainAccessor | None, owner: type) -> Callable:
         function = getattr(import_module(self.module), self.name)
-        return function if accessor is None else MethodType(function, accessor._ds)
+        if accessor is None:
+            return function
+        return MethodType(function, accessor._ds)
 
 
 class CoarseGrainAccessor:

@@ -455,6 +455,39 @@ def _outline(job: Job) -> str:
     return "\n".join(lines)
 
 
+def _follow(job: Job, steps: Iterator[tuple[int, int]], *, quiet: bool) -> int:
+    """Run a job with a progress bar, and return its number of steps; errors and stops name the steps that are kept."""
+    from xcg.jobs.run import work_of
+    from xcg.steps.mapping import shown
+
+    done = 0
+    count = 0
+
+    def kept() -> str:
+        if done and done == count and not work_of(job).exists():
+            return f"{count} steps in {job.folder}"
+        noun = "step" if done == 1 else "steps"
+        return f"{done} {noun} kept; the same command continues from there"
+
+    try:
+        done, count = next(steps)
+        if done and not quiet:
+            click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+        last_words.append(kept)
+        with shown(count, not quiet, done=done) as bar:
+            for done, _ in steps:
+                bar.update(done - bar.n)
+    except (FileExistsError, FileNotFoundError):
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise click.ClickException(f"{error}\n{kept()}") from error
+    finally:
+        last_words.clear()
+    return count
+
+
 @click.command()
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
@@ -499,8 +532,7 @@ def run(
     """
     from xcg.common.messages import printable
     from xcg.jobs.config import read_config
-    from xcg.jobs.run import run_job, work_of
-    from xcg.steps.mapping import shown
+    from xcg.jobs.run import run_job
 
     if resume and overwrite:
         raise click.UsageError(
@@ -515,29 +547,7 @@ def run(
             return
         with _computer(job, jobs, dashboard=dashboard, quiet=quiet):
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
-            done = count = 0
-
-            def kept() -> str:
-                if done and done == count and not work_of(job).exists():
-                    return f"{count} steps in {job.folder}"
-                return f"{done} step{'s' * (done != 1)} kept; the same command continues from there"
-
-            try:
-                done, count = next(steps)
-                if done and not quiet:
-                    click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
-                last_words.append(kept)
-                with shown(count, not quiet, done=done) as bar:
-                    for done, _ in steps:
-                        bar.update(done - bar.n)
-            except OSError as error:
-                if error.errno is not None or isinstance(
-                    error, (FileExistsError, FileNotFoundError)
-                ):
-                    raise
-                raise click.ClickException(f"{error}\n{kept()}") from error
-            finally:
-                last_words.clear()
+            count = _follow(job, steps, quiet=quiet)
     if not quiet:
         click.echo(printable(f"{count} steps in {job.folder}"))
 

@@ -42,14 +42,14 @@ def unit_text(units: str) -> str:
     units = units.strip()
     if units == "1" or "$" in units:
         return units.removeprefix("1")
-    return _POWER.sub(lambda found: f"$^{{{found[1] or found[2]}}}$", units)
+    return _POWER.sub(lambda power: f"$^{{{power[1] or power[2]}}}$", units)
 
 
 def unit_in_unicode(units: str) -> str:
     """Return a unit with raised powers, as plain text: "m s^-1" as "m s⁻¹"; empty for numbers without a unit."""
     raised = str.maketrans("0123456789-.+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻·⁺")
     units = units.strip().removeprefix("1")
-    return _POWER.sub(lambda found: (found[1] or found[2]).translate(raised), units)
+    return _POWER.sub(lambda power: (power[1] or power[2]).translate(raised), units)
 
 
 def with_unit(text: str, units: str, write: Callable[[str], str] = unit_text) -> str:
@@ -152,7 +152,9 @@ def size_of_figure(
 def ratio_of(value: xr.DataArray) -> float:
     """Return height over width of the cells of a map (up, across)."""
     up, across = (np.ptp(_edges(np.sort(value[dim].to_numpy()))) for dim in value.dims)
-    return float(up / across) if up > 0 and across > 0 else 1.0
+    if up > 0 and across > 0:
+        return float(up / across)
+    return 1.0
 
 
 def ratio_of_circles(centre: NDArray, radius: NDArray) -> float:
