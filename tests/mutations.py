@@ -533,7 +533,7 @@ TABLE = [
     ),
     # --- writers ---
     Mutation(
-        "writers/encoding.py", "2 * _SINGLE if twice else 0.0", "0.0",
+        "writers/encoding.py", "share -= 2 * _SINGLE", "share -= 0.0",
         "test_rounding_errors_are_within_the_stated_bound test_single_precision_errors_are_within_the_note",
     ),
     Mutation(
