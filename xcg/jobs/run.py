@@ -228,7 +228,7 @@ def _images_of(job: Job, kept: list[Path]) -> list[Path]:
 
 @dataclass(frozen=True)
 class JobOutput:
-    """What a job writes of its fields or slices, and the names of the files in the end."""
+    """Output of a job: its fields or slices, and the names of their files."""
 
     output: Output
     paths: list[Path]
