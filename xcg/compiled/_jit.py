@@ -35,6 +35,7 @@ from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
 
 # Threads for a single step in memory (NUMBA_NUM_THREADS, else the processors of this process).
 THREADS = numba.config.NUMBA_NUM_THREADS
@@ -87,12 +88,18 @@ class _Cache(FunctionCache):
         # long as reading 100 MB; compiled code needs memory alone
         rtsys.initialize(target_context)
         try:
-            return self._load_overload(sig, target_context)
+            result = self._load_overload(sig, target_context)
         except Exception:  # a damaged file can make unpickling raise anything
+            result = None
             try:
                 self.flush()
             except OSError:
                 self.disable()
+        # two processes that save at once may take one file for the code of different arguments
+        types, _ = normalize_signature(sig)
+        if result is not None and tuple(result.signature.args) != tuple(types):
+            return None
+        return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, a folder that is gone
