@@ -66,9 +66,10 @@ def distances_of_twins(
     high = np.maximum(i, j)
     swapped = i > j
     apart = [np.empty((0, 3))]
+    shared = _of_shared_pairs(i, j)  # few, of all that would be sorted
     for rows, marks, mirrored in (
-        (np.flatnonzero(superquadric), [], False),
-        (np.flatnonzero(~superquadric), _without_sign(mark, swapped), True),
+        (shared[superquadric[shared]], [], False),
+        (shared[~superquadric[shared]], _without_sign(mark, swapped), True),
     ):
         order, run = _runs([key[rows] for key in (low, high, *marks)])
         twice = rows[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
