@@ -244,34 +244,7 @@ def open_scene(
     ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
-    arguments = Arguments(
-        particles=particles,
-        contacts=contacts,
-        walls=walls,
-        engine=engine,
-        names=names,
-        times=times,
-        box=box,
-        periodic=periodic,
-        lattice=lattice,
-        shear_rate=shear_rate,
-        gravity=gravity,
-        density=density,
-        diameter=diameter,
-        mass=mass,
-        frozen=frozen,
-        units=units,
-        dimension=dimension,
-        plane=plane,
-        thickness=thickness,
-        shape=shape,
-        allow_unknown=allow_unknown,
-        sides=sides,
-        missing=missing,
-        chunks=chunks,
-        on_error=on_error,
-        engine_options=engine_options,
-    )
+    arguments = Arguments(**locals())  # which are the arguments alone, here at the beginning
     if engine is None and "mapping" not in engine_options:
         saved = saved_path(particles)
         if saved:
@@ -283,8 +256,11 @@ def open_scene(
     numbered = lacks_ids(listing, ends)
     setup = setup_of(arguments, listing, ends)
     series, measured = make_series(arguments, listing, ends, setup)
+    arrays: dict[str, Any] = (
+        indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
+    )
     scene = to_dataset(
-        indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks),
+        arrays,
         time=series.times,
         step=[step.particles.step for step in series.steps],
         box=series.boxes,
