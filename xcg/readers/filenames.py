@@ -95,27 +95,32 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
         return usual
     folders = [os.path.join(os.path.dirname(path), "") for path in paths]
     names = [_ENDING.sub("", plain_name(path)) for path in paths]
+    texts = names
     columns: list[list[_Number]] | list[list[_Number | None]]
     columns, problem = _varying(names)
-    in_folders = False
     if not columns and not problem:
         columns, problem = _varying(folders)
-        in_folders = bool(columns)
+        if columns:
+            texts = folders
     if not columns:
         columns = [_last_numbers(names)]
     for numbers in columns:
-        problem = problem or _doubt_about(folders if in_folders else names, numbers)
+        problem = problem or _doubt_about(texts, numbers)
     steps: list[int | None] = [None] * len(paths)
     times: list[float | None] = [None] * len(paths)
-    for numbers in [] if problem else columns:
+    for numbers in columns:
+        if problem:
+            break
         if all(number is None or number.is_whole for number in numbers):
-            steps = [None if number is None else int(number.text) for number in numbers]
+            steps = [number and int(number.text) for number in numbers]
         else:
-            times = [None if number is None else float(number.text) for number in numbers]
-    runs = []
-    for folder, name, number in zip(folders, names, columns[-1], strict=True):
-        without = _without(folder if in_folders else name, number)
-        runs.append(without + name if in_folders else folder + without)
+            times = [number and float(number.text) for number in numbers]
+    without = [_without(text, number) for text, number in zip(texts, columns[-1], strict=True)]
+    if texts is folders:
+        folders = without
+    else:
+        names = without
+    runs = [folder + name for folder, name in zip(folders, names, strict=True)]
     return FileNumbers(steps, times, runs, problem)
 
 
@@ -129,7 +134,7 @@ def _doubt_about(texts: Sequence[str], numbers: Sequence[_Number | None]) -> str
         if _SIGN.search(text[: number.start]):
             return f"'-{number.text}' in the names may be negative"
         unit = _OTHER_UNIT.match(text[end:])
-        units.add(unit[1] if unit else "")
+        units.add(unit and unit[1])
         if unit and (not number.is_whole or len(units) > 1):
             return f"times in the names have a unit ({text[number.start : end]}{unit[0]})"
     return ""
@@ -172,10 +177,9 @@ def _last_numbers(names: Sequence[str]) -> list[_Number | None]:
     rows, _ = _numbers_of(names)
     last: list[_Number | None] = []
     for name, row in zip(names, rows, strict=True):
-        number = row[-1] if row else None
-        if number and not number.is_whole and not _OF_TIME.search(name[: number.start]):
-            number = None
-        last.append(number)
+        last.append(None)
+        if row and (row[-1].is_whole or _OF_TIME.search(name[: row[-1].start])):
+            last[-1] = row[-1]
     return last
 
 
@@ -226,12 +230,12 @@ def _without_ranks(columns: Sequence[list[_Number]]) -> list[list[_Number]]:
     pairs = {(int(a.text), int(b.text)) for a, b in zip(*columns, strict=True)}
     if len(pairs) != len(columns[0]) or len(pairs) != len(values[0]) * len(values[1]):
         return []
-    are_ranks = [numbers == set(range(len(numbers))) for numbers in values]
-    if are_ranks == [True, False]:
-        return [columns[1]]
-    if are_ranks == [False, True]:
-        return [columns[0]]
-    return []
+    steps = [
+        column
+        for column, numbers in zip(columns, values, strict=True)
+        if numbers != set(range(len(numbers)))
+    ]
+    return steps if len(steps) == 1 else []
 
 
 # --- decimals --------------------------------------------------------------------------------------------
@@ -291,7 +295,9 @@ def _are_decimals(texts: Sequence[str], before: Sequence[str]) -> bool | None:
     if from_zero and all(re.search(r"(^|[^\w.]|_)$", text) for text in before):
         return True
     in_parts = sorted(texts, key=lambda text: tuple(map(int, text.split("."))))
-    return False if in_parts == sorted(texts, key=float) else None
+    if in_parts == sorted(texts, key=float):
+        return False
+    return None
 
 
 def _are_whole(texts: Sequence[str]) -> bool:
