@@ -6,7 +6,8 @@ A file holds one step, or several that a column of times separates, whose rows a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +19,14 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv, scan_parquet
+from xcg.readers.files.table import (
+    TableIndex,
+    first_row,
+    read_csv,
+    read_parquet,
+    scan_csv,
+    scan_parquet,
+)
 from xcg.readers.files.text import first_lines, plain_name
 from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
 from xcg.readers.paths import index_steps
@@ -28,7 +36,7 @@ _POSITION = ("position_x", "position_y")
 _ENDS = ("contact_i", "contact_j")
 # also with a decimal comma, which is an error by name when it is read
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
-_NO_OPTIONS = ReadOptions()
+
 _OF_TRACKPY = {"mass", "signal", "ecc"}  # its mass is the brightness of a feature
 
 
@@ -50,8 +58,9 @@ class Table(Columnar):
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
         clock = {name: target for name, target in options.names.items() if target in CLOCK_SLOTS}
-        in_order = options.columns.get("contacts" if contacts else "particles", ())
-        names = [name or f"column {k}" for k, name in enumerate(in_order)]
+        kind = "contacts" if contacts else "particles"
+        in_order = enumerate(options.columns.get(kind, ()))
+        names = [name or f"column {k}" for k, name in in_order]
         scan = partial(_steps, given=clock, in_order=names)
         refs = index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
         if refs:
@@ -77,9 +86,8 @@ class Table(Columnar):
     ) -> list[str]:
         """Columns of a step that are not read."""
         ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [
-            name for name in ignored if name not in clock_of(ref.columns, options.names).values()
-        ]
+        of_clock = clock_of(ref.columns, options.names).values()
+        return [name for name in ignored if name not in of_clock]
 
 
 def _suffix(path: str) -> str:
@@ -100,22 +108,24 @@ def _has_header(path: str) -> bool:
     row = dict(zip(reversed(names), reversed(words), strict=False))
     ref = StepRef(path, 0, columns=names)
     for slots, needed in ((Table.PARTICLE_SLOTS, _POSITION), (Table.CONTACT_SLOTS, _ENDS)):
-        found = assign(ref, {slot: slots[slot] for slot in needed}, _NO_OPTIONS)
-        if len(found) == 2 and all(_NUMBER.fullmatch(row[name]) for name in found.values()):
+        columns = assign(ref, {slot: slots[slot] for slot in needed}, ReadOptions()).values()
+        if len(columns) == 2 and all(_NUMBER.fullmatch(row[name]) for name in columns):
             return True
     return False
 
 
 def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of the time and of the number of the step, as far as there are such."""
-    clock = {slot: name for name, slot in given.items() if slot in CLOCK_SLOTS and name in columns}
+    by_caller = {slot: name for name, slot in given.items() if name in columns}
     named = canonical_columns(name for name in columns if name not in given)
-    for slot, aliases in CLOCK_SLOTS.items():
-        found = [name for alias in aliases for name in named.get(alias, ())]
-        if slot not in clock and found:
-            clock[slot] = found[0]
-    # the time, if there is one, separates the steps
-    return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
+    clock = {}
+    for slot, aliases in CLOCK_SLOTS.items():  # the time, if there is one, separates the steps
+        by_name = [name for alias in aliases for name in named.get(alias, ())]
+        if slot in by_caller:
+            clock[slot] = by_caller[slot]
+        elif by_name:
+            clock[slot] = by_name[0]
+    return clock
 
 
 def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
@@ -135,24 +145,28 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
 def _steps(
     path: str, given: Mapping[str, str | None], in_order: Sequence[str]
 ) -> Iterator[StepRef]:
-    is_parquet = _suffix(path) == ".parquet"
-    scan = scan_parquet if is_parquet else partial(scan_csv, in_order=in_order)
-    found = scan(path, lambda names: clock_of(names, given))
-    clock = clock_of(found.columns, given)
-    runs = runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path)
-    for first, stop in runs:
-        told = {what: found.clock[name][first] for what, name in clock.items()}
-        offset, length = found.place(first, stop)
-        yield StepRef(
+    scan: Callable[..., TableIndex] = partial(scan_csv, in_order=in_order)
+    if _suffix(path) == ".parquet":
+        scan = scan_parquet
+    table = scan(path, lambda names: clock_of(names, given))
+    columns = clock_of(table.columns, given)
+    clock = {slot: table.clock[name] for slot, name in columns.items()}
+    for first, stop in runs_of(clock, table.rows, path):
+        offset, length = table.place(first, stop)
+        ref = StepRef(
             path,
             stop - first,
-            time=float(told["time"]) if "time" in told else None,
-            step=int(told.get("step", -1)),
-            columns=found.columns,
+            step=-1,
+            columns=table.columns,
             offset=offset,
             length=length,
-            kind=found.kind,
+            kind=table.kind,
         )
+        if "time" in clock:
+            ref = replace(ref, time=float(clock["time"][first]))
+        if "step" in clock:
+            ref = replace(ref, step=int(clock["step"][first]))
+        yield ref
 
 
 def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
@@ -163,27 +177,28 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     SceneError
         If a time is not finite, a step number is not whole, or rows of one time are not contiguous.
     """
-    key = next(iter(clock.values()), None)
-    if key is None:
+    if not clock:
         return [(0, rows)]
-    for what, values in clock.items():
-        fit = np.isfinite(values) & (
-            (values % 1 == 0) & (values >= 0) & (values < 2**63) if what == "step" else True
-        )
-        if not fit.all():
-            row = int(np.argmin(fit))
-            expected = "0, 1, 2, ..." if what == "step" else "numbers"
+    for slot, values in clock.items():
+        fits = np.isfinite(values)
+        expected = "numbers"
+        if slot == "step":
+            fits &= (values % 1 == 0) & (values >= 0) & (values < 2**63)
+            expected = "0, 1, 2, ..."
+        if not fits.all():
+            row = int(np.argmin(fits))
             raise SceneError(
-                f"{path}: the {what} of row {row} is {values[row]}; expected {expected}"
+                f"{path}: the {slot} of row {row} is {values[row]}; expected {expected}"
             )
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
+    slot, key = next(iter(clock.items()))
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
     firsts = key[edges[:-1]].tolist()
     if len(set(firsts)) < len(firsts):
         twice = next(value for value in firsts if firsts.count(value) > 1)
         raise SceneError(
-            f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by "
+            f"{path}: rows of the {slot} {twice!r} stand apart from each other; sort the table by "
             "it, or split it where another run begins and open the runs one by one"
         )
     return list(pairwise(edges))

@@ -104,11 +104,12 @@ class Xyz(Columnar):
         if all(word.isdecimal() for word in words):
             return [replace(ref, kind="") for ref in refs]
         if len(words) > 1:
-            numbered = ", ".join(f"{k}: {word!r}" for k, word in enumerate(words[:20], 1))
-            more = ", ..." if len(words) > 20 else ""
+            numbered = [f"{k}: {word!r}" for k, word in enumerate(words[:20], 1)]
+            if len(words) > 20:
+                numbered.append("...")
             warn_user(
                 f"{refs[0].path}: species are words and are numbered in alphabetical order: "
-                f"{numbered}{more}"
+                f"{', '.join(numbered)}"
             )
         return [replace(ref, kind=" ".join(words)) for ref in refs]
 
@@ -143,17 +144,16 @@ def _warn_of_unnamed(ref: StepRef, options: ReadOptions) -> None:
 def _numbers_of_species(ref: StepRef) -> NDArray:
     """Return the number of each row's species among the sorted words of `ref.kind`, from 1 on."""
     place = ref.columns.index(_SPECIES)
-    words = np.array(ref.kind.split())
+    numbers = {word: float(number) for number, word in enumerate(ref.kind.split(), 1)}
     lines = b"".join(body_of(ref)).decode("utf-8", "replace").split("\n")
-    species = np.array([line.split()[place] for line in lines if line.strip()])
-    numbers = np.searchsorted(words, species)
-    found = words[np.minimum(numbers, len(words) - 1)] == species
-    if not found.all():
+    species = [line.split()[place] for line in lines if line.strip()]
+    unknown = set(species) - set(numbers)
+    if unknown:
         raise SceneError(
-            f"{source_of(ref)}: the species {species[~found][0]!r} was not in the file when it was "
+            f"{source_of(ref)}: the species {min(unknown)!r} was not in the file when it was "
             "opened; open it again"
         )
-    return numbers + 1.0
+    return np.array([numbers[word] for word in species])
 
 
 # --- the index -------------------------------------------------------------------------------------
@@ -180,13 +180,15 @@ def _frame(scanner: Scanner, ref: StepRef, comment: str, *, with_species: bool) 
     """Return a frame with what its comment says, after passing its rows."""
     entries = {canonical(key): _unquoted(value) for key, value in _ENTRY.findall(comment)}
     source = f"{ref.path} from byte {scanner.offset}"
-    if "properties" in entries:
-        names = _names_of_properties(entries["properties"], source)
-    else:
-        names = _names_of_plain(scanner.sample(1 << 16)) if ref.rows else _PLAIN
+    properties = entries.get("properties")
+    names: tuple[str, ...] = _PLAIN
+    if properties is not None:
+        names = _names_of_properties(properties, source)
+    elif ref.rows:
+        names = _names_of_plain(scanner.sample(1 << 16))
     ref = replace(ref, offset=scanner.offset, columns=names, **_clock(entries, comment))
     ref = replace(ref, **_box(entries, source))
-    may_be_words = "properties" not in entries or "species:s:1" in entries["properties"].lower()
+    may_be_words = properties is None or "species:s:1" in properties.lower()
     place = None
     if with_species and may_be_words and _SPECIES in names:
         place = names.index(_SPECIES)
@@ -223,18 +225,20 @@ def _names_of_properties(text: str, source: str) -> tuple[str, ...]:
     """Return the names of all columns: ``pos:R:3`` becomes pos_x, pos_y and pos_z."""
     words = text.split(":")
     names: list[str] = []
+    fits = len(words) % 3 == 0
     for name, kind, number in zip(words[::3], words[1::3], words[2::3], strict=False):
-        count = int(number) if number.isdecimal() and len(number) < 4 else 0
-        if kind.upper() not in ("S", "R", "I", "L") or not count:
-            names = []
+        if kind.upper() not in ("S", "R", "I", "L") or not re.fullmatch(r"[0-9]{1,3}", number):
+            fits = False
             break
+        count = int(number)
+        ends = [f"[{k}]" for k in range(1, count + 1)]
         if count == 1:
-            names.append(name)
+            ends = [""]
         elif count <= len(COMPONENTS):
-            names += [f"{name}_{axis}" for axis in COMPONENTS[:count]]
-        else:
-            names += [f"{name}[{k}]" for k in range(1, count + 1)]
-    if not names or len(words) % 3 or len(set(names)) < len(names) or len(names) > _MOST_COLUMNS:
+            ends = [f"_{axis}" for axis in COMPONENTS[:count]]
+        fits = fits and count > 0
+        names += [name + end for end in ends]
+    if not fits or len(set(names)) < len(names) or len(names) > _MOST_COLUMNS:
         raise SceneError(
             f"{source}: Properties={text[:80]!r}: expected names that differ, types (S, R, I, L) and "
             "numbers of columns, such as 'species:S:1:pos:R:3'"
@@ -248,13 +252,12 @@ def _names_of_plain(sample: bytes) -> tuple[str, ...]:
     A first column of numbers that are not whole is no species: then no column has a name.
     """
     rows = [line.split() for line in sample.split(b"\n")[:100]]
-    first = next((words for words in rows if words), [])
+    first = next(filter(None, rows), [])
     count = min(len(first), _MOST_COLUMNS)
-    is_species = count > len(COMPONENTS) and not _REAL.fullmatch(
-        first[0].decode("ascii", "replace")
-    )
-    named = _PLAIN if is_species else ()
-    return (*named, *(f"column_{k}" for k in range(len(named) + 1, count + 1)))
+    names = [f"column_{k}" for k in range(1, count + 1)]
+    if count >= len(_PLAIN) and not _REAL.fullmatch(first[0].decode("ascii", "replace")):
+        names[: len(_PLAIN)] = _PLAIN
+    return tuple(names)
 
 
 def _clock(entries: Mapping[str, str], comment: str) -> dict[str, Any]:
@@ -267,9 +270,9 @@ def _clock(entries: Mapping[str, str], comment: str) -> dict[str, Any]:
     }
     if "properties" not in entries:
         for slot, pattern in (("time", _TIME), ("step", _STEP)):
-            match = pattern.search(comment)
-            if match:
+            for match in pattern.finditer(comment):
                 texts[slot] = match[1]
+                break
     clock: dict[str, Any] = {}
     if re.fullmatch(_NUMBER, texts.get("time", "")) and math.isfinite(_float(texts["time"])):
         clock["time"] = _float(texts["time"])
