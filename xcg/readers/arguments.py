@@ -14,7 +14,7 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers.assigned import read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
-from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS
+from xcg.readers.names import ALL_SLOTS
 from xcg.readers.paths import PathLike
 from xcg.readers.recognise import guess_engine
 from xcg.scene.schema import Shape, Sides
@@ -185,7 +185,7 @@ def _likely(option: str, reader: Engine) -> str:
     """Return the argument that was meant, as the end of a message; "" if none is near."""
     if option.lower() in ("radius", "radii"):
         return "; did you mean diameter=, twice the radius? A column is read by names={'its column': 'radius'}"
-    if option in PARTICLE_SLOTS or option in CONTACT_SLOTS:
+    if option in ALL_SLOTS:
         return f"; it is read from a column, names={{'its column': {option!r}}}"
     of_time = "timestep" if "timestep" in reader.OPTIONS else "times"
     synonyms = dict.fromkeys(_OF_TIME, of_time) | {"format": "engine"}

@@ -13,9 +13,9 @@ from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.names import (
+    ALL_SLOTS,
     CLOCK_SLOTS,
     CONTACT_SLOTS,
-    PARTICLE_SLOTS,
     Slots,
     canonical,
     columns_by_name,
@@ -97,8 +97,7 @@ def read_names(
         in_order = dict.fromkeys(_KINDS, names)
     else:
         raise SceneError(f"names={names!r}: expected a mapping or a list of names")
-    every_slot = {**PARTICLE_SLOTS, **CONTACT_SLOTS, **CLOCK_SLOTS}
-    aliases = set(chain(*every_slot.values()))
+    aliases = set(chain(*ALL_SLOTS.values(), *CLOCK_SLOTS.values()))
     mapping: dict[str, str | None] = {}
     for listed in in_order.values():
         for name, count in Counter(listed).items():
@@ -152,7 +151,7 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
             "map the others to None"
         )
     for column, slot in mapped.items():
-        if slot is None or slot in PARTICLE_SLOTS or slot in CONTACT_SLOTS:
+        if slot is None or slot in ALL_SLOTS:
             continue
         pair = f"names={{{column!r}: {slot!r}}}"
         prefix = ""
@@ -191,7 +190,7 @@ def axes_of(filled: Iterable[str], slot: str) -> list[str]:
 
 def own_variables(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
     """Columns that `names` maps to variables of the caller's own, of particles or of contacts."""
-    known = {*PARTICLE_SLOTS, *CONTACT_SLOTS, "time", "step"}
+    known = {*ALL_SLOTS, *CLOCK_SLOTS}
     return {
         slot: column
         for column, slot in options.names.items()

@@ -74,6 +74,11 @@ def sort_by_numbers(paths: Iterable[str]) -> list[str]:
     return sorted(listed, key=keys.__getitem__)
 
 
+def suffix_of(path: str) -> str:
+    """Return the suffix of a file in lower case, before that of its compression."""
+    return os.path.splitext(plain_name(path))[1].lower()
+
+
 def _natural_key(path: str, row: Sequence[_Number]) -> list[str | float]:
     """Return texts and the numbers between them in turn, numbers by value."""
     key: list[str | float] = []

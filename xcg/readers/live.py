@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,7 @@ def scene_from_lammps(
             box=np.stack([low, high], axis=1),
             lattice={"xy": xy, "xz": xz, "yz": yz},
             shear_rate=shear_rate,
-            periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
+            periodic="".join(compress(COMPONENTS, periodic)),
             gravity=gravity,
             dimension=int(lmp.extract_setting("dimension")),
             units=units,

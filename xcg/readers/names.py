@@ -182,6 +182,9 @@ PARTICLE_SLOTS: Slots = {
     "exponent_2": ("exponent2", "block2", "blockiness2"),
 }
 CONTACT_SLOTS: Slots = _slots(_CONTACT_SCALARS, _CONTACT_VECTORS)
+
+
+ALL_SLOTS: Slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
 CLOCK_SLOTS: Slots = {
     "time": ("time", "t", "simulationtime", "simtime", "physicaltime"),
     "step": ("step", "timestep", "frame", "iteration", "snapshot"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -320,9 +321,7 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
         raise SceneError(
             f"{source}: the box has the boundary {words}, expected {count} of 'none' and 'periodic'"
         )
-    periodic = "".join(
-        axis for axis, word in zip(COMPONENTS, words, strict=False) if word == "periodic"
-    )
+    periodic = "".join(compress(COMPONENTS, [word == "periodic" for word in words]))
     if not periodic:
         return {"periodic": ""}
     edges = None

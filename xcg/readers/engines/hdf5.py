@@ -23,7 +23,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import sort_by_numbers
 from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened
 from xcg.readers.files.text import source_of
-from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS
+from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -113,8 +113,7 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
     mapping = options.extra.get("mapping")
     if not isinstance(mapping, Mapping) or not mapping:
         raise SceneError(_NO_MAPPING)
-    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
-    known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
+    known = {*ALL_SLOTS, *(slot[:-2] for slot in ALL_SLOTS if slot.endswith("_x")), "time"}
     for name, path in mapping.items():
         if not isinstance(path, str) or sum(path.count(place) for place in _PLACES) > 1:
             raise SceneError(
@@ -221,18 +220,17 @@ def _shape_of_row(
 
     What does not begin with steps and rows of the positions (`stacks`) does not change in time.
     """
-    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
     by_step = shape[:2] in stacks
-    if f"{name}_x" in slots and len(shape) == 2:  # as many rows as steps
+    if f"{name}_x" in ALL_SLOTS and len(shape) == 2:  # as many rows as steps
         by_step = False
     of_row = shape[1 + by_step :]
     if shape and not of_row:
         return 0, by_step
-    if of_row in ((2,), (3,)) and name not in slots:
+    if of_row in ((2,), (3,)) and name not in ALL_SLOTS:
         return of_row[0], by_step
     n = "(steps, n" if stacks else "(n"
     expected = f"{n})"
-    if name not in slots:
+    if name not in ALL_SLOTS:
         expected += f", {n}, 2) or {n}, 3)"
     raise SceneError(
         f"{source_of(ref)}: {path!r} has the shape {shape}, expected {expected} for {name!r}"

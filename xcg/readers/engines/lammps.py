@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
+from itertools import chain, compress
 from types import ModuleType
 from typing import Any
 
@@ -53,12 +53,6 @@ class Dumps(Columnar):
         atoms = not contacts
         scan = partial(_steps, atoms=atoms)
         return index_steps(paths, f"dump {atoms=}", scan, options.extra.get("timestep"))
-
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
-        if ref.kind == _WALLS:
-            return ""
-        return unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -125,6 +119,12 @@ class Lammps(Dumps):
         """Return the contacts with walls of a step; each grain may touch each wall once."""
         walls = wall_columns.wall_columns(ref, options)
         return replace(ref, kind=_WALLS, rows=ref.rows * len(walls))
+
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
+        if ref.kind == _WALLS:
+            return ""
+        return unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
@@ -365,5 +365,4 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         ) from None
     if len(flags) != len(COMPONENTS):
         return ref  # old files do not say what is periodic
-    periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")
-    return replace(ref, periodic=periodic)
+    return replace(ref, periodic="".join(compress(COMPONENTS, [flag == "pp" for flag in flags])))

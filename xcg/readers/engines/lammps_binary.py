@@ -7,6 +7,7 @@ import os
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import BinaryIO, NoReturn
 
 import numpy as np
@@ -132,7 +133,8 @@ def _read_header(header: _Header) -> StepRef:
         )
     if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
         header.refuse("has a time or box that is not finite")
-    periodic = "".join(a for k, a in enumerate(COMPONENTS) if walls[2 * k] == walls[2 * k + 1] == 0)
+    ends = zip(walls[::2], walls[1::2], strict=True)
+    periodic = "".join(compress(COMPONENTS, [low == high == 0 for low, high in ends]))
     ref = StepRef(
         header.path,
         rows,

@@ -12,6 +12,7 @@ import os
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
@@ -20,7 +21,6 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.readers.cells import box_of_cell
 from xcg.readers.engine import StepRef
-from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS
 
 # names of vectors, and those of their components in dumps of text
@@ -93,7 +93,7 @@ def _box(file: ClassicFile, record: int) -> dict[str, Any]:
         file.refuse(
             f"has a box of lengths {lengths} and angles {angles} in record {record}, and is damaged"
         )
-    periodic = "".join(axis for axis, length in zip(COMPONENTS, lengths, strict=True) if length > 0)
+    periodic = "".join(compress(COMPONENTS, lengths > 0))
     if (np.abs(angles - 90) < 1e-4).all():  # angles in single precision
         return box_of_cell(np.diag(lengths), low, periodic, file.path)
     if len(periodic) < 3:
@@ -132,10 +132,7 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     """Read columns of one step, without atoms that were lost."""
     file = ClassicFile(ref.path)
     places = _places(file)
-    if tuple(places) != ref.columns or ref.offset >= file.records:
-        raise SceneError(
-            f"{source_of(ref)}: the file changed after the scene was opened; open it again"
-        )
+
     names = {places[column][0] for column in wanted} | ({"id"} & {*places})
     arrays = {name: file.read(name, ref.offset) for name in names}
     exists = np.ones(ref.rows, bool)
@@ -164,7 +161,9 @@ _TYPES = dict(
 _FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
 _MOST = 10_000  # dimensions, variables, or attributes of one of them
 _LONGEST = 1 << 20  # bytes of a name or an attribute
-_DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
+_DIMENSIONS = 10
+_VARIABLES = 11
+_ATTRIBUTES = 12
 
 
 @dataclass(frozen=True)

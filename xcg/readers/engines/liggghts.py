@@ -97,10 +97,6 @@ class Liggghts(Dumps):
             frame["contact_j"] = -(frame["contact_j"] + 1)
         return frame
 
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return no hint: the columns of all words are known."""
-        return ""
-
     def contact_slots(self, ref: StepRef, options: ReadOptions) -> names.Slots:
         """Return the columns that fill each slot, by the words of their compute."""
         words = _words_of(ref, options) or _guess(ref, options)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files.table import (
     TableIndex,
     first_row,
@@ -27,7 +27,7 @@ from xcg.readers.files.table import (
     scan_csv,
     scan_parquet,
 )
-from xcg.readers.files.text import first_lines, plain_name
+from xcg.readers.files.text import first_lines
 from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
@@ -49,9 +49,9 @@ class Table(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table, or the first line of a text names its columns."""
-        if _suffix(path) in (".csv", ".tsv"):
+        if suffix_of(path) in (".csv", ".tsv"):
             return unread_format(path) is None  # Excel, HTML and others are called .csv, too
-        return _suffix(path) == ".parquet" or _has_header(path)
+        return suffix_of(path) == ".parquet" or _has_header(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -78,7 +78,7 @@ class Table(Columnar):
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read columns of one step."""
-        read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
+        read = read_parquet if suffix_of(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
 
     def ignored_columns(
@@ -88,11 +88,6 @@ class Table(Columnar):
         ignored = super().ignored_columns(ref, options, contacts=contacts)
         of_clock = clock_of(ref.columns, options.names).values()
         return [name for name in ignored if name not in of_clock]
-
-
-def _suffix(path: str) -> str:
-    """Return the suffix of a file, before that of its compression."""
-    return Path(plain_name(path)).suffix.lower()
 
 
 def _has_header(path: str) -> bool:
@@ -146,7 +141,7 @@ def _steps(
     path: str, given: Mapping[str, str | None], in_order: Sequence[str]
 ) -> Iterator[StepRef]:
     scan: Callable[..., TableIndex] = partial(scan_csv, in_order=in_order)
-    if _suffix(path) == ".parquet":
+    if suffix_of(path) == ".parquet":
         scan = scan_parquet
     table = scan(path, lambda names: clock_of(names, given))
     columns = clock_of(table.columns, given)

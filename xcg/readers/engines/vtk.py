@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -17,10 +16,11 @@ from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
 from xcg.readers.engines.vtk_steps import LINES, list_steps, read_header
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files import vtkheader
 from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.legacy_vtk import is_legacy
-from xcg.readers.files.text import open_binary, plain_name
+from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.names import (
     CONTACT_ARRAYS,
@@ -42,7 +42,7 @@ _XML = (".vtu", ".vtp", ".pvd", ".pvtu", ".pvtp", ".vtm", ".vti", ".vtr", ".vts"
 
 def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
     """Return whether a VTK XML file has one of these suffixes, before that of a compression, and one of these kinds."""
-    if Path(plain_name(path)).suffix.lower() not in suffixes:
+    if suffix_of(path) not in suffixes:
         return False
     with open_binary(path) as file:
         head = file.read(1024)
@@ -99,12 +99,10 @@ class Vtk(Engine):
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK file of points, or a list of such files."""
-        suffix = Path(plain_name(path)).suffix.lower()
-        if suffix == ".vtkhdf":
+        if suffix_of(path) == ".vtkhdf":
             return is_hdf5(path)
-        if suffix == ".series":
-            return True
-        return is_legacy(path) or is_xml(path, _XML, b"VTKFile")
+        is_list = suffix_of(path) == ".series"
+        return is_list or is_legacy(path) or is_xml(path, _XML, b"VTKFile")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles from the headers of files, or of the lists that name them.

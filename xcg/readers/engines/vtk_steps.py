@@ -18,6 +18,7 @@ import numpy as np
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files import legacy_vtk, vtp
 from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
@@ -43,14 +44,9 @@ class _Listed:
 
 def read_header(path: str, *, lines: bool = False) -> Header:
     """Read the header of a VTK file, XML or legacy; see `xcg.readers.files.vtp.read_header`."""
-    if _suffix(path) not in _XML and legacy_vtk.is_legacy(path):
+    if suffix_of(path) not in _XML and legacy_vtk.is_legacy(path):
         return legacy_vtk.read_header(path, lines=lines)
     return vtp.read_header(path, lines=lines)
-
-
-def _suffix(path: str) -> str:
-    """Return the suffix of a file before that of its compression, in small letters."""
-    return Path(plain_name(path)).suffix.lower()
 
 
 def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
@@ -88,7 +84,7 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
 
 def _scan(path: str, *, lines: bool) -> list[StepRef]:
     """Return the steps of a file, from its header."""
-    if _suffix(path) not in _XML and is_hdf5(path):
+    if suffix_of(path) not in _XML and is_hdf5(path):
         mesh = vtkhdf_points.mesh_of(path)
         return [_mesh(path, mesh)] if mesh else vtkhdf_points.list_steps(path)
     header = read_header(path, lines=lines)
@@ -160,7 +156,7 @@ def _with_columns(refs: Sequence[StepRef]) -> list[StepRef]:
 
 def _expanded(path: str) -> list[_Listed]:
     """List the steps that a file names, or the file itself."""
-    suffix = _suffix(path)
+    suffix = suffix_of(path)
     if suffix not in (".pvd", ".series") or not os.path.isfile(path):
         return [_Listed(path, _parts(path))]
     read_list = vtp.read_collection if suffix == ".pvd" else read_series
@@ -172,7 +168,7 @@ def _expanded(path: str) -> list[_Listed]:
 
 def _parts(path: str) -> tuple[str, ...]:
     """Return the files of the pieces of a parallel file, or the file itself."""
-    if _suffix(path) in _PARALLEL and os.path.isfile(path):
+    if suffix_of(path) in _PARALLEL and os.path.isfile(path):
         return vtp.read_parallel(path)
     return (path,)
 

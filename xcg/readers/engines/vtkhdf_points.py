@@ -94,7 +94,7 @@ def read_arrays(ref: StepRef, names: Sequence[str]) -> Frame:
         return {name: _read(file, ref, name) for name in dict.fromkeys(names)}
 
 
-def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray[np.float64]:
+def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray:
     place = f"{_ROOT}/PointData/{name}"
     if name == _POINTS:
         place = f"{_ROOT}/{_POINTS}"
@@ -143,7 +143,7 @@ def _cells(file: h5py.File, group: str) -> int:
     return int(_numbers(file, place).sum()) if f"{_ROOT}/{place}" in file else 0
 
 
-def _numbers(file: h5py.File, place: str) -> NDArray[np.int64]:
+def _numbers(file: h5py.File, place: str) -> NDArray:
     """Read counts or offsets; raise SceneError for negative ones."""
     data = dataset(file, f"{_ROOT}/{place}")
     numbers = np.asarray(data).ravel()

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,13 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.cells import box_of_cell
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import (
     Scanner,
     body_of,
     check_rows,
     first_lines,
-    plain_name,
     scanned,
     source_of,
 )
@@ -56,7 +56,8 @@ _NO_SPECIES = (
     "names={'species': 'particle_id'}; if it is x, say names={'species': 'position_x', "
     "'x': 'position_y', 'y': 'position_z', 'z': None}"
 )
-_TRUE_OR_FALSE = {"t": True, "true": True, "1": True, "f": False, "false": False, "0": False}
+_TRUE = ("t", "true", "1")
+_FALSE = ("f", "false", "0")
 
 
 class Xyz(Columnar):
@@ -71,7 +72,7 @@ class Xyz(Columnar):
         if len(lines) < 2 or not re.fullmatch(r"\s*\d+\s*", lines[0]):
             return False
         extended = re.search(r"\b(Properties|Lattice)\s*=", lines[1], re.IGNORECASE)
-        return bool(extended) or Path(plain_name(path)).suffix.lower() in _SUFFIXES
+        return bool(extended) or suffix_of(path) in _SUFFIXES
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -288,11 +289,9 @@ def _box(entries: Mapping[str, str], source: str) -> dict[str, Any]:
     cell = _numbers(entries["lattice"], 9, "Lattice", source).reshape(3, 3)
     origin = _numbers(entries.get("origin", "0 0 0"), 3, "Origin", source)
     words = re.findall(r"\w+", entries.get("pbc", "T T T").lower())
-    if len(words) != 3 or not set(words) <= set(_TRUE_OR_FALSE):
+    if len(words) != 3 or not set(words) <= {*_TRUE, *_FALSE}:
         raise SceneError(f"{source}: pbc={entries['pbc'][:60]!r}, expected three of T and F")
-    periodic = "".join(
-        axis for axis, word in zip(COMPONENTS, words, strict=True) if _TRUE_OR_FALSE[word]
-    )
+    periodic = "".join(compress(COMPONENTS, [word in _TRUE for word in words]))
     return box_of_cell(cell, origin, periodic, source)
 
 

@@ -122,7 +122,7 @@ def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple
     fitting = [
         columns
         for columns in lines
-        if len(set(columns)) == len(columns) and len(columns) == (values or len(columns))
+        if len(set(columns)) == len(columns) and (not values or len(columns) == values)
     ]
     if not fitting:
         listed = "; ".join(" ".join(words)[:60] for words in comments) or "none"
@@ -138,8 +138,8 @@ def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple
 def _names(words: Sequence[str], values: int) -> tuple[str, ...]:
     """Names of columns, one for each component; attributes of the caller's own fill a row of so many values."""
     if words[0] == "format":  # yade.export.text
-        words = "_".join(words[1:2]).split("_")
-        if words[-1] == "attrs":
+        words = [name for text in words[1:2] for name in text.split("_")]
+        if words[-1:] == ["attrs"]:
             count = values - len(words) + 1
             words = [*words[:-1], *(f"attribute_{k + 1}" for k in range(count))]
     columns: list[str] = []

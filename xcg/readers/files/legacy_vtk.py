@@ -233,11 +233,9 @@ def _contents_of(scanner: _Scanner) -> _Contents:
     while words := scanner.words():
         keyword = words[0].upper()
         if _is_array_of_field(words):
-            array, rows = scanner.array_of_field(words)
-            if array is not None:
-                contents.arrays[place].append((array, rows))
+            contents.arrays[place] += scanner.array_of_field(words)
         elif keyword == "DATASET":
-            contents.dataset = words[1].upper() if len(words) > 1 else ""
+            contents.dataset = "".join(words[1:2]).upper()
             if contents.dataset not in _READ:
                 return contents
         elif keyword == "POINTS":
@@ -384,21 +382,21 @@ class _Scanner:
             self._skip_text()
         return Array(name, components, kind, form, start, self._at)
 
-    def array_of_field(self, words: list[str]) -> tuple[Array | None, int]:
-        """Return an array of a field, None if it holds bits or strings, and its rows."""
+    def array_of_field(self, words: list[str]) -> list[tuple[Array, int]]:
+        """Return an array of a field with its rows; nothing if it holds bits or strings."""
         name = unquote(words[0])
         components = self.number(words, 1)
         rows = self.number(words, 2)
         kind = words[3].lower()
         if kind in _KINDS:
-            return self.values(name, _KINDS[kind], rows, components), rows
+            return [(self.values(name, _KINDS[kind], rows, components), rows)]
         if kind == "bit" and self._binary:
             self._skip_bytes(name, (rows * components + 7) // 8)
         elif kind == "bit":
             self._skip_text()
         else:
             self._skip_strings(name, rows * components)
-        return None, rows
+        return []
 
     def _skip_bytes(self, name: str, size: int) -> None:
         if size:

@@ -43,7 +43,7 @@ class VtkEncoding:
     """
 
     order: str
-    prefix: np.dtype[Any]
+    prefix: np.dtype
     compressor: str
 
     def room(self, size: int) -> int:
@@ -55,7 +55,7 @@ class DataError(ValueError):
     """The data do not fit the header."""
 
 
-def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
+def parse_text(text: bytes, kind: str, count: int) -> NDArray:
     """Parse numbers written in the XML itself."""
     tokens = text.split()
     if len(tokens) != count:
@@ -71,8 +71,8 @@ def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
 
 
 def read_raw(
-    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
-) -> NDArray[np.float64]:
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype, count: int
+) -> NDArray:
     """Read a raw block of the appended data."""
 
     def take(first: int, number: int) -> bytes:
@@ -83,8 +83,8 @@ def read_raw(
 
 
 def read_base64(
-    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
-) -> NDArray[np.float64]:
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype, count: int
+) -> NDArray:
     """Read a block in base64. Lengths of compressed blocks are encoded apart from the blocks themselves."""
 
     def text(first: int, number: int) -> Data:
@@ -112,10 +112,10 @@ def _values(
     head: Take,
     data: Take,
     encoding: VtkEncoding,
-    dtype: np.dtype[Any],
+    dtype: np.dtype,
     count: int,
     length: Callable[[int], int],
-) -> NDArray[np.float64]:
+) -> NDArray:
     """Values of a block; `length` is that of so many bytes in the file."""
     wanted = count * dtype.itemsize
     if encoding.compressor:

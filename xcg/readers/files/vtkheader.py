@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkdata import DataError, VtkEncoding, parse_text, read_base64, read_raw
+from xcg.scene.schema import Frame
 
 MOST_COMPONENTS = 100
 LAST_LINE = 4  # of VTK's types of cells: vertices and lines come first, then those of an extent
@@ -170,7 +171,7 @@ def check_size(path: str, array: Array, encoding: VtkEncoding, rows: int) -> Non
         )
 
 
-def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def read_arrays(header: Header, names: Sequence[str]) -> Frame:
     """Read arrays of one file by name.
 
     Parameters
@@ -198,12 +199,10 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
     return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
 
-def _read_piece(
-    file: BinaryIO, header: Header, piece: Piece, names: Sequence[str]
-) -> dict[str, NDArray[np.float64]]:
+def _read_piece(file: BinaryIO, header: Header, piece: Piece, names: Sequence[str]) -> Frame:
     """Read arrays of one piece, values of vertices in the order of the points."""
-    arrays: dict[str, NDArray[np.float64]] = {}
-    vertices: NDArray[np.intp] | None = None
+    arrays: Frame = {}
+    vertices: NDArray | None = None
     for array in piece.arrays:
         if array.name not in names or array.name in arrays:
             continue
@@ -218,9 +217,7 @@ def _read_piece(
     return arrays
 
 
-def _points_of_vertices(
-    file: BinaryIO, header: Header, vertices: Array, rows: int
-) -> NDArray[np.intp]:
+def _points_of_vertices(file: BinaryIO, header: Header, vertices: Array, rows: int) -> NDArray:
     """Read the point of each vertex (rows,); each point has to have one vertex."""
     cells = _read_rows(file, header, vertices, rows).reshape(rows, -1)
     points = cells[:, -1]
@@ -232,7 +229,7 @@ def _points_of_vertices(
     return points.astype(np.intp)
 
 
-def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray[np.float64]:
+def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray:
     values = read_values(file, header.path, array, header.encoding, rows)
     if array.components > 1:
         return values.reshape(rows, array.components)
@@ -241,7 +238,7 @@ def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArr
 
 def read_values(
     file: BinaryIO, path: str, array: Array, encoding: VtkEncoding, rows: int
-) -> NDArray[np.float64]:
+) -> NDArray:
     """Read the values of one array, row after row; raise SceneError if it is damaged, or holds more or fewer."""
     count = rows * array.components
     if not count:
@@ -255,9 +252,7 @@ def read_values(
         ) from None
 
 
-def _numbers(
-    file: BinaryIO, array: Array, encoding: VtkEncoding, count: int
-) -> NDArray[np.float64]:
+def _numbers(file: BinaryIO, array: Array, encoding: VtkEncoding, count: int) -> NDArray:
     dtype = np.dtype(encoding.order + TYPES[array.kind])
     if array.form == "base64":
         return read_base64(file, array.start, encoding, dtype, count)

@@ -117,7 +117,8 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
             f"{path}: declares a document type or entities, which VTK files never need; it is not read"
         )
 
-    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
+    parser.StartElementHandler = start
+    parser.StartDoctypeDeclHandler = declared
     parser.EndElementHandler = lambda _: complete.update([opened.pop()])
     parser.CommentHandler = comments.append
     fault = ""
@@ -298,7 +299,7 @@ def _mesh_of(file: _File, xml: _Xml) -> str:
     return mesh_of_cells(counts["Polys"] + counts["Strips"], counts["Verts"], types)
 
 
-def _values(file: _File, array: Array, rows: int) -> NDArray[np.float64]:
+def _values(file: _File, array: Array, rows: int) -> NDArray:
     """Read the values of one array while the header is read."""
     check_size(file.path, array, file.encoding, rows)
     with open_binary(file.path) as stream:
