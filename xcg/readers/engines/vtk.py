@@ -52,8 +52,7 @@ def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
 def open_step(ref: StepRef) -> Header:
     """Read the header of a step again, which has to be as it was."""
     header = read_header(ref.path, lines=ref.kind == LINES)
-    same = header.rows == ref.rows and (header.names == ref.columns or not ref.rows)
-    if not same or (ref.size and header.size != ref.size):
+    if header.rows != ref.rows or (ref.rows and header.names != ref.columns):
         raise SceneError(
             f"{ref.path}: the file changed after the scene was opened; open the scene again"
         )

@@ -97,7 +97,6 @@ def _scan(path: str, *, lines: bool) -> list[StepRef]:
             step=-1,
             time=header.time,
             columns=header.names,
-            size=header.size,
             kind=LINES if header.of_lines else "",
         )
     ]

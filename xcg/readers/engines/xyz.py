@@ -179,7 +179,9 @@ def _steps(path: str, *, with_species: bool) -> Iterator[StepRef]:
 
 def _frame(scanner: Scanner, ref: StepRef, comment: str, *, with_species: bool) -> StepRef:
     """Return a frame with what its comment says, after passing its rows."""
-    entries = {canonical(key): _unquoted(value) for key, value in _ENTRY.findall(comment)}
+    entries = {
+        canonical(key): value.strip("\"'{}").strip() for key, value in _ENTRY.findall(comment)
+    }
     source = f"{ref.path} from byte {scanner.offset}"
     properties = entries.get("properties")
     names: tuple[str, ...] = _PLAIN
@@ -216,10 +218,6 @@ def _pass_rows(scanner: Scanner, ref: StepRef, place: int | None) -> set[str]:
                 f"{ref.path}: more than {_MOST_SPECIES} species from byte {ref.offset}; {_NO_SPECIES}"
             )
     return {word.decode("utf-8", "replace") for word in species}
-
-
-def _unquoted(value: str) -> str:
-    return value.strip("\"'{}").strip()
 
 
 def _names_of_properties(text: str, source: str) -> tuple[str, ...]:

@@ -8,7 +8,6 @@ words.
 from __future__ import annotations
 
 import math
-import os
 import re
 from dataclasses import dataclass, field, replace
 from typing import BinaryIO
@@ -104,21 +103,23 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         If this is no legacy VTK file, it is damaged or shorter than promised; or lines are wanted,
         and there are cells of other kinds beside them.
     """
-    size = os.path.getsize(path)
     with open_binary(path) as file:
         scanner = _Scanner(file, path)
         contents = _contents_of(scanner)
         if not contents.dataset:
             raise scanner.damaged("it has no line DATASET with a kind")
         if contents.dataset not in _READ:
-            mesh = f"a data set of the kind {contents.dataset}"
-            return Header(path, size, None, (Piece(0, ()),), _ENCODING, mesh=mesh)
+            return Header(path, _ENCODING, mesh=f"a data set of the kind {contents.dataset}")
         has_arrays = bool(contents.arrays[_CELL_DATA])
         of_lines = lines and has_arrays and are_lines(path, [*contents.cells])
-        piece = _lines_of(contents, path) if of_lines else _points_of(contents, path)
+        if of_lines:
+            rows = contents.number_of("LINES")
+            piece = Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
+        else:
+            piece = _points_of(contents, path)
         time = _time_of(file, contents, path)
         mesh = _mesh_of(file, contents, path)
-    header = Header(path, size, time, (piece,), _ENCODING, of_lines=of_lines, mesh=mesh)
+    header = Header(path, _ENCODING, time, (piece,), of_lines=of_lines, mesh=mesh)
     check_header(header)
     return header
 
@@ -196,12 +197,6 @@ def _points_of(contents: _Contents, path: str) -> Piece:
         arrays += [replace(array, of_vertices=True) for array in fitting if array in of_cells]
         return Piece(rows, tuple(arrays), cells.vertices)
     return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
-
-
-def _lines_of(contents: _Contents, path: str) -> Piece:
-    """Describe the lines."""
-    rows = contents.number_of("LINES")
-    return Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
 
 
 def _mesh_of(file: BinaryIO, contents: _Contents, path: str) -> str:

@@ -94,15 +94,13 @@ class Header:
     ----------
     path : str
         The file.
-    size : int
-        Its size in bytes, as it is on the disk.
+    encoding : VtkEncoding
+        Byte order, type of lengths, and compression.
     time : float or None
         Physical time (s), where the file states it.
     pieces : tuple of Piece
         Parts whose rows follow one another; those without rows are left out, unless all are
         without.
-    encoding : VtkEncoding
-        Byte order, type of lengths, and compression.
     fields : mapping
         Numbers of the arrays that belong to no point, where the header holds them, by name.
     of_lines : bool
@@ -113,10 +111,9 @@ class Header:
     """
 
     path: str
-    size: int
-    time: float | None
-    pieces: tuple[Piece, ...]
     encoding: VtkEncoding
+    time: float | None = None
+    pieces: tuple[Piece, ...] = (Piece(0, ()),)
     fields: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     of_lines: bool = False
     mesh: str = ""

@@ -6,7 +6,6 @@ Document types are refused, so that entities are never expanded.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections import Counter
 from contextlib import suppress
@@ -200,10 +199,8 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     xml = _parsed(path, data, "PolyData", "UnstructuredGrid", *_GRIDS)
     root = xml.elements[0].attributes
     encoding = _encoding(root, path)
-    size_on_disk = os.path.getsize(path)
     if root["type"] in _GRIDS:
-        mesh = f"a data set of the kind {root['type']}"
-        return Header(path, size_on_disk, None, (Piece(0, ()),), encoding, mesh=mesh)
+        return Header(path, encoding, mesh=f"a data set of the kind {root['type']}")
     parts = xml.pieces()
     cut = [name for name in ("Points", "PointData") if xml.complete[name] != len(xml.named(name))]
     if not parts or cut:
@@ -218,10 +215,9 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     meshes = [_mesh_of(file, part) for part in parts]
     header = Header(
         path,
-        size_on_disk,
+        encoding,
         _time_of(file, xml),
         tuple(piece for piece in pieces if piece.rows) or tuple(pieces[:1]),
-        encoding,
         fields={
             _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
             for tag in xml.arrays("FieldData")
