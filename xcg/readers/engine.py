@@ -357,26 +357,26 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
     SceneError
         If no engine has this name, it cannot be imported, or it is not an `Engine`.
     """
-    given: object = engine
+    loaded: object = engine
     if isinstance(engine, str):
         table = engine_table()
         if engine not in table:
             raise SceneError(unknown("engine", engine, table))
         try:
-            given = table[engine].load()
+            loaded = table[engine].load()
         except (ImportError, AttributeError) as error:
             raise SceneError(
                 f"the engine {engine!r} ({table[engine].value}) cannot be imported: {error}"
             ) from error
-    if isinstance(given, type) and issubclass(given, Engine):
+    if isinstance(loaded, type) and issubclass(loaded, Engine):
         try:
-            return given()
+            return loaded()
         except TypeError as error:
             raise SceneError(
                 f"engine={engine!r}: no object can be made of it without arguments ({error})"
             ) from None
-    if not isinstance(given, Engine):
+    if not isinstance(loaded, Engine):
         raise SceneError(
             f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
         )
-    return given
+    return loaded

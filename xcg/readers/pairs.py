@@ -148,12 +148,12 @@ def pair_steps(
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
-        given = floats(times)
-        if given.shape != (len(refs),) or not np.isfinite(given).all():
+        numbers = floats(times)
+        if numbers.shape != (len(refs),) or not np.isfinite(numbers).all():
             raise SceneError(
-                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step"
+                f"times has shape {numbers.shape}: expected {len(refs)} finite numbers, one a step"
             )
-        known = given.tolist()
+        known = numbers.tolist()
     steps = [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)]
     read = partial(read_step, reader, options)
     steps = order_steps(steps, "particles", read, timed=times is not None)

@@ -44,21 +44,21 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
         If a path does not exist or a glob matches nothing; the message names similar files.
     """
     single = isinstance(paths, (str, os.PathLike))
-    found: list[str] = []
-    for given in cast(Iterable[PathLike], [paths] if single else paths):
-        path = os.path.expanduser(os.fspath(given))
+    all_files: list[str] = []
+    for listed in cast(Iterable[PathLike], [paths] if single else paths):
+        path = os.path.expanduser(os.fspath(listed))
         files = [path]
         if not os.path.isfile(path):
             files = sort_by_numbers(filter(os.path.isfile, glob.glob(path, recursive=True)))
         if not files:
             error = FileNotFoundError(f"{argument}={path!r}{_why_none(path)}")
-            if single or not errors.record_fault(os.fspath(given), error):
+            if single or not errors.record_fault(os.fspath(listed), error):
                 raise error
-        found += files
-    if not found:
+        all_files += files
+    if not all_files:
         errors.raise_recorded()
         raise FileNotFoundError(f"{argument}=[]: expected at least one file")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(all_files))
 
 
 def _why_none(path: str) -> str:
@@ -247,11 +247,11 @@ def index_steps(
     Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time
     get one.
     """
-    found = remembered(paths, kind, scan)
-    for path, steps in zip(paths, found, strict=True):
+    steps_of_files = remembered(paths, kind, scan)
+    for path, steps in zip(paths, steps_of_files, strict=True):
         if not steps:
             errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
-    refs = number_steps(paths, found)
+    refs = number_steps(paths, steps_of_files)
     if not refs:
         errors.raise_recorded()
     return timed_steps(refs, timestep)

@@ -66,19 +66,20 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     listed = _existing(paths, options)
     files = list(dict.fromkeys(file for step in listed for file in step.files))
     scan = partial(_scan, lines=lines)
-    found = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
-    _warn_of_meshes([ref for refs in found.values() for ref in refs])
+    scanned = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
+    _warn_of_meshes(list(chain(*scanned.values())))
+    names = []
     steps = []
     for entry in listed:
-        parts = [found[file] for file in entry.files]
-        refs = [ref for part in parts for ref in part if not ref.kind.startswith(MESH)]
-        if not all(parts):  # a file is at fault
-            refs = []
-        elif len(parts) > 1 and refs:
+        parts = [scanned[file] for file in entry.files]
+        refs = [ref for ref in chain(*parts) if not ref.kind.startswith(MESH)]
+        if not refs or not all(parts):  # a mesh, or a file is at fault
+            continue
+        if len(parts) > 1:
             refs = [_joined(entry, refs)]
+        names.append(entry.name)
         steps.append([replace(ref, time=_time(ref.time, entry.time)) for ref in refs])
-    names = [entry.name for entry, refs in zip(listed, steps, strict=True) if refs]
-    numbered = number_steps(names, [refs for refs in steps if refs])
+    numbered = number_steps(names, steps)
     return timed_steps(_once(_with_columns(numbered)), options.extra.get("timestep"))
 
 

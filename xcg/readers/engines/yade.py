@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -72,12 +73,7 @@ class Yade(Columnar):
         return index_steps(paths, "yade", _steps)
 
 
-_KNOWN = {
-    alias
-    for slots in (Yade.PARTICLE_SLOTS, Yade.CONTACT_SLOTS)
-    for found in slots.values()
-    for alias in found
-}
+_KNOWN = {*chain(*Yade.PARTICLE_SLOTS.values(), *Yade.CONTACT_SLOTS.values())}
 
 
 def _steps(path: str) -> Iterator[StepRef]:
