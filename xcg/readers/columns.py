@@ -58,9 +58,9 @@ class Columnar(Engine):
 
     PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
-    NEEDS_ID: ClassVar[bool] = True
-    ROWS_ARE_IDS: ClassVar[bool] = False
-    MORE_DIGITS: ClassVar[str] = "dump_modify ... format float %.10g"
+    NEEDS_ID = True
+    ROWS_ARE_IDS = False
+    MORE_DIGITS = "dump_modify ... format float %.10g"
 
     @abstractmethod
     def list_steps(

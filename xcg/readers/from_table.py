@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers import unread_columns
 from xcg.readers.assigned import assign
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.tabular import Table, clock_of, runs_of, warn_of_unread_clock
+from xcg.readers.engines.tabular import Table, check_clock, clock_of, warn_of_unread_clock
 from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
@@ -241,12 +241,11 @@ def _frames(
         raise SceneError(f"{what}: the table has no rows")
     clock = clock_of(tuple(data.columns), options.names)
     clocks = {word: _numbers(data, name, what) for word, name in clock.items()}
-    runs = [np.arange(len(data))]
+    check_clock(clocks, what)
+    runs: list[Any] = [np.arange(len(data))]
     if clocks and len(data):
         key = next(iter(clocks.values()))
-        order = np.argsort(key, kind="stable")
-        runs_of({word: values[order] for word, values in clocks.items()}, len(data), what)
-        runs = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+        runs = [*data.groupby(key).indices.values()]
     frames = {}
     for k, rows in enumerate(runs):
         clock_of_step = {

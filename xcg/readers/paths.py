@@ -262,7 +262,7 @@ _SAME_DURATION = 1e-3
 
 
 def timed_steps(refs: Sequence[StepRef], timestep: Any) -> list[StepRef]:
-    """Return the steps, those without time with the number of the step times a `timestep`, unless that is None.
+    """Return the steps; with a `timestep`, its product with the number of the step is the time where files hold none.
 
     Warn if the files hold other times.
     """

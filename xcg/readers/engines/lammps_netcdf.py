@@ -297,7 +297,7 @@ class ClassicFile:
         return attributes
 
     def _variable(self, names: Sequence[str]) -> ClassicVariable:
-        """Read a variable; `names` are those of the dimensions in their order."""
+        """Read a variable; `names` lists the dimensions of the file."""
         name = self._name()
         places = [self._count() for _ in range(self._count())]
         if any(place >= len(names) for place in places):

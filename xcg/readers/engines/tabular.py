@@ -164,16 +164,8 @@ def _steps(
         yield ref
 
 
-def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
-    """First row of each step and the one after its last.
-
-    Raises
-    ------
-    SceneError
-        If a time is not finite, a step number is not whole, or rows of one time are not contiguous.
-    """
-    if not clock:
-        return [(0, rows)]
+def check_clock(clock: Mapping[str, NDArray], path: str) -> None:
+    """Raise SceneError if a time is not finite, or a step number is not whole."""
     for slot, values in clock.items():
         fits = np.isfinite(values)
         expected = "numbers"
@@ -185,6 +177,19 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
             raise SceneError(
                 f"{path}: the {slot} of row {row} is {values[row]}; expected {expected}"
             )
+
+
+def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
+    """First row of each step and the one after its last.
+
+    Raises
+    ------
+    SceneError
+        If the clock is not as `check_clock` expects, or rows of one time are not contiguous.
+    """
+    if not clock:
+        return [(0, rows)]
+    check_clock(clock, path)
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
     slot, key = next(iter(clock.items()))

@@ -92,9 +92,9 @@ class Vtk(Engine):
 
     CONTACT_NAMES: ClassVar[Mapping[str, str]] = CONTACT_ARRAYS
     OPTIONS: ClassVar[tuple[str, ...]] = ("timestep",)
-    LINES: ClassVar[bool] = True
-    ROWS_ARE_IDS: ClassVar[bool] = False
-    ADVICE: ClassVar[str] = "Say which arrays they are, as in names={'...': 'contact_i'}"
+    LINES = True
+    ROWS_ARE_IDS = False
+    ADVICE = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK file of points, or a list of such files."""

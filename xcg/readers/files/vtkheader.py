@@ -267,7 +267,7 @@ def _numbers(file: BinaryIO, array: Array, encoding: VtkEncoding, count: int) ->
 def mesh_of_cells(polygons: int, vertices: int, types: ArrayLike) -> str:
     """Return what a file holds in place of grains: polygons without vertices, or cells of an extent; else "".
 
-    `types` are those of the cells of an unstructured grid.
+    `types` holds the type of each cell of an unstructured grid.
     """
     if polygons and not vertices:
         return f"{polygons} polygons"
@@ -276,7 +276,7 @@ def mesh_of_cells(polygons: int, vertices: int, types: ArrayLike) -> str:
 
 
 def are_lines(path: str, kinds: Sequence[str]) -> bool:
-    """Return whether cells of these kinds are lines, or there are none.
+    """Return whether all cells are lines; True without cells.
 
     Raises
     ------

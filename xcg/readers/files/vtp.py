@@ -76,7 +76,7 @@ class _Xml:
         return [element.attributes for element in self.elements if element.name == name]
 
     def arrays(self, section: str, name: str | None = None) -> list[_Element]:
-        """Arrays within a section, all or those of a name."""
+        """Arrays within a section, all or the ones with a name."""
         return [
             element
             for element in self.elements
