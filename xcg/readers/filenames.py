@@ -197,8 +197,11 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     if len(counts) > 1:
         few, many = min(counts), max(counts)
         return [], f"{counts[few]!r} holds {few} numbers, and {counts[many]!r} {many}"
-    columns = [list(numbers) for numbers in zip(*rows, strict=True)]
-    columns = [numbers for numbers in columns if not _are_equal(numbers)]
+    columns = [
+        list(numbers)
+        for numbers in zip(*rows, strict=True)
+        if len({number.value for number in numbers}) > 1
+    ]
     if not all(_rise_together(column, columns[-1]) for column in columns[:-1]):
         ranges = " and ".join(_range(column) for column in columns)
         columns = _without_ranks(columns)
@@ -210,20 +213,15 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     return columns, ""
 
 
-def _are_equal(numbers: Sequence[_Number]) -> bool:
-    texts = {number.text for number in numbers}
-    return len(texts) < 2 or len({float(text) for text in texts}) < 2
-
-
 def _range(column: Sequence[_Number]) -> str:
     least = min(column, key=lambda number: number.value)
     most = max(column, key=lambda number: number.value)
     return f"{least.text} to {most.text}"
 
 
-def _rise_together(one: Sequence[_Number], other: Sequence[_Number]) -> bool:
+def _rise_together(numbers: Sequence[_Number], others: Sequence[_Number]) -> bool:
     """Return whether two numbers that vary put the files into the same order."""
-    pairs = sorted((b.value, a.value) for a, b in zip(one, other, strict=True))
+    pairs = sorted((b.value, a.value) for a, b in zip(numbers, others, strict=True))
     return all(before[1] <= after[1] for before, after in pairwise(pairs))
 
 

@@ -100,7 +100,9 @@ class Lammps(Dumps):
         if form_of(path):
             return True
         columns = body_columns(path)
-        if columns is None or ".liggghts" in path or is_twice(columns):
+        if columns is None or ".liggghts" in path:
+            return False
+        if len(set(columns)) < len(columns):  # as in what LIGGGHTS's tutorials write
             return False
         return not is_numbered(columns) or len(columns) < _FEWEST_NUMBERED
 
@@ -189,11 +191,6 @@ def is_numbered(names: Sequence[str]) -> bool:
     """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
     compute = names[0].removesuffix("[1]") if names else ""
     return list(names) == [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
-
-
-def is_twice(names: Sequence[str]) -> bool:
-    """Return whether columns occur twice, as in what LIGGGHTS's tutorials write."""
-    return len(set(names)) < len(names)
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
@@ -305,7 +302,7 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
-    label = "".join(words[:1])
+    label = words[0] if words else ""
     columns = len(words) - 1
     kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
     if (label == "ATOMS") is not atoms:

@@ -70,8 +70,8 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
     else:
         arrays = vtkheader.read_arrays(open_step(ref), names)
     frame = {name: arrays[array] for name, array in wanted.items()}
-    for ghost in ghosts[:1]:
-        of_piece = arrays[ghost] == 0
+    if ghosts:
+        of_piece = arrays[ghosts[0]] == 0
         frame = {name: values[of_piece] for name, values in frame.items()}
     return frame
 
@@ -130,19 +130,20 @@ class Vtk(Engine):
         refs = list_steps(paths, options)
         for ref in refs:
             self.targets(ref, options)
-        for first in refs[:1]:
-            of_cells = [array for array in first.columns if array.endswith(OF_CELLS)]
-            if of_cells:
-                arrays = ", ".join(array.removesuffix(OF_CELLS) for array in of_cells)
-                warn_user(
-                    f"{first.path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
-                    "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of "
-                    "points"
-                )
-            known = {*options.names, *of_cells}
-            unread = [name for name in self.ignored_columns(first, options) if name not in known]
-            read = self.targets(first, options)
-            warn_of_resembling(first, unread, read, contacts=False, whole_vectors=True)
+        if not refs:  # all faulty, which is tolerated
+            return refs
+        first = refs[0]
+        of_cells = [array for array in first.columns if array.endswith(OF_CELLS)]
+        if of_cells:
+            arrays = ", ".join(array.removesuffix(OF_CELLS) for array in of_cells)
+            warn_user(
+                f"{first.path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
+                "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of points"
+            )
+        known = {*options.names, *of_cells}
+        unread = [name for name in self.ignored_columns(first, options) if name not in known]
+        read = self.targets(first, options)
+        warn_of_resembling(first, unread, read, contacts=False, whole_vectors=True)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

@@ -269,9 +269,9 @@ def _clock(entries: Mapping[str, str], comment: str) -> dict[str, Any]:
     }
     if "properties" not in entries:
         for slot, pattern in (("time", _TIME), ("step", _STEP)):
-            for match in pattern.finditer(comment):
+            match = pattern.search(comment)
+            if match:
                 texts[slot] = match[1]
-                break
     clock: dict[str, Any] = {}
     if re.fullmatch(_NUMBER, texts.get("time", "")) and math.isfinite(_float(texts["time"])):
         clock["time"] = _float(texts["time"])

@@ -230,7 +230,7 @@ def _contents_of(scanner: _Scanner) -> _Contents:
         if _is_array_of_field(words):
             contents.arrays[place] += scanner.array_of_field(words)
         elif keyword == "DATASET":
-            contents.dataset = "".join(words[1:2]).upper()
+            contents.dataset = _word(words, 1).upper()
             if contents.dataset not in _READ:
                 return contents
         elif keyword == "POINTS":
@@ -271,7 +271,7 @@ def _cells(scanner: _Scanner, words: list[str]) -> _CellsOfKind:
 def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
     """Find an array of a section of its own."""
     keyword = words[0].upper()
-    name = unquote("".join(words[1:2]))
+    name = unquote(_word(words, 1))
     if keyword == "SCALARS":
         kind = scanner.kind(words, 2)
         components = 1
@@ -296,6 +296,10 @@ def _is_array_of_field(words: list[str]) -> bool:
         and words[2].isdecimal()
         and words[3].lower() in _FIELD_TYPES
     )
+
+
+def _word(words: list[str], place: int) -> str:
+    return words[place] if place < len(words) else ""
 
 
 class _Scanner:
@@ -348,14 +352,14 @@ class _Scanner:
 
     def number(self, words: list[str], place: int) -> int:
         """Return the count in a line of words."""
-        text = "".join(words[place : place + 1])
+        text = _word(words, place)
         if not (text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS):
             raise self.damaged(f"{' '.join(words)[:60]!r} has no count as its word {place + 1}")
         return int(text)
 
     def kind(self, words: list[str], place: int) -> str:
         """Return the type that a line of words names."""
-        text = "".join(words[place : place + 1]).lower()
+        text = _word(words, place).lower()
         if text not in _KINDS:
             raise self.damaged(
                 f"{' '.join(words)[:60]!r} has no type of numbers as its word {place + 1}"

@@ -279,19 +279,19 @@ def _vertices(file: _File, xml: _Xml, rows: int) -> Array | None:
     """Return the array of the points of cells, if there is one cell for each point, and it may be a vertex."""
     counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
     for kind in ("Cells", "Verts"):
-        if rows and rows == counts[kind] == sum(counts.values()):
-            for element in xml.arrays(kind, "connectivity"):
-                return _array(element, file, xml)
+        tags = xml.arrays(kind, "connectivity")
+        if tags and rows and rows == counts[kind] == sum(counts.values()):
+            return _array(tags[0], file, xml)
     return None
 
 
 def _mesh_of(file: _File, xml: _Xml) -> str:
     """Return what a piece holds in place of grains; "" for grains."""
     counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
+    tags = xml.arrays("Cells", "types")
     types = np.empty(0)
-    if counts["Cells"] not in (0, _count(file.path, xml, "Points")):
-        for element in xml.arrays("Cells", "types")[:1]:
-            types = _values(file, _array(element, file, xml), counts["Cells"])
+    if tags and counts["Cells"] not in (0, _count(file.path, xml, "Points")):
+        types = _values(file, _array(tags[0], file, xml), counts["Cells"])
     return mesh_of_cells(counts["Polys"] + counts["Strips"], counts["Verts"], types)
 
 
