@@ -161,6 +161,13 @@ def components(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
     return slots
 
 
+def vector_columns(name: str, width: int) -> list[str]:
+    """Return the names of the columns of a vector: v_x v_y v_z, or v[1] v[2] ... of more than three."""
+    if width <= len(COMPONENTS):
+        return [f"{name}_{axis}" for axis in COMPONENTS[:width]]
+    return [f"{name}[{k}]" for k in range(1, width + 1)]
+
+
 def _slots(
     scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
 ) -> dict[str, tuple[str, ...]]:

@@ -244,7 +244,7 @@ def open_scene(
     ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
-    arguments = Arguments(**locals())  # which are the arguments alone, here at the beginning
+    arguments = Arguments(**locals())  # here, the local variables are the arguments
     if engine is None and "mapping" not in engine_options:
         saved = saved_path(particles)
         if saved:

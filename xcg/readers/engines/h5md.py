@@ -22,6 +22,7 @@ from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.hdf5data import dataset, is_hdf5, opened, text_of
 from xcg.readers.files.text import source_of
+from xcg.readers.names import vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -228,10 +229,8 @@ class _Group:
             if len(element.shape) == 1:
                 columns[name] = name, ()
             if len(element.shape) == 2:
-                ends = [f"[{k}]" for k in range(1, min(element.shape[1], _MOST_COMPONENTS) + 1)]
-                if len(ends) <= len(COMPONENTS):
-                    ends = [f"_{axis}" for axis in COMPONENTS[: len(ends)]]
-                columns |= {f"{name}{end}": (name, (k,)) for k, end in enumerate(ends)}
+                names = vector_columns(name, min(element.shape[1], _MOST_COMPONENTS))
+                columns |= {column: (name, (k,)) for k, column in enumerate(names)}
         # without ids the place in the datasets is the identity
         columns.setdefault("id", ("id", ()))
         return columns

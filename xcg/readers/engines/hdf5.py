@@ -23,7 +23,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import sort_by_numbers
 from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened
 from xcg.readers.files.text import source_of
-from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS
+from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -206,7 +206,7 @@ def _with_columns(
         if len(row_shapes) > 1:
             raise SceneError(f"{source_of(ref)}: {filled!r} has the shapes {shapes}, of two kinds")
         width, by_step = row_shapes.pop()
-        names += [f"{name}_{axis}" for axis in COMPONENTS[:width]] or [name]
+        names += vector_columns(name, width) or [name]
         rows[filled] = [shape[by_step] for shape in shapes]
     if any(counts != rows[first] for counts in rows.values()):
         raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")

@@ -86,8 +86,11 @@ class Dumps(Columnar):
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> list[str]:
         """Columns of a step that are not read, each name once."""
+        if ref.kind == _WALLS:
+            return []
         ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [name for name in ignored if _TWIN not in name]
+        of_walls = {*chain(*wall_columns.columns_of_walls(options).values())}
+        return [name for name in ignored if _TWIN not in name and name not in of_walls]
 
 
 class Lammps(Dumps):
@@ -139,18 +142,6 @@ class Lammps(Dumps):
         if ref.kind == _WALLS:
             return wall_columns.wall_contacts_from(ref, options, self.read_columns)
         return super().read_contacts(ref, options)
-
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Columns of a step that are not read."""
-        if ref.kind == _WALLS:
-            return []
-        ignored = super().ignored_columns(ref, options, contacts=contacts)
-        if contacts:
-            return ignored
-        of_walls = {*chain(*wall_columns.columns_of_walls(options).values())}
-        return [name for name in ignored if name not in of_walls]
 
 
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------

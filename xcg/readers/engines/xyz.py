@@ -33,7 +33,7 @@ from xcg.readers.files.text import (
     scanned,
     source_of,
 )
-from xcg.readers.names import CLOCK_SLOTS, canonical
+from xcg.readers.names import CLOCK_SLOTS, canonical, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -230,13 +230,8 @@ def _names_of_properties(text: str, source: str) -> tuple[str, ...]:
             fits = False
             break
         count = int(number)
-        ends = [f"[{k}]" for k in range(1, count + 1)]
-        if count == 1:
-            ends = [""]
-        elif count <= len(COMPONENTS):
-            ends = [f"_{axis}" for axis in COMPONENTS[:count]]
         fits = fits and count > 0
-        names += [name + end for end in ends]
+        names += [name] if count == 1 else vector_columns(name, count)
     if not fits or len(set(names)) < len(names) or len(names) > _MOST_COLUMNS:
         raise SceneError(
             f"{source}: Properties={text[:80]!r}: expected names that differ, types (S, R, I, L) and "
