@@ -256,9 +256,7 @@ def open_scene(
     numbered = lacks_ids(listing, ends)
     setup = setup_of(arguments, listing, ends)
     series, measured = make_series(arguments, listing, ends, setup)
-    arrays: dict[str, Any] = (
-        indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
-    )
+    arrays: Any = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
     scene = to_dataset(
         arrays,
         time=series.times,

@@ -339,7 +339,8 @@ class _Scanner:
     def words(self) -> list[str]:
         """Return the words of the next line that has some; none at the end of the file."""
         while line := self._line():
-            if words := line.decode("utf-8", "replace").split():
+            words = line.decode("utf-8", "replace").split()
+            if words:
                 return words
         return []
 
