@@ -81,10 +81,9 @@ class Columnar(Engine):
         vectors: Iterable[str],
         options: ReadOptions,
     ) -> Frame:
-        """Read the values of each slot, and whole vectors under their names.
+        """Read the values of each slot, and vectors (n, 3) under their names where the engine can.
 
-        A vector (n, 3) of which all components are read is one array where the engine can do that; a
-        component that is absent is 0.
+        These are one array, of which the columns are views.
         """
         whole = {slot: _columns_of(columns, slot) for slot in vectors}
         options = replace(options, vectors=tuple({group for group in whole.values() if group}))
@@ -154,9 +153,8 @@ class Columnar(Engine):
                 raise lacks(ref, "ids of both partners", slot)
         axes = {slot: axes_of(filled, slot) for slot in CONTACT_VECTORS}
         unused = []
-        if (
-            len(axes["contact_branch"]) < 3
-        ):  # a hint: without all of it, images follow from positions
+        # a hint: without all of it, images follow from positions
+        if len(axes["contact_branch"]) < 3:
             unused.append("contact_branch")
         mapped = [f"contact_force_{axis}" in options.names.values() for axis in COMPONENTS]
         if len(axes["contact_force"]) < len(axes["normal_force"]) and not any(mapped):
