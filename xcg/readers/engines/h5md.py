@@ -289,8 +289,10 @@ def _group_of(file: h5py.File, wanted: object) -> _Group:
     path = f"/particles/{name}"
     elements = {}
     for member in ("position", *parent[name]):
-        element = _element(file, f"{path}/{member}")
-        if element is not None and member != "box":
+        element = None
+        if member != "box":
+            element = _element(file, f"{path}/{member}")
+        if element is not None:
             elements[member] = element
     position = elements.get("position")
     if position is None or len(position.shape) != 2 or position.shape[1] not in (2, 3):
@@ -300,9 +302,9 @@ def _group_of(file: h5py.File, wanted: object) -> _Group:
             "(steps, n, 2) or (steps, n, 3) with 'value' and 'step'"
         )
     dataset(file, position.values.name)
-    unread = [name for name, element in elements.items() if not element.covers(position)]
-    for name in unread:
-        del elements[name]
+    unread = [member for member, element in elements.items() if not element.covers(position)]
+    for member in unread:
+        del elements[member]
     return _Group(path, file, elements, unread)
 
 

@@ -207,7 +207,7 @@ def _with_columns(
             raise SceneError(f"{source_of(ref)}: {filled!r} has the shapes {shapes}, of two kinds")
         width, by_step = row_shapes.pop()
         names += vector_columns(name, width) or [name]
-        rows[filled] = [shape[by_step] for shape in shapes]
+        rows[filled] = [shape[int(by_step)] for shape in shapes]
     if any(counts != rows[first] for counts in rows.values()):
         raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
     return replace(ref, columns=tuple(names), rows=sum(rows[first]))
@@ -223,7 +223,7 @@ def _shape_of_row(
     by_step = shape[:2] in stacks
     if f"{name}_x" in ALL_SLOTS and len(shape) == 2:  # as many rows as steps
         by_step = False
-    of_row = shape[1 + by_step :]
+    of_row = shape[1 + int(by_step) :]
     if shape and not of_row:
         return 0, by_step
     if of_row in ((2,), (3,)) and name not in ALL_SLOTS:
