@@ -134,10 +134,10 @@ def _check_runs(steps: Sequence[Step], kind: str) -> None:
         low = min(keys)
         high = min(max(keys), max(earlier))
         shared = {key for key in keys if low <= key <= high}
-        begins_with = min(earlier) == low and len(keys) > 1
-        if low < max(earlier) and (
-            begins_with or shared != {key for key in earlier if low <= key <= high}
-        ):
+        shared_earlier = {key for key in earlier if low <= key <= high}
+        begin_together = min(earlier) == low and len(keys) > 1
+        repeats_the_end = shared == shared_earlier and not begin_together
+        if low < max(earlier) and not repeats_the_end:
             last = max(latest, key=_key)
             first = min(run, key=_key)
             raise SceneError(

@@ -49,7 +49,7 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
             f"{saved[0]} is a scene that xcg saved, which is opened alone; open the {len(files)} files one by one, and "
             "join their scenes by xarray.concat(scenes, 'time')"
         )
-    return next(iter(saved), None)
+    return saved[0] if saved else None
 
 
 def _may_be_saved(path: Path) -> bool:
