@@ -32,14 +32,40 @@ from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS, Frame
 
 _ROW_3D = (
-    *("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma"),
-    *("omx", "omy", "omz", "species"),
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "radius",
+    "alpha",
+    "beta",
+    "gamma",
+    "omx",
+    "omy",
+    "omz",
+    "species",
 )
 _SPIN_2D = "om"  # minus the angular velocity about z
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", _SPIN_2D, "species")
 _CONTACT = (
-    *("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft"),
-    *("nx", "ny", "nz", "tx", "ty", "tz"),
+    "t",
+    "i",
+    "j",
+    "cx",
+    "cy",
+    "cz",
+    "delta",
+    "ctheta",
+    "fn",
+    "ft",
+    "nx",
+    "ny",
+    "nz",
+    "tx",
+    "ty",
+    "tz",
 )
 
 
@@ -104,8 +130,14 @@ class Mercury(Columnar):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
-        names = "contact_i contact_j contact_force contact_point contact_normal overlap"
-        return names.split()
+        return [
+            "contact_i",
+            "contact_j",
+            "contact_force",
+            "contact_point",
+            "contact_normal",
+            "overlap",
+        ]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step. The restart file states the density of each species.
