@@ -35,6 +35,9 @@ from xcg.readers.files.vtkheader import (
 )
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
+_LONG_HEAD = 1 << 20  # of many pieces; where no data are appended by then, they stand in the XML
+_APPENDED = b"<AppendedData"
+_TAG = 256  # bytes of that tag, and of white space up to its data
 _LONGEST_LIST = 1 << 28  # bytes of a collection
 _BLOCK = 1 << 20
 _GRIDS = ("RectilinearGrid", "StructuredGrid", "ImageData")  # data sets whose points are no grains
@@ -166,15 +169,14 @@ def _text(path: str) -> tuple[bytes, int, int]:
     size = uncompressed_size(path)
     with open_binary(path) as file:
         head = file.read(_HEAD)
-        while b"<AppendedData" not in head[:-256] and b"<VTKFile" in head and len(head) < most:
-            more = file.read(len(head))
-            if not more:
-                break
-            head += more
+        for further in (_LONG_HEAD, -1 if most == math.inf else int(most)):
+            if b"<VTKFile" in head and _APPENDED not in head:
+                head += file.read(further)
+        head += file.read(_TAG)
         if size < 0:  # a compressed file that does not tell it
             size = len(head) + sum(map(len, iter(partial(file.read, _BLOCK), b"")))
     size = int(min(size, most))
-    begin = head.find(b"<AppendedData")
+    begin = head.find(_APPENDED)
     end = head.find(b">", begin) + 1
     if begin < 0 or not end:
         return head, 0, size
