@@ -65,7 +65,7 @@ def scene():
             r"extent\['x'\]='1': expected a positive length",
         ),
         ({"width": True}, "width=True: expected a positive length"),
-        ({"friction": "0.5"}, "friction='0.5': expected a coefficient of friction"),
+        ({"friction": "0.5"}, "friction='0.5': expected a finite number of at least 0"),
     ],
 )
 def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
-from xcg.fields.grids.frames import Rotated
+from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.rings import ring_points
 from xcg.fields.grids.sections import GOLDEN, AveragedFraction, Span
 from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
-from xcg.fields.request import Per, Request
+from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 from xcg.scene.facts import with_setup
@@ -45,32 +45,13 @@ _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials 
 
 
 def check_walls(request: Request) -> None:
-    """Raise ValueError for invalid walls, and for `per` without walls.
-
-    Raises
-    ------
-    ValueError
-        If an argument is wrong.
-    """
-    if request.per not in (None, *get_args(Per)):
-        raise ValueError(
-            f"per={request.per!r}: expected 'accessible', or None for fields per volume"
-        )
+    """Raise ValueError for `per` without walls, and for walls with options that leave them no meaning."""
     if request.surfaces is None:
         if request.per is not None:
             raise ValueError(
                 "per='accessible' needs surfaces=, for example surfaces=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
             )
         return
-    walls = (
-        request.surfaces
-        if isinstance(request.surfaces, Sequence) and not isinstance(request.surfaces, str)
-        else [None]
-    )
-    if not walls or not all(isinstance(wall, Wall) for wall in walls):
-        raise ValueError(
-            f"surfaces={request.surfaces!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
-        )
     if request.sampling == "cell":
         raise ValueError(
             "surfaces= with sampling='cell': the accessible fraction is that at a node; leave one out"
@@ -84,9 +65,11 @@ def check_walls(request: Request) -> None:
 def walls_of(request: Request) -> list[Wall]:
     """Return the walls of a request, in the axes of its frame."""
     walls = list(request.surfaces or ())
-    if request.frame is None:
+    frame = request.frame
+    if frame is None:
         return walls
-    frame = request.frame if isinstance(request.frame, Rotated) else request.frame.rotated
+    if isinstance(frame, Cylindrical):
+        frame = frame.rotated
     return [wall.in_axes(frame.axes, np.asarray(frame.origin, float)) for wall in walls]
 
 

@@ -184,7 +184,7 @@ def test_places_without_differences_lack_gradients_alone(place):
         ({"size": "d32"}, r"none of its fields depends on \['size'\]"),
         ({"errors": True}, r"none of its fields depends on \['errors'\]"),
         ({"width": {1: 0.5}, "by": "species"}, "one kernel for all grains"),
-        ({"preset": "lamps"}, "expected 'pysammos' or 'lammps'"),
+        ({"preset": "lamps"}, "expected one of 'pysammos', 'lammps', None"),
     ],
 )
 def test_wrong_arguments_raise(arguments, message):

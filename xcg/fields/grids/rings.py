@@ -241,8 +241,13 @@ def make_rings(
     ValueError
         If an argument is wrong.
     """
-    known = [NAMES[letter] for letter in _letters_of(plane)]
-    resolved = _resolved_axes(axes, plane)
+    letters = letters_of(plane)
+    if set(axes) - set(letters) or len(set(axes)) < len(axes):
+        raise ValueError(
+            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
+        )
+    known = [NAMES[letter] for letter in letters]
+    resolved = [NAMES[letter] for letter in letters if letter in axes]
     fixed = _fixed_places(at, bounds, resolved, known)
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
     nodes: dict[str, NDArray] = {}
@@ -304,18 +309,11 @@ def make_rings(
     )
 
 
-def _letters_of(plane: str) -> str:
-    return "rtz" if "z" in plane else "rt"
-
-
-def _resolved_axes(axes: str, plane: str) -> list[str]:
-    """Return the names of the resolved axes. Raise ValueError for other letters."""
-    letters = _letters_of(plane)
-    if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(
-            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
-        )
-    return [NAMES[letter] for letter in letters if letter in axes]
+def letters_of(plane: str) -> str:
+    """Return the letters of the axes of a cylindrical frame: theta is "t"."""
+    if "z" in plane:
+        return "rtz"
+    return "rt"
 
 
 def _fixed_places(
