@@ -242,7 +242,7 @@ TABLE = [
     ),
     # --- fields/grids ---
     Mutation(
-        "fields/grids/grid.py", "first += 0.5 * step if cells", "first += 0.4 * step if cells",
+        "fields/grids/grid.py", "first += 0.5 * step", "first += 0.4 * step",
         "test_cells_lie_side_by_side",
     ),
     Mutation(

@@ -687,7 +687,7 @@ def test_given_coordination_number_is_used():
         ({"fields": "densty"}, "unknown field"),
         ({"kernel": "cubic"}, "expected one of"),
         ({"axes": "xq"}, "axes names"),
-        ({"axes": "x,y"}, "write names without commas or spaces, such as 'xy'"),
+        ({"axes": "x,y"}, r"axes names \[','\]: the axes of this scene are x, y, z"),
         ({"fields": "vel"}, "unknown field 'vel'; did you mean 'velocity'"),
         ({"axes": "z", "bounds": {"x": (0, 1)}}, "bounds are given for"),
         ({"axes": "xz", "at": {"x": 0.0}}, "both name"),
@@ -696,7 +696,7 @@ def test_given_coordination_number_is_used():
         ({"axes": "x", "extent": {"x": 1.0}}, "extent names"),
         ({"gradient": "magic"}, "expected one of"),
         ({"rtol": -1e-3}, "rtol=-0.001"),
-        ({"at": {"x": float("nan")}}, "one finite coordinate"),
+        ({"at": {"x": float("nan")}}, r"expected a finite length \(m\)"),
         ({"spacing": 1e-5}, "nodes, more than"),
     ],
 )

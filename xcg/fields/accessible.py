@@ -95,7 +95,7 @@ def with_accessible(
     accessible = accessible_of(scene, plan, walls)
     seconds = accessible.seconds()
     if seconds > _LONG:
-        advice = "simplify the surfaces" if accessible.average else "take a larger spacing"
+        advice = "take a larger spacing, or simpler surfaces"
         warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
@@ -109,18 +109,19 @@ def with_accessible(
     else:
         chi = accessible.values()
     field = xr.DataArray(chi, dims=accessible.dims).expand_dims(time=f.sizes["time"])
-    about = {
-        "units": "1",
-        "long_name": "share of the kernel on the accessible side of the walls",
-        "source": "walls",
-    }
-    about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
-    field = field.assign_attrs(about)
+    field = field.assign_attrs(
+        units="1",
+        long_name="share of the kernel on the accessible side of the walls",
+        source="walls",
+        formula="chi = int Psi(r - r') dr' over the accessible side",
+    )
     if request.per is not None:
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = with_setup(per.assign_attrs(per="accessible", per_note=note))
-    f = f.drop_vars(beside) if request.for_averages is False else f.set_coords(beside)
+    f = f.set_coords(beside)
+    if request.for_averages is False:
+        f = f.drop_vars(beside)
     return f.assign(accessible_fraction=field).assign_attrs(
         surfaces="\n".join(map(repr, request.surfaces or ()))
     )
@@ -150,17 +151,14 @@ def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Acce
         raise ValueError(
             f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
         )
-    middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
-    for wall in walls:
-        if (
-            middle is not None
-            and isinstance(wall, Plane)
-            and wall.bounds is None
-            and wall.distance(middle)[0] < 0
-        ):
-            warn_user(
-                f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
-            )
+    if scene.corners is not None:
+        middle = np.mean(scene.corners, axis=0, keepdims=True)
+        for wall in walls:
+            is_whole = isinstance(wall, Plane) and wall.bounds is None
+            if is_whole and wall.distance(middle)[0] < 0:
+                warn_user(
+                    f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
+                )
     grid = plan.deposit.grid
     points, shares, first = _points_of(plan, walls, cylindrical=scene.cylindrical)
     averaged = _averaged(plan, walls, scene.edges)
@@ -181,11 +179,10 @@ def _points_of(
     """
     grid = plan.deposit.grid
     if not cylindrical:
-        seen = [a for a in plan.setup.plane if a not in grid.averaged]
-        places = xr.broadcast(*(xr.DataArray(grid.coords[a]) for a in seen)) if seen else ()
-        points = np.zeros((math.prod(grid.sizes), 3))
-        for a, values in zip(seen, places, strict=True):
-            points[:, COMPONENTS.index(a)] = values.transpose(*grid.dims).to_numpy().ravel()
+        sizes = dict(zip(grid.dims, grid.sizes, strict=True))
+        points = np.zeros((grid.count, 3))
+        for a in grid.seen:
+            points[:, COMPONENTS.index(a)] = grid.coords[a].set_dims(sizes).to_numpy().ravel()
         return points, np.ones(len(points)), np.arange(len(points))
     return ring_points(grid, whole=any(wall.turns() for wall in walls))
 
@@ -227,7 +224,9 @@ class Accessible:
     @property
     def steps(self) -> int:
         """Number of steps that `values` counts: rays, or points."""
-        return self.average.steps if self.average else len(self.points)
+        if self.average:
+            return self.average.steps
+        return len(self.points)
 
     def values(self, advance: Callable[[int], object] = lambda _: None) -> NDArray:
         """Compute the fraction at the nodes; `advance` is called with the number of steps that are finished."""
@@ -391,12 +390,11 @@ def _along_rays(
     breaks = np.sort(np.concatenate([ends, *crossings, ends + cutoff], axis=-1), axis=-1)
     middle = (breaks[..., 1:] + breaks[..., :-1]) / 2
     is_open = np.ones(middle.shape, bool)
-    for own, start in zip(crossings, distance > 0, strict=True):
-        turns = sum(
-            (own[..., k, None] < middle for k in range(own.shape[-1])),
-            start=np.zeros(middle.shape, int),
-        )
-        is_open &= start[:, None, None] ^ (turns % 2 == 1)
+    for of_wall, start in zip(crossings, distance > 0, strict=True):
+        before = np.zeros(middle.shape, int)
+        for k in range(of_wall.shape[-1]):
+            before += of_wall[..., k, None] < middle
+        is_open &= start[:, None, None] ^ (before % 2 == 1)
     share = np.diff(cumulative(np.minimum(breaks, cumulative.x[-1])), axis=-1) * is_open
     return np.asarray((share.sum(axis=-1) * weight).sum(axis=1))
 
@@ -409,7 +407,8 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
     where what they see changes quickly.
     """
     x, w = leggauss(_POLAR)
-    t, w = (x + 1) / 2, w / 2
+    t = (x + 1) / 2
+    w = w / 2
     if len(plane) == 2:
         split = np.arccos(depth)[:, None]
         angle = np.concatenate([split * (1 - t**2), split + (np.pi - split) * t**2], axis=1)
@@ -418,13 +417,9 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
         )
         normal = np.eye(3)[next(k for k, a in enumerate(COMPONENTS) if a not in plane)]
         beside = np.cross(normal, towards)
-        up, side = (
-            np.cos(angle)[..., None] * towards[:, None],
-            np.sin(angle)[..., None] * beside[:, None],
-        )
-        return np.concatenate([up + side, up - side], axis=1), np.concatenate(
-            [weight, weight], axis=1
-        )
+        up = np.cos(angle)[..., None] * towards[:, None]
+        side = np.sin(angle)[..., None] * beside[:, None]
+        return np.concatenate([up + side, up - side], axis=1), np.tile(weight, 2)
     split = depth[:, None]
     cosine = np.concatenate([split + (1 - split) * t**2, split - (1 + split) * t**2], axis=1)
     weight = np.concatenate([(1 - split) * 2 * t * w, (1 + split) * 2 * t * w], axis=1) / 2

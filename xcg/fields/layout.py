@@ -63,7 +63,6 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
         *places,
         plane=plane,
         kernel=smallest,
-        seen_all=scene.setup.dimension,
         error=request.frame.error,
         automatic=automatic,
         period=scene.periods,

@@ -218,7 +218,7 @@ class SharedOptions:
         for name, choices in _CHOICES.items():
             check_choice(name, getattr(self, name, None), choices)
         check_on_error(self.on_error)
-        check("rtol", self.rtol, NOT_NEGATIVE, hint=": 0 for closed forms, or such as 1e-3")
+        check("rtol", self.rtol, NOT_NEGATIVE, hint=", such as 1e-3")
         check("friction", self.friction, NOT_NEGATIVE, optional=True, hint=", such as 0.5")
         viscosity = self.fluid_viscosity
         check("fluid_viscosity", viscosity, POSITIVE, "Pa s", optional=True, hint=", such as 1e-3")

@@ -34,10 +34,8 @@ _TO_TURN = (  # moments in kinematic columns that are vectors and tensors, and t
     (loops.SQUARED, "square_offset"),
     (loops.SQUARED, "square_spread"),
 )
-_FLOW = {
-    name: MOMENTS[name].first + MOMENTS[name].columns
-    for name in (*(n for _, n in _TO_TURN), "cubes")
-}
+_VECTORS = [*(name for _, name in _TO_TURN), "cubes"]
+_FLOW = {name: MOMENTS[name].first + MOMENTS[name].columns for name in _VECTORS}
 _SHIFTED = Flow(**{name: _FLOW[name] for name in Flow._fields})
 
 
@@ -148,7 +146,9 @@ class RingBlock:
             np.zeros((4, 3)),
             out,
         )
-        columns = SQUARES if layout.level >= loops.SQUARED else SQUARES[:1]
+        columns = SQUARES[:1]
+        if layout.level >= loops.SQUARED:
+            columns = SQUARES
         for k, column in enumerate(columns):
             averaged[squared.groups, :, column] = out[squared.groups, :, k]
 
@@ -172,15 +172,22 @@ def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
     first : array (nodes,)
         First point of each node.
     """
-    points, shares, nodes = [], [], []
+    points: list[NDArray] = []
+    shares: list[NDArray] = []
+    nodes: list[NDArray] = []
     for part in grid.parts or ():
         assert isinstance(part, RingBlock)
         rings = part.rings
-        counts = np.diff(rings.start) if whole else np.ones(len(rings.place), int)
-        rows = np.arange(len(rings.angle)) if whole else rings.start[:-1]
+        counts = np.ones(len(rings.place), int)
+        rows = rings.start[:-1]
+        share = np.ones(len(rows))
+        if whole:
+            counts = np.diff(rings.start)
+            rows = np.arange(len(rings.angle))
+            share = rings.share
         radius, height = np.repeat(rings.place, counts, axis=0).T
         points.append(np.stack([radius * rings.cosine[rows], radius * rings.sine[rows], height], 1))
-        shares.append(rings.share[rows] if whole else np.ones(len(rows)))
+        shares.append(share)
         nodes.append(np.repeat(part.places.astype(int), counts))
     order = np.argsort(np.concatenate(nodes), kind="stable")
     _, first = np.unique(np.concatenate(nodes)[order], return_index=True)
@@ -214,7 +221,6 @@ def make_rings(
     *,
     plane: str,
     kernel: Kernel,
-    seen_all: int,
     error: float,
     automatic: Mapping[str, tuple[float, float]],
     period: Mapping[str, float],
@@ -229,8 +235,6 @@ def make_rings(
         The axes that the scene has.
     kernel : Kernel
         The one with the smallest support.
-    seen_all : int
-        Dimensions that the kernel has.
     error : float
         What averages over theta may differ by.
     automatic, period : mapping
@@ -246,10 +250,13 @@ def make_rings(
         raise ValueError(
             f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
         )
+    dimension = len(plane)
     known = [NAMES[letter] for letter in letters]
     resolved = [NAMES[letter] for letter in letters if letter in axes]
     fixed = _fixed_places(at, bounds, resolved, known)
-    steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
+    steps: Mapping[str, Any] = {"r": spacing, "z": spacing}
+    if isinstance(spacing, Mapping):
+        steps = spacing
     nodes: dict[str, NDArray] = {}
     if "r" in resolved:
         nodes["r"] = _radii(steps.get("r"), resolved, bounds, automatic, kernel.cutoff)
@@ -257,7 +264,9 @@ def make_rings(
     low, high = _part_of_circle(bounds)
     if "theta" in resolved:
         widest = max(float(radii.max()), kernel.cutoff)
-        step = steps.get("theta", steps["r"] / widest if "r" in steps else None)
+        step = steps.get("theta")
+        if step is None and "r" in steps:
+            step = steps["r"] / widest
         circle = {"theta": (0.0, _FULL)}
         nodes["theta"], _ = nodes_along(
             "theta", step, resolved, bounds, circle, {"theta": _FULL}, kernel.cutoff / widest
@@ -267,17 +276,15 @@ def make_rings(
             "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
         )
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
-    averaged = "z" if "z" in plane and "z" not in resolved and "z" not in fixed else ""
+    # by the loops' kernel; theta by its rule
+    averaged = "".join(a for a in known[2:] if a not in resolved and a not in fixed)
     error_met = 0.0
     if "theta" in nodes or "theta" in fixed:
         angles = nodes.get("theta", np.array([fixed.get("theta", 0.0)]))
         rules = [[(np.array([angle]), np.ones(1)) for angle in angles] for _ in radii]
     else:
-        step, error_met = angular_step(kernel, seen_all - len(averaged), error)
-        if high - low > _FULL * (1 - 1e-12):
-            rules = [[_circle(radius, step)] for radius in radii]
-        else:
-            rules = [[_part(radius, step, low, high)] for radius in radii]
+        step, error_met = angular_step(kernel, dimension - len(averaged), error)
+        rules = [[_average(radius, step, low, high)] for radius in radii]
     count = sum(len(share) for rule in rules for _, share in rule) * len(heights)
     if count > MAX_NODES:
         raise ValueError(
@@ -288,16 +295,19 @@ def make_rings(
     widest = float(radii.max())
     lower = np.array([-widest, -widest, heights.min()])
     upper = np.array([widest, widest, heights.max()])
-    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, seen_all, count))
+    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, dimension, count))
     # on the axis r and theta have no direction
     on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
-    mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
-    coords, text = labels_of(nodes, fixed, mean)
+    note = ""
+    if any(part.is_mean for part in parts):
+        note = f", averages over {count} places"
+    coords, text = labels_of(nodes, fixed, note)
+    seen = "".join(a for a in "xyz" if a in {"x", "y", *coords})
     return Grid(
         tuple(nodes),
         tuple(map(len, nodes.values())),
         coords,
-        "xyz" if "z" in coords else "xy",
+        seen,
         averaged,
         origin,
         lower,
@@ -396,14 +406,15 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
         step *= 0.93
 
 
-def _circle(radius: float, step: float) -> tuple[NDArray, NDArray]:
-    """Angles around a circle and their shares: trapezoids, which converge fast for what is smooth."""
-    count = max(_FEWEST, math.ceil(_FULL * radius / step))
-    return _FULL * np.arange(count) / count, np.full(count, 1.0 / count)
+def _average(radius: float, step: float, low: float, high: float) -> tuple[NDArray, NDArray]:
+    """Angles of an average over a circle or a part of it, and their shares.
 
-
-def _part(radius: float, step: float, low: float, high: float) -> tuple[NDArray, NDArray]:
-    """Angles of a part of a circle and their shares: panels of Gauss-Legendre points, as a part has ends."""
+    Around a circle trapezoids converge fast for what is smooth; a part has ends, and takes panels
+    of Gauss-Legendre points.
+    """
+    if high - low > _FULL * (1 - 1e-12):
+        count = max(_FEWEST, math.ceil(_FULL * radius / step))
+        return _FULL * np.arange(count) / count, np.full(count, 1.0 / count)
     x, w = np.polynomial.legendre.leggauss(_PANEL)
     most = min(step * _PANEL * 2.0 / math.pi / max(radius, 1e-300), 0.5 * math.pi)
     panels = math.ceil((high - low) / most)
