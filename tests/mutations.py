@@ -254,7 +254,7 @@ TABLE = [
         "(np.hypot(x, y) - self.radius)\n        with", "test_the_accessible_fraction_near_walls_equals_brute_force",
     ),
     Mutation(
-        "fields/grids/walls.py", "rows[:, ::-1] if flip else rows", "rows if flip else rows[:, ::-1]",
+        "fields/grids/walls.py", "if flip:", "if not flip:",
         "test_distances_from_triangles_equal_those_of_brute_force test_surfaces_are_read_from_files",
     ),
     # --- fields/formulas ---

@@ -98,19 +98,19 @@ def surface_velocities(
     Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the
     particles as they are written, or to the images that touch at the point.
     """
-    found = []
+    velocities = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
-        there = row >= 0
+        of_grain = row >= 0
+        grain = row[of_grain]
         u = frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
-        u[there] = frame["velocity"][row[there]]
+        u[of_grain] = frame["velocity"][grain]
         if "angular_velocity" in frame:
-            u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
+            u[of_grain] += np.cross(branch[of_grain], frame["angular_velocity"][grain])
         if of_images:
-            u[there] += contacts.lattice.drift(
-                (contacts.point + branch)[there] - frame["position"][row[there]]
-            )
-        found.append(u)
-    return found[0], found[1]
+            centre = (contacts.point + branch)[of_grain]
+            u[of_grain] += contacts.lattice.drift(centre - frame["position"][grain])
+        velocities.append(u)
+    return velocities[0], velocities[1]
 
 
 def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
@@ -162,7 +162,8 @@ def power_of_sides(frame: Frame, c: Contacts) -> NDArray:
 def of_sides(on_i: NDArray, on_j: NDArray) -> NDArray:
     """Numbers of the sides of each contact (contacts,), as the first of three components; (2, contacts, 3)."""
     out = np.zeros((2, len(on_i), 3))
-    out[0, :, 0], out[1, :, 0] = on_i, on_j
+    out[0, :, 0] = on_i
+    out[1, :, 0] = on_j
     return out
 
 
@@ -265,13 +266,11 @@ class Moment:
     @cached_property
     def columns(self) -> NDArray:
         """Columns of the components, counted from the first: an array of the moment's shape, read-only."""
-        found = (
-            np.array(self.layout)
-            if self.layout
-            else np.arange(math.prod(self.shape)).reshape(self.shape)
-        )
-        found.flags.writeable = False
-        return found
+        columns = np.arange(math.prod(self.shape)).reshape(self.shape)
+        if self.layout:
+            columns = np.array(self.layout)
+        columns.flags.writeable = False
+        return columns
 
     @cached_property
     def width(self) -> int:
@@ -298,14 +297,12 @@ def _fabric(frame: Frame, contacts: Contacts) -> NDArray:
 def _director_dyads(frame: Frame, _: Contacts) -> NDArray:
     n = frame["director"]
     n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    return np.stack(
-        [n[:, i] * n[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=1
-    )
+    return np.stack([n[:, i] * n[:, j] for i, j in zip(*np.triu_indices(3), strict=True)], axis=1)
 
 
 def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     mass = frame["mass"][:, None, None]
-    return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
+    return mass * frame.get("box_gradient", np.zeros((len(mass), 3, 3)))
 
 
 def _at_contacts(
