@@ -275,7 +275,7 @@ TABLE = [
         "(2 * double_dot(inverse, own) - mean + shared)", "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
     ),
     Mutation(
-        "fields/formulas/rows/contacts.py", "(0.5 if o.dimension == 2 else 1.5)", "(1.5 if o.dimension == 2 else 0.5)",
+        "fields/formulas/rows/contacts.py", "{2: 0.5, 3: 1.5}[o.dimension]", "{2: 1.5, 3: 0.5}[o.dimension]",
         "test_anisotropies_of_a_plane",
     ),
     Mutation(
@@ -291,7 +291,7 @@ TABLE = [
         "test_a_steady_part_counts_as_far_as_it_exceeds_its_noise",
     ),
     Mutation(
-        "fields/formulas/rows/errors.py", "+ 2 * theta * slopes) / 4", "- 2 * theta * slopes) / 4",
+        "fields/formulas/rows/errors.py", "+ 2 * f._covariance * f._slopes", "- 2 * f._covariance * f._slopes",
         "test_errors_of_linear_fields_by_propagation",
     ),
     Mutation(

@@ -370,8 +370,11 @@ def read_quantity(text: str) -> Quantity | None:
         re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part
     )
     plain: list[Any] = [part for part in given if "=" not in part]
-    if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
-        hint = "" if kind in KINDS else did_you_mean(kind, KINDS)
-        forms = f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
-        raise ValueError(f"{text!r}{hint}: {forms}")
+    forms = (
+        f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
+    )
+    if kind not in KINDS:
+        raise ValueError(f"{text!r}{did_you_mean(kind, KINDS)}: {forms}")
+    if set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
+        raise ValueError(f"{text!r}: {forms}")
     return KINDS[kind](*plain, **named)

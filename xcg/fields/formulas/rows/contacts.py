@@ -43,10 +43,12 @@ def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDA
     """Return sqrt(3/2 a:a), or sqrt(a:a / 2) in a plane, of a = factor x dev(symmetric tensor)."""
     symmetric = (tensor + transposed(tensor)) / 2
     a = factor[o.dimension - 2] * deviator(restricted(symmetric, o.plane), o.plane)
-    return np.sqrt((0.5 if o.dimension == 2 else 1.5) * contraction(a))
+    return np.sqrt({2: 0.5, 3: 1.5}[o.dimension] * contraction(a))
 
 
-_NORMAL, _TANGENTIAL = (4.0, 7.5), (4.0, 5.0)
+# factors in two and in three dimensions
+_NORMAL = (4.0, 7.5)
+_TANGENTIAL = (4.0, 5.0)
 
 
 def _fabric_stress(f: Any, s: Any, o: Options) -> NDArray:

@@ -20,8 +20,9 @@ from xcg.fields.formulas.field import Field, Options
 
 
 def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
-    whole = o.deviatoric not in ("stress", "both")
-    return stress_magnitude(restricted(f.stress, o.shear_axes) if whole else f.deviatoric_stress)
+    if o.deviatoric in ("stress", "both"):
+        return stress_magnitude(f.deviatoric_stress)
+    return stress_magnitude(restricted(f.stress, o.shear_axes))
 
 
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
