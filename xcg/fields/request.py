@@ -32,7 +32,7 @@ from xcg.fields.grids.frames import Cylindrical, Rotated
 from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
-from xcg.steps.faults import OnError, check_on_error
+from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call
 
 
@@ -217,7 +217,6 @@ class SharedOptions:
                 raise ValueError(f"{name}={value!r}: expected {expected}")
         for name, choices in _CHOICES.items():
             check_choice(name, getattr(self, name, None), choices)
-        check_on_error(self.on_error)
         check("rtol", self.rtol, NOT_NEGATIVE, hint=", such as 1e-3")
         check("friction", self.friction, NOT_NEGATIVE, optional=True, hint=", such as 0.5")
         viscosity = self.fluid_viscosity
