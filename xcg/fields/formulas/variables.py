@@ -374,27 +374,20 @@ def check_turns(own: Iterable[Any]) -> None:
 
 
 def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
-    msg = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
     rows = expected[0]
-    if "contact" in column.dims and rows == "particle":
-        to = f"contact_{name}"
-        return (
-            f"{msg}: names of variables of contacts begin with 'contact_'; "
-            f"call ds = ds.rename({name}={to!r})"
-        )
-    if "particle" in column.dims and rows == "contact":
-        return (
-            f"{msg}: names that begin with 'contact_' are for contacts; give it another name, "
-            "by ds.rename"
-        )
-    if "time" not in column.dims:
-        return (
-            f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
-        )
-    return (
-        f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, "
+    way_out = (
+        f"expected numbers with ('time', {rows!r}), and 'component' for vectors, "
         "or 'component' and 'direction' for tensors"
     )
+    if {"contact", "particle"} & {*column.dims} - {rows}:
+        way_out = (
+            "names of variables of contacts, and names that begin with 'contact_' are for them alone; "
+            f"give it another name, by ds.rename({name}=...)"
+        )
+    elif "time" not in column.dims:
+        way_out = f"add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
+    dims = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
+    return f"{dims}: {way_out}"
 
 
 def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) -> str:

@@ -71,17 +71,13 @@ class RingBlock:
         Numbers relative to a velocity are brought to one velocity first, in these axes the same at
         all angles of a node.
         """
-        # passes that refer to one velocity share the array
-        common: dict[int, tuple[NDArray, NDArray]] = {}
         filled: list[NDArray] = []
         references: list[NDArray] = []
         for run, sums, velocities in zip(
             at_angles.of.passes, at_angles.filled, at_angles.references, strict=True
         ):
             layout = run.layout
-            if id(velocities) not in common:
-                common[id(velocities)] = self._reference(velocities, turns=layout.vector)
-            reference, difference = common[id(velocities)]
+            reference, difference = self._reference(velocities, turns=layout.vector)
             groups, _, columns = sums.shape
             averaged = np.zeros((groups, len(self.places), columns))
             record = np.empty(columns)
@@ -102,10 +98,7 @@ class RingBlock:
                     self._square(layout, squared, averaged)
             filled.append(averaged)
             references.append(reference)
-        main = at_angles.velocity
-        if id(main) not in common:
-            common[id(main)] = self._reference(main, turns=True)
-        velocity, _ = common[id(main)]
+        velocity, _ = self._reference(at_angles.velocity, turns=True)
         return BlockSums(at_angles.of, filled, velocity, references)
 
     def _reference(self, velocities: NDArray, *, turns: bool) -> tuple[NDArray, NDArray]:

@@ -77,17 +77,19 @@ class PysammosRow:
     field: Field
 
 
-def _magnitude_of_part(
-    f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool, size: Callable[[NDArray], NDArray]
+def _part(
+    f: Any,
+    tensor: str,
+    axes: tuple[int, ...],
+    deviatoric: bool,
+    magnitude: Callable[[NDArray], NDArray] | None = None,
 ) -> NDArray:
-    return size(_part(f, tensor, axes, deviatoric))
-
-
-def _part(f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool) -> NDArray:
-    """Restriction of a tensor to some axes, or the deviator of that."""
+    """Restriction of a tensor to some axes, or the deviator of that, or a magnitude of either."""
     part = algebra.restricted(getattr(f, tensor), axes)
     if deviatoric:
         part = algebra.deviator(part, axes)
+    if magnitude is not None:
+        part = magnitude(part)
     return part
 
 
@@ -192,8 +194,10 @@ def _parts_of_tensors(dims: str, axes: tuple[int, ...]) -> list[PysammosRow]:
             name = f"{family}_{dims}{end}"
             given = (tensor, axes, deviatoric)
             table.append(_row(name, family, (tensor,), what, _part, *given, rank=2, like=tensor))
-            of_part = (_magnitude_of_part, *given, size)
-            table.append(_row(f"{name}_mag", family, (tensor,), formula, *of_part, like=tensor))
+            of_part = _row(
+                f"{name}_mag", family, (tensor,), formula, _part, *given, size, like=tensor
+            )
+            table.append(of_part)
     return table
 
 

@@ -11,6 +11,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import lru_cache, partial
 from itertools import accumulate
 from typing import Any, Literal, TypeAlias, get_args
@@ -103,8 +104,8 @@ class Kernel:
         """Return the same kernel normalised in `dimension` dimensions, unless it has its own."""
         if self.dimension is not None:
             return self
-        twin = object.__new__(type(self))
-        twin.__dict__ |= self.__dict__ | {"dimension": dimension}
+        twin = copy(self)
+        twin.dimension = dimension
         return twin
 
     @property
@@ -113,7 +114,9 @@ class Kernel:
         return self.smoothness >= 1
 
     def _unit_norm(self, dimension: int) -> float:
-        return self._norms[dimension - 1]
+        if self._norms:
+            return self._norms[dimension - 1]
+        return 1 / profile_integral(self.profile, dimension)
 
     def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
@@ -355,15 +358,6 @@ class Heaviside(Kernel):
     _norms = 1 / 2, 1 / math.pi, 3 / (4 * math.pi)
 
 
-class _Registered(Kernel):
-    """Kernel of a profile P(q) that a user registered."""
-
-    code = codes.TABLE
-
-    def _unit_norm(self, dimension: int) -> float:
-        return 1 / profile_integral(self.profile, dimension)
-
-
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
 _NAMED: dict[str, Callable[..., Kernel]] = {
     "lucy": Lucy,
@@ -438,12 +432,14 @@ def register_kernel(
 
     members: dict[str, Any] = {
         "name": name,
+        "code": codes.TABLE,
         "profile": staticmethod(profile),
         "ratio": ratio,
         "smoothness": smoothness,
+        "_rims": rims_of(profile),
+        "__doc__": f"The kernel registered as {name!r}.",
     }
-    members |= {"_rims": rims_of(profile), "__doc__": f"The kernel registered as {name!r}."}
-    kind = _NAMED[name.lower()] = type(name.title(), (_Registered,), members)
+    kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
     return kind
 
 

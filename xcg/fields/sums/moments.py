@@ -305,28 +305,6 @@ def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     return mass * frame.get("box_gradient", np.zeros((len(mass), 3, 3)))
 
 
-def _at_contacts(
-    variables: tuple[str, ...],
-    formula: str,
-    column: Column,
-    shape: tuple[int, ...] = (),
-    layout: tuple[Any, ...] = (),
-    optional: tuple[str, ...] = (),
-    units: str = "1",
-) -> Moment:
-    return Moment(
-        variables,
-        formula,
-        shape,
-        column=column,
-        contacts=True,
-        at_contacts=True,
-        layout=layout,
-        optional=optional,
-        units=units,
-    )
-
-
 _SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
 _NORMAL = ("contact_normal",)
 _OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
@@ -339,6 +317,7 @@ _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
     Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY)
 )
+_at_contacts = partial(Moment, contacts=True, at_contacts=True)
 _along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
     # kinematic columns, relative to the node: x = r_i - r, u = v_i - U
@@ -404,32 +383,33 @@ MOMENTS: dict[str, Moment] = {
     "load_bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "load_bearing"), contacts=True),
     "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points
-    "contacts": _at_contacts((), "1", one_a_contact),
+    "contacts": _at_contacts((), "1", column=one_a_contact),
     "load_bearing_contacts": _at_contacts(
-        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing"),
+        (), "1, between grains of z > 1", column=partial(of_contacts, "between_load_bearing"),
     ),
-    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
+    "sliding_contacts": _at_contacts(
+        _FORCE, "1, where it slides", column=partial(sliding_contacts, None), optional=_NORMAL
+    ),
     "normals": _at_contacts(
-        (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        (), "n n", (3, 3), column=partial(normals, one_a_contact), layout=_SYMMETRIC, optional=_NORMAL,
     ),
-    "branch_length": _at_contacts((), "l . n", branch_length, optional=_NORMAL, units="m"),
+    "branch_length": _at_contacts((), "l . n", column=branch_length, optional=_NORMAL, units="m"),
     "branch_normals": _at_contacts(
-        (), "l . n n n", partial(normals, branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        (), "l . n n n", (3, 3), column=partial(normals, branch_length), layout=_SYMMETRIC, optional=_NORMAL,
         units="m",
     ),
-    "normal_force": _at_contacts(_FORCE, "f . n", _NORMAL_FORCE, optional=_NORMAL, units="N"),
+    "normal_force": _at_contacts(_FORCE, "f . n", column=_NORMAL_FORCE, optional=_NORMAL, units="N"),
     "normal_force_normals": _at_contacts(
-        _FORCE, "f . n n n", partial(normals, _NORMAL_FORCE), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        _FORCE, "f . n n n", (3, 3), column=partial(normals, _NORMAL_FORCE), layout=_SYMMETRIC, optional=_NORMAL,
         units="N",
     ),
-    "tangential_normals": _at_contacts(_FORCE, "f_t n", tangential_normals, (3, 3), optional=_NORMAL, units="N"),
+    "tangential_normals": _at_contacts(
+        _FORCE, "f_t n", (3, 3), column=tangential_normals, optional=_NORMAL, units="N"
+    ),
     "pair_force": Moment(
         _FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True, units="N"
     ),
-    "contact_couple": Moment(
-        _FORCE, "(b_i - b_j) x f", (3,), column=couples, contacts=True, at_contacts=True,
-        units="J",
-    ),
+    "contact_couple": _at_contacts(_FORCE, "(b_i - b_j) x f", (3,), column=couples, units="J"),
     "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, at_contacts=True, units="W"),
     "wall_power": _power_moment("f.u of the wall", column=of_walls, at_contacts=True, units="W"),
     # weighted by grad Psi

@@ -142,25 +142,11 @@ class Layout:
     apart: bool = False
     vector: bool = True
 
-    @cached_property
-    def _rows(self) -> tuple[NDArray, NDArray]:
-        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
-        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
-        factors = [
-            np.broadcast_to(factor, (columns.size, self.groups))
-            for columns, factor in self.moments.values()
-        ]
-        return columns, np.concatenate(factors)
-
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
-        column, factor = self._rows
-        out = np.empty((column.size, *records.shape[:2]))
-        first = 0
-        np.multiply(records.transpose(2, 0, 1)[column], factor[:, :, None], out=out)
-        for name, (columns, _) in self.moments.items():
-            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
-            first += columns.size
+        turned = records.transpose(2, 0, 1)
+        for name, (columns, factor) in self.moments.items():
+            yield name, turned[columns] * np.broadcast_to(factor, self.groups)[:, None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,6 @@ def _spin(f: Any, s: Any, o: Options) -> NDArray:
     return _root(_diagonal(f.spin_fluctuation) * (share / free)[..., None])
 
 
-_COVARIANCE = ("_covariance",)
 _SLOPES = ("_covariance", "_slopes")
 _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
     "velocity": (_velocity, ("_covariance", "_share"), "sqrt(T_k / N_eff)"),
