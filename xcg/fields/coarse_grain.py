@@ -79,8 +79,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """
     check_walls(request)
     like = request.like
-    if like is not None:
-        request = request_like(request)
+    request = request_like(request)
     walls = walls_of(request)
     frame = request.frame
     ds, request = prepare(ds, request)
@@ -154,8 +153,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     ...
     """
     check_walls(request)
-    if request.like is not None:
-        request = request_like(request)
+    request = request_like(request)
     walls = walls_of(request)
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)

@@ -244,7 +244,6 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
     "theta": {"units": "rad", "long_name": "angle about the axis"},
     "z": {"long_name": "position along the axis", "axis": "Z"},
 }
-_AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 
 def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
@@ -257,16 +256,12 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {}
-        if name in _AXES and scene.cylindrical:
+        if scene.cylindrical and name in _CYLINDRICAL:
             attrs = {"units": length} | _CYLINDRICAL[name]
-        elif name in _AXES:
-            attrs = {
-                "units": length,
-                "long_name": f"position along {name}",
-                "axis": name.upper(),
-            }
-            if name in wrapped:
-                attrs["period"] = wrapped[name]  # also of a part of the nodes
+        elif name in COMPONENTS:
+            attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        if name in wrapped:
+            attrs["period"] = wrapped[name]  # also of a part of the nodes
         coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
     if plan.deposit.by:
         coords["phase"] = phases_of(plan.deposit.by, plan.deposit.groups)

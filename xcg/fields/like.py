@@ -22,7 +22,7 @@ _IF_GIVEN = ("shear_dims", "fluid_viscosity", "friction")
 
 
 def request_like(request: Request) -> Request:
-    """Fill in a request from the result in its argument `like`, and take that out.
+    """Fill in a request from the result in its argument `like`, if there is one, and take that out.
 
     Raises
     ------
@@ -33,6 +33,8 @@ def request_like(request: Request) -> Request:
         what `like` determines.
     """
     result = request.like
+    if result is None:
+        return request
     if not isinstance(result, xr.Dataset):
         raise ValueError(f"like={type(result).__name__}: expected a result of coarse_grain")
     f = with_facts(result)

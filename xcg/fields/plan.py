@@ -225,17 +225,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     rtol = request.rtol
     by = request.by
     names, asked, options = _fields_and_options(scene, request)
-    here = scene.columns.keys()
-    variables = variables_of(names, here, options)
-    if not variables <= here:
-        lacking = [name for name in names if not variables_of((name,), here, options) <= here]
-        instead = ""
-        if "contact_stress" in registry.order_of(lacking, options) and (
-            variables_of(("contact_stress",), here, options) <= here
-        ):
-            instead = "; or ask for contact_stress, which needs no velocity"
-        purpose = f"coarse_grain of {', '.join(lacking)}"
-        require_scene(scene.columns, sorted(variables), purpose, instead)
+    read = {*_required(scene, names, options), by, "frozen"}
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
@@ -274,7 +264,6 @@ def make_plan(scene: Description, request: Request) -> Plan:
         spacing=(x, y, z),
         wrapped=grid.fills(np.array(scene.lasting_periods)),
     )
-    read = {*variables, by, "frozen"}
     return Plan(
         fields=names,
         asked=asked,
@@ -288,6 +277,23 @@ def make_plan(scene: Description, request: Request) -> Plan:
         rtol=rtol,
         is_narrow=undercut_size(narrowest, scene.sizes, of_groups=of_groups) is not None,
     )
+
+
+def _required(scene: Description, names: Sequence[str], options: Options) -> set[str]:
+    """Return the variables that some fields need; raise SceneError unless the scene has them."""
+    here = scene.columns.keys()
+    variables = variables_of(names, here, options)
+    if variables <= here:
+        return variables
+    lacking = [name for name in names if not variables_of((name,), here, options) <= here]
+    instead = ""
+    if "contact_stress" in registry.order_of(lacking, options) and (
+        variables_of(("contact_stress",), here, options) <= here
+    ):
+        instead = "; or ask for contact_stress, which needs no velocity"
+    purpose = f"coarse_grain of {', '.join(lacking)}"
+    require_scene(scene.columns, sorted(variables), purpose, instead)
+    return variables
 
 
 def _extent_of(scene: Description) -> float:

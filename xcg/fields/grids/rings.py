@@ -256,14 +256,7 @@ def make_rings(
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = _part_of_circle(bounds)
     if "theta" in resolved:
-        widest = max(float(radii.max()), kernel.cutoff)
-        step = steps.get("theta")
-        if step is None and "r" in steps:
-            step = steps["r"] / widest
-        circle = {"theta": (0.0, _FULL)}
-        nodes["theta"], _ = nodes_along(
-            "theta", step, resolved, bounds, circle, {"theta": _FULL}, kernel.cutoff / widest
-        )
+        nodes["theta"] = _angles(steps, resolved, bounds, float(radii.max()), kernel.cutoff)
     if "z" in resolved:
         nodes["z"], _ = nodes_along(
             "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
@@ -361,6 +354,24 @@ def _radii(
     if radii[0] < 0.0:
         raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
     return radii
+
+
+def _angles(
+    steps: Mapping[str, Any],
+    resolved: Sequence[str],
+    bounds: Mapping[str, Sequence[float]],
+    radius: float,
+    cutoff: float,
+) -> NDArray:
+    """Return the angles of the nodes; by default as far from each other at the largest radius as the radii are."""
+    widest = max(radius, cutoff)
+    step = steps.get("theta")
+    if step is None and "r" in steps:
+        step = steps["r"] / widest
+    circle = {"theta": (0.0, _FULL)}
+    turn = {"theta": _FULL}
+    angles, _ = nodes_along("theta", step, resolved, bounds, circle, turn, cutoff / widest)
+    return angles
 
 
 def _part_of_circle(bounds: Mapping[str, Sequence[float]]) -> tuple[float, float]:
