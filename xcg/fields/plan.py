@@ -372,7 +372,7 @@ def _choose_fields(
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
     rows = registry.FIELDS
-    listed = [name for name, row in rows.items() if row.listed]
+    listed = registry.listed()
     lacking = {
         name for name, row in rows.items() if row.option and getattr(options, row.option) is None
     }

@@ -105,7 +105,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Field of the registry.
+    """Field of the registry; names with an underscore first are steps of the algebra, not fields themselves.
 
     Attributes
     ----------
@@ -130,8 +130,6 @@ class Field:
         Whether `weight` is that of the bulk, also for phases.
     harmonic : bool
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
-    listed : bool
-        False for steps of the algebra that are not fields themselves.
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -153,7 +151,6 @@ class Field:
     weight: str = ""
     by_bulk: bool = False
     harmonic: bool = False
-    listed: bool = True
     default: bool = True
     option: str = ""
     paired: bool = False

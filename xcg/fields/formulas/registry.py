@@ -154,7 +154,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
 
 def listed(*, registered: bool = True) -> list[str]:
     """Names of all fields that can be asked for, with or without fields that users registered."""
-    names = [name for name, field in FIELDS.items() if field.listed]
+    names = [name for name in FIELDS if not name.startswith("_")]
     if registered:
         return names
     return [name for name in names if name not in REGISTERED]

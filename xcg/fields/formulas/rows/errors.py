@@ -207,7 +207,6 @@ ROWS: dict[str, Field] = {
         formula="1 / N_eff = sum w^2 / (sum w)^2, w = m_i Psi",
         compute=_share,
         moments=("mass", "square"),
-        listed=False,
     ),
     "_covariance": Field(  # of the components of one grain's fluctuation
         rank=2,
@@ -215,7 +214,6 @@ ROWS: dict[str, Field] = {
         formula="Theta = sum m_i v'_i v'_i Psi / rho_T",
         compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free),
         fields=("fluctuation_stress", "_free"),
-        listed=False,
     ),
     "_slopes": Field(
         rank=2,
@@ -224,13 +222,11 @@ ROWS: dict[str, Field] = {
         compute=_slopes,
         fields=("_fit",),
         moments=("mass", "offset", *SQUARES),
-        listed=False,
     ),
     "_left": Field(
         formula="1 / N_left = sqrt(rho / rho_T) / N_eff",
         compute=_left,
         fields=("_share", "_free"),
         moments=("mass",),
-        listed=False,
     ),
 }

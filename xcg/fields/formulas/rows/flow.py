@@ -367,19 +367,14 @@ ROWS: dict[str, Field] = {
         weight="density",
     ),
     # the velocity relative to the node's reference, NaN where there are no grains
-    "_drift": mean_of_sums(
-        "momentum", "mass", rank=1, units="m s^-1", formula="V - U", listed=False
-    ),
-    "_fit": Field(
-        rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
-    ),
+    "_drift": mean_of_sums("momentum", "mass", rank=1, units="m s^-1", formula="V - U"),
+    "_fit": Field(rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR),
     "_taken": Field(
         units="kg m^-3",
         formula="rho - rho_T",
         compute=_taken_by_fit,
         fields=("_fit",),
         moments=("mass", "offset", "spread", *SQUARES),
-        listed=False,
     ),
     "_free": Field(
         units="kg m^-3",
@@ -387,7 +382,6 @@ ROWS: dict[str, Field] = {
         compute=_free,
         fields=("fluctuation_density",),
         moments=("count", "mass"),
-        listed=False,
     ),
 }
 # variants of a field: the option that selects one, and a row for each value that is not the default

@@ -100,9 +100,7 @@ ROWS: dict[str, Field] = {
         fields=("friction_coefficient", "viscous_number"),
         option="fluid_viscosity",
     ),
-    "_size": Field(
-        units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",), listed=False
-    ),
+    "_size": Field(units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",)),
 }
 
 
@@ -111,7 +109,6 @@ def _size_of_scene(name: str) -> Field:
         units="m",
         formula=name,
         compute=lambda f, s, o: np.asarray(o.diameter or np.nan),
-        listed=False,
     )
 
 
