@@ -394,20 +394,11 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     sizes: dict[str, int] = {}
     for array in arrays.values():
         sizes |= {str(dim): size for dim, size in array.sizes.items()}
-    shape = tuple(sizes.values())
-    if math.prod(map(float, shape)) > MAX_NODES:
+    if math.prod(map(float, sizes.values())) > MAX_NODES:
         raise ValueError(f"at= names {sizes} points, more than {MAX_NODES}: take fewer at a time")
-    position = np.zeros((3, math.prod(shape)))
+    position = np.zeros((3, math.prod(sizes.values())))
     for a, array in arrays.items():
-        column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
-        if column.size and not -_FARTHEST < column.min() <= column.max() < _FARTHEST:
-            lost = int(np.flatnonzero(~(np.abs(column) < _FARTHEST))[0])
-            indices = map(int, np.unravel_index(lost, shape))
-            where = dict(zip(sizes, indices, strict=True))
-            raise ValueError(
-                f"at[{a!r}] is {column[lost]} at {where}: expected finite coordinates; leave these points out"
-            )
-        position[COMPONENTS.index(a)] = column
+        position[COMPONENTS.index(a)] = _column(a, array, sizes)
     lower, upper, origin = np.zeros((3, 3))
     if position.size:
         lower = position.min(axis=1)
@@ -426,7 +417,7 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     coords |= {a: array.variable for a, array in arrays.items()}
     return Grid(
         tuple(sizes),
-        shape,
+        tuple(sizes.values()),
         coords,
         "".join(arrays),
         "".join(a for a in plane if a not in arrays),
@@ -473,6 +464,20 @@ def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
         raise ValueError(
             f"the coordinates in at= have other sizes or labels along dimensions that they share, {sizes}: {error}"
         ) from error
+
+
+def _column(axis: str, array: xr.DataArray, sizes: Mapping[str, int]) -> NDArray:
+    """Return the coordinates of all points along an axis (n,). Raise ValueError unless they are finite."""
+    column = array.variable.set_dims(sizes).to_numpy().ravel()
+    is_lost = ~(np.abs(column) < _FARTHEST)
+    if is_lost.any():
+        lost = int(is_lost.argmax())
+        indices = map(int, np.unravel_index(lost, tuple(sizes.values())))
+        where = dict(zip(sizes, indices, strict=True))
+        raise ValueError(
+            f"at[{axis!r}] is {column[lost]} at {where}: expected finite coordinates; leave these points out"
+        )
+    return column
 
 
 def _cells_of(extent: NDArray, size: NDArray | float) -> float:

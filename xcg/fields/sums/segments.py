@@ -111,10 +111,17 @@ MOST_LISTED_ONCE = 1 << 22
 # Runs that are listed at one time, so that their segments stay in cache.
 _TOGETHER = 256
 
-# the first arguments of `list_segments`, up to the origin
-Listing: TypeAlias = tuple[
-    ContactRows, NDArray | None, bool, int, NDArray, float, tuple[float, float, float]
-]
+
+class Listing(NamedTuple):
+    """First arguments of `list_segments`."""
+
+    rows: ContactRows
+    on_j: NDArray | None
+    second: bool
+    others: int
+    by_phase: NDArray
+    cutoff: float
+    origin: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +232,8 @@ def _segments(
     tilted = step.lattice.vectors is not None
     limits = step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
-    listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
+    by_phase = step.spec.by_phase
+    listing = Listing(rows, on_j, second, others, by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
@@ -250,7 +258,8 @@ def _segments(
                 continue
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
+            in_images = listing._replace(rows=rows._replace(on_i=on_i), on_j=on_j)
+            moving, _, _ = list_some(in_images, contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
         partner = np.where(c.i >= 0, c.j, c.i)

@@ -245,26 +245,28 @@ class StepRows:
         self.meshes = {
             cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
         }
-        self.kernels = dict[float, AnyKernel]()
-        seen = int(spec.grid.active.sum())
-        for cutoff, mesh in self.meshes.items():
-            if cutoff in (spec.distinct[0], spec.distinct[-1]):
-                mesh.check_reach(
-                    mesh.reach, source, paired=any(name.startswith("square") for name in spec.rows)
-                )
-            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-            weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
-            if isinstance(weights, CellKernel):
-                of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
-                self.kernels[cutoff] = weights._replace(
-                    means=cell_means(triple(mesh.half), seen, weights, 1.0 / of_unit)
-                )
+        paired = any(name.startswith("square") for name in spec.rows)
+        for mesh in self.meshes.values():
+            mesh.check_reach(mesh.reach, source, paired=paired)
+        self.kernels = {cutoff: self._kernel(cutoff, scale) for cutoff in spec.distinct}
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
         velocity = self.velocity[self.grains.row]
         if self.grains.drift is not None:
             velocity = velocity + self.grains.drift
         self.flow = (velocity, self.mass[self.grains.row])
+
+    def _kernel(self, cutoff: float, scale: float) -> AnyKernel:
+        """Return the kernel of a cutoff, times `scale`."""
+        spec = self.spec
+        seen = int(spec.grid.active.sum())
+        norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
+        weights = spec.weights._replace(norm=norm * scale)
+        if not isinstance(weights, CellKernel):
+            return weights
+        of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
+        half = triple(self.meshes[cutoff].half)
+        return weights._replace(means=cell_means(half, seen, weights, 1.0 / of_unit))
 
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
