@@ -39,7 +39,6 @@ _POLAR = 12
 _TURNS = 24
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
-_LONG = 10.0  # seconds; longer work warns before, and shows its progress
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
@@ -93,21 +92,15 @@ def with_accessible(
     beside = [name for name in plan.fields if name not in plan.asked]
     f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
-    seconds = accessible.seconds()
-    if seconds > _LONG:
-        advice = "take a larger spacing, or simpler surfaces"
-        warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
         from dask.delayed import delayed
 
         chi = da.from_delayed(delayed(accessible.values)(), accessible.shape, float)
-    elif seconds > _LONG:
+    else:
         with shown(accessible.steps, None, what="rays and nodes at walls") as bar:
             chi = accessible.values(bar.update)
-    else:
-        chi = accessible.values()
     field = xr.DataArray(chi, dims=accessible.dims).expand_dims(time=f.sizes["time"])
     field = field.assign_attrs(
         units="1",
@@ -253,13 +246,15 @@ class Accessible:
         _, once, sample = np.diff(times)
         return float(once + max(0.0, sample - once) * len(self.points) / count)
 
-    def text(self, seconds: float) -> str:
-        """Describe the work, which takes some seconds."""
+    def text(self) -> str:
+        """Describe the work, with an estimate of the time it takes."""
         work = f"at {len(self.points)} points, by up to {2 * _POLAR * _TURNS} rays from each"
         if self.average:
             along = COMPONENTS[self.average.along]
             work = f"by {self.average.steps} rays along {along}"
-        return f"the accessible fraction {work} takes about {seconds:.2g} s, once for all steps"
+        return (
+            f"the accessible fraction {work} takes about {self.seconds():.2g} s, once for all steps"
+        )
 
 
 def _averaged(

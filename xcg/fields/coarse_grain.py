@@ -161,8 +161,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     plan = make_plan(scene, request)
     cost = None
     if walls:
-        accessible = accessible_of(scene, plan, walls)
-        cost = accessible.text(accessible.seconds())
+        cost = accessible_of(scene, plan, walls).text()
     return replace(plan, effective_count=effective_count(scene, plan), walls=cost)
 
 
