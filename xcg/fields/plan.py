@@ -18,6 +18,7 @@ from xcg.fields.formulas.field import Options, Quantity
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
+from xcg.fields.grids.grid import check_axes
 from xcg.fields.layout import (
     check_differentiable,
     extents_of,
@@ -465,13 +466,9 @@ def _options_of(scene: Description, request: Request) -> Options:
     indices: dict[str, tuple[int, ...]] = {}
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)
-        if axes is None:
-            continue
-        if not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes):
-            raise ValueError(
-                f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
-            )
-        indices[name] = tuple(map(COMPONENTS.index, axes))
+        if axes is not None:
+            check_axes(setup.plane, **{name: axes})
+            indices[name] = tuple(map(COMPONENTS.index, axes))
     if size in ("d50", "dmax") and size not in scene.sizes:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"

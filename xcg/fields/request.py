@@ -44,6 +44,10 @@ def _is_mapping(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value != ""
+
+
 def _are_walls(value: Any) -> bool:
     is_list = isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 0
     return is_list and all(isinstance(wall, Wall) for wall in value)
@@ -65,10 +69,9 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
         _is_mapping,
         "a coordinate (m) by axis, such as {'y': 0.0}; axes='z' resolves an axis",
     ),
-    "by": (
-        lambda value: isinstance(value, str),
-        "the name of a variable of the particles, such as 'species'",
-    ),
+    "by": (_is_text, "the name of a variable of the particles, such as 'species'"),
+    "pressure_dims": (_is_text, "axes such as 'z'"),
+    "shear_dims": (_is_text, "axes such as 'xz'"),
     "frame": (
         lambda value: isinstance(value, (Rotated, Cylindrical)),
         "xcg.Rotated(...) or xcg.Cylindrical(...)",

@@ -27,7 +27,7 @@ _FINEST = 1e-9  # least spacing, in radii of the support
 
 
 def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
-    """Raise ValueError for axes that a scene does not have, among those of some arguments."""
+    """Raise ValueError for axes that a scene does not have, or that an argument names twice."""
     for name, axes in places.items():
         wrong = [a for a in axes if a not in known]
         if wrong:
@@ -37,6 +37,8 @@ def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
             if "r" in wrong:
                 of_scene += "; axes r, theta and z need frame=xcg.Cylindrical(...)"
             raise ValueError(f"{name} names {wrong}: the axes of this scene are {of_scene}")
+        if len(set(axes)) < len(list(axes)):
+            raise ValueError(f"{name}={axes!r} names an axis twice")
 
 
 def check_places(
@@ -171,8 +173,6 @@ def make_grid(
     if not isinstance(axes, Iterable):
         raise ValueError(f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}")
     check_places(axes, at, bounds, plane)
-    if len(set(axes)) != len(axes):
-        raise ValueError(f"axes={axes!r} names an axis twice")
     axes = "".join(sorted(axes))
     steps: Mapping[str, Any] = dict.fromkeys(axes, spacing)
     note = ""

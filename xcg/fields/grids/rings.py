@@ -18,7 +18,14 @@ from xcg.compiled import points as loops
 from xcg.compiled._jit import THREADS
 from xcg.compiled.points import SQUARES
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
-from xcg.fields.grids.grid import MAX_NODES, PointBlock, check_places, labels_of, nodes_along
+from xcg.fields.grids.grid import (
+    MAX_NODES,
+    PointBlock,
+    check_axes,
+    check_places,
+    labels_of,
+    nodes_along,
+)
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS
@@ -239,10 +246,7 @@ def make_rings(
         If an argument is wrong.
     """
     letters = letters_of(plane)
-    if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(
-            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
-        )
+    check_axes(letters, axes=axes)
     dimension = len(plane)
     known = [NAMES[letter] for letter in letters]
     resolved = [NAMES[letter] for letter in letters if letter in axes]
