@@ -270,9 +270,9 @@ def _averaged(
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue
-        box = edges.get(a, (-np.inf, np.inf))
-        low = max([box[0], *(wall.span(k)[0] for wall in closed)])
-        high = min([box[1], *(wall.span(k)[1] for wall in closed)])
+        bounds = [edges.get(a, (-np.inf, np.inf)), *(wall.span(k) for wall in closed)]
+        low = max(first for first, _ in bounds)
+        high = min(last for _, last in bounds)
         ends = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
         if ends and low == -np.inf:
             low = min(first for first, _ in ends)

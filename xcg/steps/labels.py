@@ -63,31 +63,21 @@ def label(
         if row.formula:
             about["formula"] = row.formula
         data[name] = xr.Variable(("time", *row.dims), array, about)
-    # those of the scene may be changed in place
-    labels: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
-    used = {dim for given in data.values() for dim in given.dims}
+    labels: dict[str, Any] = {}
+    for name in ("time", "step"):
+        if name in ds.coords:
+            labels[name] = ds.variables[name].copy()  # those of the scene may be changed in place
+    if SKIPPED in arrays:
+        long_name = "whether the step was left out, as it could not be read or computed"
+        labels[SKIPPED] = ("time", arrays[SKIPPED], {"long_name": long_name})
+    used = {dim for values in data.values() for dim in values.dims}
     for name, coord in (coords or {}).items():
         if used.issuperset(coord.dims):
             labels[name] = coord
     labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    return mark_skipped(with_phase_labels(result), arrays)
-
-
-def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
-    """Coordinates along time of a scene, which its results have, too."""
-    coords = ds.coords
-    return {name: ds.variables[name] for name in ("time", "step") if name in coords}
-
-
-def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
-    """Label the skipped steps: the coordinate ``skipped``, and once known, an attribute."""
-    if SKIPPED not in arrays:
-        return result
-    long_name = "whether the step was left out, as it could not be read or computed"
-    result = result.assign_coords({SKIPPED: ("time", arrays[SKIPPED], {"long_name": long_name})})
-    return name_skipped(result)
+    return name_skipped(with_phase_labels(result))
 
 
 def name_skipped(result: xr.Dataset) -> xr.Dataset:

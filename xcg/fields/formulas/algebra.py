@@ -183,9 +183,14 @@ def zero_if_unknown(x: NDArray) -> NDArray:
     return _each(x, loops.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)
 
 
+def _like(b: NDArray, a: NDArray) -> NDArray:
+    """Return b with the last axes of a that it lacks, of one element."""
+    return b.reshape(b.shape + (1,) * (a.ndim - b.ndim))
+
+
 def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
-    return a / where_positive(b).reshape(b.shape + (1,) * (a.ndim - b.ndim))
+    return a / _like(where_positive(b), a)
 
 
 def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
@@ -194,7 +199,7 @@ def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
     Weights are below zero where parts of the kernel are. The mean that belongs to them is p / rho
     there, too: what is about it, such as the kinetic stress, is then what the balances ask for.
     """
-    return sums / weights.reshape(weights.shape + (1,) * (sums.ndim - weights.ndim))
+    return sums / _like(weights, sums)
 
 
 def absolute(x: NDArray) -> NDArray:
