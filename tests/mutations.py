@@ -320,7 +320,7 @@ TABLE = [
         "test_the_mesh_equals_that_of_pysammos",
     ),
     Mutation(
-        "fields/accessible.py", "low = max(first for first, _ in bounds)", "low = max(first for first, _ in bounds[1:])",
+        "fields/accessible.py", "max(first for first, _ in bounds)", "max(first for first, _ in bounds[1:])",
         "test_surfaces_beyond_the_box_count_as_far_as_the_box",
     ),
     Mutation(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
@@ -363,7 +364,24 @@ def _fields_and_options(
 
 def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
     """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
-    return _choose_fields(None, scene, _options_of(scene, request))[0]
+    return _possible(scene, _options_of(scene, request))
+
+
+def _possible(scene: Description, options: Options) -> tuple[str, ...]:
+    here = scene.columns.keys()
+    rows = registry.FIELDS
+    lacking = _without_option(options)
+    usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
+    possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
+    if not possible:
+        require_scene(scene.columns, ("mass",), "coarse_grain")
+    return possible
+
+
+def _without_option(options: Options) -> set[str]:
+    """Return the fields whose option is not given."""
+    rows = registry.FIELDS.items()
+    return {name for name, row in rows if row.option and getattr(options, row.option) is None}
 
 
 def _choose_fields(
@@ -372,18 +390,8 @@ def _choose_fields(
     options: Options,
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
-    rows = registry.FIELDS
-    listed = registry.listed()
-    lacking = {
-        name for name, row in rows.items() if row.option and getattr(options, row.option) is None
-    }
     if asked is None:
-        here = scene.columns.keys()
-        usual = [name for name in listed if rows[name].default and name not in lacking]
-        possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
-        if not possible:
-            require_scene(scene.columns, ("mass",), "coarse_grain")
-        return possible, ()
+        return _possible(scene, options), ()
     requested: list[Any] = [asked]
     if isinstance(asked, Iterable) and not isinstance(asked, str):
         requested = list(asked)
@@ -395,30 +403,35 @@ def _choose_fields(
         raise ValueError(
             f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
         )
-    ours = {field.name for field in own.values()}
+    known = [*registry.listed(), *(field.name for field in own.values())]
+    lacking = _without_option(options)
     for name in names:
-        if name not in listed and name not in ours:
-            word = str(name).lower()
-            if word in registry.CALLS:
-                raise ValueError(f"{name!r} is no field; did you mean {registry.CALLS[word]}?")
-            known = [*listed, *scene.rows]
-            raise ValueError(
-                unknown(
-                    "field",
-                    name,
-                    known,
-                    "others are listed by xcg.FIELDS and by ds.data_vars",
-                    registry.OTHER_NAMES,
-                )
-            )
-    for name in names:
-        if name in lacking and rows[name].option == "lag":
+        if name not in known:
+            raise ValueError(_unknown_field(name, scene))
+        if name not in lacking:
+            continue
+        option = registry.FIELDS[name].option
+        if option == "lag":
             raise ValueError(
                 f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
             )
-        if name in lacking:
-            raise ValueError(f"{name} needs the argument {rows[name].option}=")
+        raise ValueError(f"{name} needs the argument {option}=")
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
+
+
+def _unknown_field(name: Any, scene: Description) -> str:
+    """Return the message about a field that does not exist."""
+    listed = registry.listed()
+    word = str(name).lower()
+    if word in registry.CALLS:
+        return f"{name!r} is no field; did you mean {registry.CALLS[word]}?"
+    if word == "all":
+        return "fields='all': leave fields out for all that the scene allows"
+    parts = re.findall(r"\w+", str(name))
+    if len(parts) > 1 and all(part in listed for part in parts):
+        return f"fields={name!r}: give several fields as a list, {parts}"
+    others = "others are listed by xcg.FIELDS and by ds.data_vars"
+    return unknown("field", name, [*listed, *scene.rows], others, registry.OTHER_NAMES)
 
 
 def _with_errors(

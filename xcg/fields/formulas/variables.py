@@ -379,10 +379,12 @@ def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
         f"expected numbers with ('time', {rows!r}), and 'component' for vectors, "
         "or 'component' and 'direction' for tensors"
     )
-    if {"contact", "particle"} & {*column.dims} - {rows}:
+    if "contact" in column.dims and rows == "particle":
+        rename = f"ds = ds.rename({name}='contact_{name}')"
+        way_out = f"names of variables of contacts begin with 'contact_'; call {rename}"
+    elif "particle" in column.dims and rows == "contact":
         way_out = (
-            "names of variables of contacts, and names that begin with 'contact_' are for them alone; "
-            f"give it another name, by ds.rename({name}=...)"
+            "names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
         )
     elif "time" not in column.dims:
         way_out = f"add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
