@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,8 @@ from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
 
+# first and last place along axes (m)
+Bounds: TypeAlias = Mapping[str, Sequence[float]]
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 1 << 24  # 134 MB of places
 _FINEST = 1e-9  # least spacing, in radii of the support
@@ -44,7 +46,7 @@ def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
 def check_places(
     axes: Sequence[str],
     at: Mapping[str, float],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     known: Sequence[str],
 ) -> None:
     """Raise ValueError for unknown axes, axes both resolved and fixed, and bounds of axes that are not resolved."""
@@ -84,8 +86,8 @@ def nodes_along(
     a: str,
     step: Any,
     axes: Iterable[str],
-    bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]],
+    bounds: Bounds,
+    automatic: Bounds,
     period: Mapping[str, float],
     cutoff: float,
     cells: bool = False,
@@ -135,12 +137,12 @@ def nodes_along(
 def make_grid(
     axes: str,
     at: Mapping[str, float],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     spacing: float | Mapping[str, float],
     *,
     plane: str,
     cutoff: float,
-    automatic: Mapping[str, tuple[float, float]],
+    automatic: Bounds,
     period: Mapping[str, float],
     cells: bool = False,
 ) -> Grid:

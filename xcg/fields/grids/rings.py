@@ -20,6 +20,7 @@ from xcg.compiled.points import SQUARES
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
 from xcg.fields.grids.grid import (
     MAX_NODES,
+    Bounds,
     PointBlock,
     check_axes,
     check_places,
@@ -216,13 +217,13 @@ _BLOCKS = 4  # parts a thread
 def make_rings(
     axes: str,
     at: Mapping[str, Any],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     spacing: float | Mapping[str, float],
     *,
     plane: str,
     kernel: Kernel,
     error: float,
-    automatic: Mapping[str, tuple[float, float]],
+    automatic: Bounds,
     period: Mapping[str, float],
 ) -> Grid:
     """Lay the nodes of a cylinder.
@@ -318,7 +319,7 @@ def letters_of(plane: str) -> str:
 
 def _fixed_places(
     at: Mapping[str, Any],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     resolved: Sequence[str],
     known: Sequence[str],
 ) -> dict[str, float]:
@@ -345,8 +346,8 @@ def _fixed_places(
 def _radii(
     step: float | None,
     resolved: Sequence[str],
-    bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]],
+    bounds: Bounds,
+    automatic: Bounds,
     cutoff: float,
 ) -> NDArray:
     """Return the radii of the nodes; without bounds a whole number of steps from the axis."""
@@ -363,7 +364,7 @@ def _radii(
 def _angles(
     steps: Mapping[str, Any],
     resolved: Sequence[str],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     radius: float,
     cutoff: float,
 ) -> NDArray:
@@ -378,7 +379,7 @@ def _angles(
     return angles
 
 
-def _part_of_circle(bounds: Mapping[str, Sequence[float]]) -> tuple[float, float]:
+def _part_of_circle(bounds: Bounds) -> tuple[float, float]:
     """Return the bounds of theta. Raise ValueError unless they are at most a circle apart."""
     low, high = map(float, bounds.get("theta", (0.0, _FULL)))
     if not 0.0 < high - low <= _FULL * (1 + 1e-12):
