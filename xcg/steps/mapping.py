@@ -206,8 +206,8 @@ class Gathered:
         entries = {}
         for name, array in arrays.items():
             # of what is `picked`
-            own = array.dask.layers.get(array.name)
-            layer, entry = getattr(own, "origin", (array.name, ""))
+            picks = array.dask.layers.get(array.name)
+            layer, entry = getattr(picks, "origin", (array.name, ""))
             source = (layer, array.ndim)
             if entry:
                 source = (layer, 1)

@@ -362,11 +362,11 @@ def read_quantity(text: str) -> Quantity | None:
     if call is None:
         return None
     kind = call[1].lower()
-    given = [part.strip() for part in call[2].split(",")]
+    parts = [part.strip() for part in call[2].split(",")]
     named: dict[str, Any] = dict(
-        re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part
+        re.split(r"\s*=\s*", part, maxsplit=1) for part in parts if "=" in part
     )
-    plain: list[Any] = [part for part in given if "=" not in part]
+    plain: list[Any] = [part for part in parts if "=" not in part]
     forms = (
         f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
     )

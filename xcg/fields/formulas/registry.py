@@ -350,10 +350,10 @@ def _refuse(name: Any, why: str) -> NoReturn:
 
 
 def _check(name: str, row: Field) -> None:
-    own = listed(registered=False)
+    of_xcg = listed(registered=False)
     if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
         _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
-    if name in (*own, *COORDINATES):
+    if name in (*of_xcg, *COORDINATES):
         _refuse(name, "the name is that of a field of xcg, or of a coordinate; choose another")
     if not callable(row.compute):
         _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
@@ -372,8 +372,8 @@ def _check(name: str, row: Field) -> None:
             _refuse(name, f"it needs an {unknown('moment', need, list(MOMENTS), where)}")
     if name in order_of(row.fields, Options()):
         _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
-    if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):
-        sums = [field for field in own if FIELDS[field].additive and FIELDS[field].rank == 0]
+    if row.weight and (row.additive or row.weight not in of_xcg or not FIELDS[row.weight].additive):
+        sums = [field for field in of_xcg if FIELDS[field].additive and FIELDS[field].rank == 0]
         _refuse(
             name,
             f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}",

@@ -89,17 +89,17 @@ class Rotated:
     origin: Sequence[float] = _NO_PLACE
 
     def __post_init__(self) -> None:
-        given = self._chosen
-        if len(given) not in (1, 2):
+        chosen = self._chosen
+        if len(chosen) not in (1, 2):
             raise ValueError(
                 f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
             )
-        for name in given:
+        for name in chosen:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
-        if len(given) == 2 and self._second(*given) is None:
+        if len(chosen) == 2 and self._second(*chosen) is None:
             raise ValueError(
-                f"{self}: the axes {' and '.join(given)} are parallel: give two different directions"
+                f"{self}: the axes {' and '.join(chosen)} are parallel: give two different directions"
             )
 
     @classmethod

@@ -510,8 +510,8 @@ class Surface(Wall):
     def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
         """Return where rays cross."""
         out = np.full((*directions.shape[:2], loops.MOST_CROSSINGS), np.inf)
-        given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
-        most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
+        rays = (np.ascontiguousarray(a, "float64") for a in (points, directions))
+        most = loops.crossings(*rays, float(reach), self.corners, self.centre, self._radius, out)
         return out[..., : max(1, most)]
 
     @cached_property

@@ -176,16 +176,16 @@ def translate(
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
     require_scene(scene.columns, (), "coarse_grain")
-    own = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
-    names = _choose(request.fields, possible_fields(scene, own))
+    in_xcg = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
+    names = _choose(request.fields, possible_fields(scene, in_xcg))
     points = any(map(np.ndim, (request.at or {}).values()))
     if request.gradient == "finite_difference" and (scene.cylindrical or points):
         # rings and points have no differences
         names = [name for name in names if request.fields is not None or name not in _GRADIENTS]
         if not set(names) & set(_GRADIENTS):
-            own = replace(own, gradient="least_squares")
+            in_xcg = replace(in_xcg, gradient="least_squares")
     needed = list(dict.fromkeys(["sample_count", *(ROWS[name].ours for name in names)]))
-    return replace(own, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
+    return replace(in_xcg, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
 
 
 def lammps_mesh(

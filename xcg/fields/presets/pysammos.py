@@ -306,17 +306,17 @@ def translate(
         )
     require_scene(scene.columns, (), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
-    own = replace(request, preset=None, shear_dims=None)
+    in_xcg = replace(request, preset=None, shear_dims=None)
     chosen = {
         name: table[name].field
-        for name in choose(request.fields, table, possible_fields(scene, own))
+        for name in choose(request.fields, table, possible_fields(scene, in_xcg))
     }
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
     fields: list[Any] = []
     for name, row in chosen.items():
         fields.append(name if name in same else registry.OwnRow(name, row))
-    own = replace(own, fields=[*fields, "sample_count"])
-    return own, partial(_in_its_names, renamed=same)
+    in_xcg = replace(in_xcg, fields=[*fields, "sample_count"])
+    return in_xcg, partial(_in_its_names, renamed=same)
 
 
 def pysammos_mesh(

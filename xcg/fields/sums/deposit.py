@@ -345,8 +345,8 @@ def sums_of_frame(
     moments = spec.rows.values()
     names = spec.rows.keys()
     # variables of scenes were checked with their frame
-    own = {name for row in moments for name in row.variables} - VARIABLES.keys()
-    for name in own:
+    of_scene = {name for row in moments for name in row.variables} - VARIABLES.keys()
+    for name in of_scene:
         check_finite(name, step.frame, source)
     # the calling thread begins with the last: contacts take more memory than grains
     needed = {

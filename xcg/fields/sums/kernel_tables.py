@@ -127,8 +127,8 @@ def _line_error(profile: Profile) -> float:
         radii = np.hypot(distance, half * (2.0 * share - 1.0))
         exact = 0.5 * (_values(profile, radii.ravel()).reshape(radii.shape) @ weights).mean()
         chord = np.array([[half, distance]]), np.array([2.0 * half, 0.0])
-        found = mean_along(*chord, 0, codes.TABLE, table_of(profile, 0))
-        largest = max(largest, abs(float(found[0]) - exact))
+        mean = mean_along(*chord, 0, codes.TABLE, table_of(profile, 0))
+        largest = max(largest, abs(float(mean[0]) - exact))
     return largest / _largest(profile)
 
 
