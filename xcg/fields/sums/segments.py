@@ -112,8 +112,8 @@ MOST_LISTED_ONCE = 1 << 22
 _TOGETHER = 256
 
 
-class Listing(NamedTuple):
-    """First arguments of `list_segments`."""
+class ContactSides(NamedTuple):
+    """Sides of contacts, of which segments are listed: the first arguments of `list_segments`."""
 
     rows: ContactRows
     on_j: NDArray | None
@@ -139,7 +139,7 @@ class ListedOnce:
 class ListedAnew:
     """Segments of which the bounds alone stay in memory."""
 
-    listing: Listing
+    sides: ContactSides
     contacts: NDArray
     bounds: NDArray
     limits: NDArray
@@ -154,7 +154,7 @@ class ListedAnew:
             places = (RUN * some[:, None] + np.arange(RUN)).ravel()
             # the last run may be shorter
             contacts = self.contacts[places[places < len(self.contacts)]]
-            records, _, _ = list_some(self.listing, contacts)
+            records, _, _ = list_some(self.sides, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
 
@@ -162,11 +162,11 @@ class ListedAnew:
 Branches: TypeAlias = ListedOnce | ListedAnew
 
 
-def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+def list_some(sides: ContactSides, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records = np.empty((len(contacts), SEGMENT))
     longest = np.empty(4)
-    more = list_segments(*listing, contacts, records, None, longest)
+    more = list_segments(*sides, contacts, records, None, longest)
     return records, longest, more
 
 
@@ -233,15 +233,15 @@ def _segments(
     limits = step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
     by_phase = step.spec.by_phase
-    listing = Listing(rows, on_j, second, others, by_phase, cutoff, step.spec.origin)
+    sides = ContactSides(rows, on_j, second, others, by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
-        more = list_segments(*listing, contacts, None, bounds, longest)
+        more = list_segments(*sides, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
-            return ListedAnew(listing, contacts, bounds, limits), longest, more
-    segments, longest, more = list_some(listing, contacts)
+            return ListedAnew(sides, contacts, bounds, limits), longest, more
+    segments, longest, more = list_some(sides, contacts)
     mesh.check_far(longest[:3], step.source)
     shift = np.zeros(3)
     if tilted:
@@ -258,7 +258,7 @@ def _segments(
                 continue
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            in_images = listing._replace(rows=rows._replace(on_i=on_i), on_j=on_j)
+            in_images = sides._replace(rows=rows._replace(on_i=on_i), on_j=on_j)
             moving, _, _ = list_some(in_images, contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
