@@ -242,7 +242,7 @@ TABLE = [
     ),
     # --- fields/grids ---
     Mutation(
-        "fields/grids/grid.py", "first += 0.5 * step if cells", "first += 0.4 * step if cells",
+        "fields/grids/grid.py", "first += 0.5 * step", "first += 0.4 * step",
         "test_cells_lie_side_by_side",
     ),
     Mutation(
@@ -254,7 +254,7 @@ TABLE = [
         "(np.hypot(x, y) - self.radius)\n        with", "test_the_accessible_fraction_near_walls_equals_brute_force",
     ),
     Mutation(
-        "fields/grids/walls.py", "rows[:, ::-1] if flip else rows", "rows if flip else rows[:, ::-1]",
+        "fields/grids/walls.py", "if flip:", "if not flip:",
         "test_distances_from_triangles_equal_those_of_brute_force test_surfaces_are_read_from_files",
     ),
     # --- fields/formulas ---
@@ -275,7 +275,7 @@ TABLE = [
         "(2 * double_dot(inverse, own) - mean + shared)", "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
     ),
     Mutation(
-        "fields/formulas/rows/contacts.py", "(0.5 if o.dimension == 2 else 1.5)", "(1.5 if o.dimension == 2 else 0.5)",
+        "fields/formulas/rows/contacts.py", "{2: 0.5, 3: 1.5}[o.dimension]", "{2: 1.5, 3: 0.5}[o.dimension]",
         "test_anisotropies_of_a_plane",
     ),
     Mutation(
@@ -291,7 +291,7 @@ TABLE = [
         "test_a_steady_part_counts_as_far_as_it_exceeds_its_noise",
     ),
     Mutation(
-        "fields/formulas/rows/errors.py", "+ 2 * theta * slopes) / 4", "- 2 * theta * slopes) / 4",
+        "fields/formulas/rows/errors.py", "+ 2 * f._covariance * f._slopes", "- 2 * f._covariance * f._slopes",
         "test_errors_of_linear_fields_by_propagation",
     ),
     Mutation(
@@ -320,7 +320,7 @@ TABLE = [
         "test_the_mesh_equals_that_of_pysammos",
     ),
     Mutation(
-        "fields/accessible.py", "low = max([box[0], *(", "low = max([*(",
+        "fields/accessible.py", "max(first for first, _ in bounds)", "max(first for first, _ in bounds[1:])",
         "test_surfaces_beyond_the_box_count_as_far_as_the_box",
     ),
     Mutation(

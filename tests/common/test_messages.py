@@ -139,7 +139,6 @@ def test_names_of_others_are_answered_by_those_of_the_package(ds):
         (lambda: ds.cg.coarse_grain("Volume Fraction"), "did you mean 'volume_fraction'"),
         (lambda: ds.cg.coarse_grain("density", w=1.0), "did you mean 'width'"),
         (lambda: ds.cg.coarse_grain("density", time=0), r"ds\.isel\(time=-1\)"),
-        (lambda: ds.cg.coarse_grain("density", axes="Z"), "did you mean 'z'"),
         (lambda: ds.cg.coarse_grain("density", at="z"), "axes='z' resolves an axis"),
         (lambda: ds.cg.coarse_grain("density", kernel="gauss"), "did you mean 'gaussian'"),
         (lambda: ds.cg.stress, r"ds\.cg\.coarse_grain\('stress'\)"),

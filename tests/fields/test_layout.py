@@ -50,7 +50,7 @@ def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, 
 def test_many_nodes_per_grain_warn_and_name_the_particle():
     with pytest.warns(
         SceneWarning,
-        match=r"4\.41e\+03 for each particle: particle 17 at .*without it .* 5\.\d+e\+03 nodes",
+        match=r"4\.41e\+03 for each particle: particle 17 at .* is far from the others",
     ):
         scene(150.0).cg.coarse_grain("density")
 
@@ -98,7 +98,7 @@ def test_lengths_are_multiples_of_sizes(text, factor):
     by_number = ds.cg.explain("density", axes="z", width=length, spacing=length)
     assert by_size.kernel.width == by_number.kernel.width == pytest.approx(length, rel=1e-14)
     assert by_size.deposit.grid.spacing == by_number.deposit.grid.spacing
-    with pytest.raises(ValueError, match=r"did you mean '0\.5 d43'"):
+    with pytest.raises(ValueError, match=r"multiple of .* such as '0\.75 d43'"):
         ds.cg.coarse_grain("density", axes="z", width=1.0, spacing="0.5 d")
 
 

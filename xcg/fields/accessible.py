@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
-from xcg.fields.grids.frames import Rotated
+from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.rings import ring_points
 from xcg.fields.grids.sections import GOLDEN, AveragedFraction, Span
 from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
-from xcg.fields.request import Per, Request
+from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 from xcg.scene.facts import with_setup
@@ -39,38 +39,18 @@ _POLAR = 12
 _TURNS = 24
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
-_LONG = 10.0  # seconds; longer work warns before, and shows its progress
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
 
 def check_walls(request: Request) -> None:
-    """Raise ValueError for invalid walls, and for `per` without walls.
-
-    Raises
-    ------
-    ValueError
-        If an argument is wrong.
-    """
-    if request.per not in (None, *get_args(Per)):
-        raise ValueError(
-            f"per={request.per!r}: expected 'accessible', or None for fields per volume"
-        )
+    """Raise ValueError for `per` without walls, and for walls with options that leave them no meaning."""
     if request.surfaces is None:
         if request.per is not None:
             raise ValueError(
                 "per='accessible' needs surfaces=, for example surfaces=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
             )
         return
-    walls = (
-        request.surfaces
-        if isinstance(request.surfaces, Sequence) and not isinstance(request.surfaces, str)
-        else [None]
-    )
-    if not walls or not all(isinstance(wall, Wall) for wall in walls):
-        raise ValueError(
-            f"surfaces={request.surfaces!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
-        )
     if request.sampling == "cell":
         raise ValueError(
             "surfaces= with sampling='cell': the accessible fraction is that at a node; leave one out"
@@ -84,9 +64,11 @@ def check_walls(request: Request) -> None:
 def walls_of(request: Request) -> list[Wall]:
     """Return the walls of a request, in the axes of its frame."""
     walls = list(request.surfaces or ())
-    if request.frame is None:
+    frame = request.frame
+    if frame is None:
         return walls
-    frame = request.frame if isinstance(request.frame, Rotated) else request.frame.rotated
+    if isinstance(frame, Cylindrical):
+        frame = frame.rotated
     return [wall.in_axes(frame.axes, np.asarray(frame.origin, float)) for wall in walls]
 
 
@@ -110,34 +92,29 @@ def with_accessible(
     beside = [name for name in plan.fields if name not in plan.asked]
     f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
-    seconds = accessible.seconds()
-    if seconds > _LONG:
-        advice = "simplify the surfaces" if accessible.average else "take a larger spacing"
-        warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
         from dask.delayed import delayed
 
         chi = da.from_delayed(delayed(accessible.values)(), accessible.shape, float)
-    elif seconds > _LONG:
+    else:
         with shown(accessible.steps, None, what="rays and nodes at walls") as bar:
             chi = accessible.values(bar.update)
-    else:
-        chi = accessible.values()
     field = xr.DataArray(chi, dims=accessible.dims).expand_dims(time=f.sizes["time"])
-    about = {
-        "units": "1",
-        "long_name": "share of the kernel on the accessible side of the walls",
-        "source": "walls",
-    }
-    about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
-    field = field.assign_attrs(about)
+    field = field.assign_attrs(
+        units="1",
+        long_name="share of the kernel on the accessible side of the walls",
+        source="walls",
+        formula="chi = int Psi(r - r') dr' over the accessible side",
+    )
     if request.per is not None:
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = with_setup(per.assign_attrs(per="accessible", per_note=note))
-    f = f.drop_vars(beside) if request.for_averages is False else f.set_coords(beside)
+    f = f.set_coords(beside)
+    if request.for_averages is False:
+        f = f.drop_vars(beside)
     return f.assign(accessible_fraction=field).assign_attrs(
         surfaces="\n".join(map(repr, request.surfaces or ()))
     )
@@ -167,17 +144,14 @@ def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Acce
         raise ValueError(
             f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
         )
-    middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
-    for wall in walls:
-        if (
-            middle is not None
-            and isinstance(wall, Plane)
-            and wall.bounds is None
-            and wall.distance(middle)[0] < 0
-        ):
-            warn_user(
-                f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
-            )
+    if scene.corners is not None:
+        middle = np.mean(scene.corners, axis=0, keepdims=True)
+        for wall in walls:
+            is_whole = isinstance(wall, Plane) and wall.bounds is None
+            if is_whole and wall.distance(middle)[0] < 0:
+                warn_user(
+                    f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
+                )
     grid = plan.deposit.grid
     points, shares, first = _points_of(plan, walls, cylindrical=scene.cylindrical)
     averaged = _averaged(plan, walls, scene.edges)
@@ -198,11 +172,10 @@ def _points_of(
     """
     grid = plan.deposit.grid
     if not cylindrical:
-        seen = [a for a in plan.setup.plane if a not in grid.averaged]
-        places = xr.broadcast(*(xr.DataArray(grid.coords[a]) for a in seen)) if seen else ()
-        points = np.zeros((math.prod(grid.sizes), 3))
-        for a, values in zip(seen, places, strict=True):
-            points[:, COMPONENTS.index(a)] = values.transpose(*grid.dims).to_numpy().ravel()
+        sizes = dict(zip(grid.dims, grid.sizes, strict=True))
+        points = np.zeros((grid.count, 3))
+        for a in grid.seen:
+            points[:, COMPONENTS.index(a)] = grid.coords[a].set_dims(sizes).to_numpy().ravel()
         return points, np.ones(len(points)), np.arange(len(points))
     return ring_points(grid, whole=any(wall.turns() for wall in walls))
 
@@ -244,7 +217,9 @@ class Accessible:
     @property
     def steps(self) -> int:
         """Number of steps that `values` counts: rays, or points."""
-        return self.average.steps if self.average else len(self.points)
+        if self.average:
+            return self.average.steps
+        return len(self.points)
 
     def values(self, advance: Callable[[int], object] = lambda _: None) -> NDArray:
         """Compute the fraction at the nodes; `advance` is called with the number of steps that are finished."""
@@ -271,13 +246,15 @@ class Accessible:
         _, once, sample = np.diff(times)
         return float(once + max(0.0, sample - once) * len(self.points) / count)
 
-    def text(self, seconds: float) -> str:
-        """Describe the work, which takes some seconds."""
+    def text(self) -> str:
+        """Describe the work, with an estimate of the time it takes."""
         work = f"at {len(self.points)} points, by up to {2 * _POLAR * _TURNS} rays from each"
         if self.average:
             along = COMPONENTS[self.average.along]
             work = f"by {self.average.steps} rays along {along}"
-        return f"the accessible fraction {work} takes about {seconds:.2g} s, once for all steps"
+        return (
+            f"the accessible fraction {work} takes about {self.seconds():.2g} s, once for all steps"
+        )
 
 
 def _averaged(
@@ -293,9 +270,9 @@ def _averaged(
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue
-        box = edges.get(a, (-np.inf, np.inf))
-        low = max([box[0], *(wall.span(k)[0] for wall in closed)])
-        high = min([box[1], *(wall.span(k)[1] for wall in closed)])
+        bounds = [edges.get(a, (-np.inf, np.inf)), *(wall.span(k) for wall in closed)]
+        low = max(first for first, _ in bounds)
+        high = min(last for _, last in bounds)
         ends = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
         if ends and low == -np.inf:
             low = min(first for first, _ in ends)
@@ -408,12 +385,11 @@ def _along_rays(
     breaks = np.sort(np.concatenate([ends, *crossings, ends + cutoff], axis=-1), axis=-1)
     middle = (breaks[..., 1:] + breaks[..., :-1]) / 2
     is_open = np.ones(middle.shape, bool)
-    for own, start in zip(crossings, distance > 0, strict=True):
-        turns = sum(
-            (own[..., k, None] < middle for k in range(own.shape[-1])),
-            start=np.zeros(middle.shape, int),
-        )
-        is_open &= start[:, None, None] ^ (turns % 2 == 1)
+    for of_wall, start in zip(crossings, distance > 0, strict=True):
+        before = np.zeros(middle.shape, int)
+        for k in range(of_wall.shape[-1]):
+            before += of_wall[..., k, None] < middle
+        is_open &= start[:, None, None] ^ (before % 2 == 1)
     share = np.diff(cumulative(np.minimum(breaks, cumulative.x[-1])), axis=-1) * is_open
     return np.asarray((share.sum(axis=-1) * weight).sum(axis=1))
 
@@ -426,7 +402,8 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
     where what they see changes quickly.
     """
     x, w = leggauss(_POLAR)
-    t, w = (x + 1) / 2, w / 2
+    t = (x + 1) / 2
+    w = w / 2
     if len(plane) == 2:
         split = np.arccos(depth)[:, None]
         angle = np.concatenate([split * (1 - t**2), split + (np.pi - split) * t**2], axis=1)
@@ -435,13 +412,9 @@ def _rays(towards: NDArray, depth: NDArray, plane: str) -> tuple[NDArray, NDArra
         )
         normal = np.eye(3)[next(k for k, a in enumerate(COMPONENTS) if a not in plane)]
         beside = np.cross(normal, towards)
-        up, side = (
-            np.cos(angle)[..., None] * towards[:, None],
-            np.sin(angle)[..., None] * beside[:, None],
-        )
-        return np.concatenate([up + side, up - side], axis=1), np.concatenate(
-            [weight, weight], axis=1
-        )
+        up = np.cos(angle)[..., None] * towards[:, None]
+        side = np.sin(angle)[..., None] * beside[:, None]
+        return np.concatenate([up + side, up - side], axis=1), np.tile(weight, 2)
     split = depth[:, None]
     cosine = np.concatenate([split + (1 - split) * t**2, split - (1 + split) * t**2], axis=1)
     weight = np.concatenate([(1 - split) * 2 * t * w, (1 + split) * 2 * t * w], axis=1) / 2

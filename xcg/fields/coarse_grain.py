@@ -77,28 +77,28 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    if request.surfaces is not None or request.per is not None:
-        check_walls(request)
+    check_walls(request)
     like = request.like
-    if like is not None:
-        request = request_like(request)
+    request = request_like(request)
     walls = walls_of(request)
-    framed = {"frame": request.frame} if request.frame is not None else {}
+    frame = request.frame
     ds, request = prepare(ds, request)
-    given = request.given() | framed
+    given = request.given()
+    if frame is not None:
+        given["frame"] = frame
     if request.on_error == "raise":
         del given["on_error"]
     call = format_call("coarse_grain", given)
-    rename = None
     scene = describe(ds, request.by)
-    if request.preset is not None:
-        request, rename = _in_own_names(scene, request)
+    request, rename = _in_own_names(scene, request)
     by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
-        units = "check that sizes and positions have one unit; " if by_sizes else ""
-        raise ValueError(f"{error}; {units}{about_strays(ds, scene)}") from None
+        way_out = about_strays(ds, scene)
+        if by_sizes:
+            way_out = f"check that sizes and positions have one unit; {way_out}"
+        raise ValueError(f"{error}; {way_out}") from None
     check_size(
         ds,
         scene,
@@ -111,7 +111,9 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:
         result = with_nodes_of(result, like)
-    return rename(result) if rename else result
+    if rename is not None:
+        result = rename(result)
+    return result
 
 
 # coarse_grain of a conformed scene and a Request, for functions built on it
@@ -150,20 +152,16 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
-    if request.surfaces is not None or request.per is not None:
-        check_walls(request)
-    if request.like is not None:
-        request = request_like(request)
+    check_walls(request)
+    request = request_like(request)
     walls = walls_of(request)
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)
-    if request.preset is not None:
-        request, _ = _in_own_names(scene, request)
+    request, _ = _in_own_names(scene, request)
     plan = make_plan(scene, request)
     cost = None
     if walls:
-        accessible = accessible_of(scene, plan, walls)
-        cost = accessible.text(accessible.seconds())
+        cost = accessible_of(scene, plan, walls).text()
     return replace(plan, effective_count=effective_count(scene, plan), walls=cost)
 
 
@@ -176,7 +174,8 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
         ds = group_bodies(ds, asked.by_body)
         asked = replace(asked, by_body=None)
     if asked.frame is not None:
-        ds = ds if is_cylindrical(ds) else in_frame(with_measures(ds), asked.frame)
+        if not is_cylindrical(ds):
+            ds = in_frame(with_measures(ds), asked.frame)
         if not is_cylindrical(ds):
             return ds, replace(asked, frame=None)
         letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
@@ -189,9 +188,9 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
 
 def _in_own_names(
     scene: Description, request: Request
-) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
-    if request.preset not in PRESETS:
-        raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
+) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset] | None]:
+    """Return the request in names of xcg, and the function that turns its answer into that of the preset."""
+    if request.preset is None:
+        return request, None
     of_fields, rename = PRESETS[request.preset](scene, request)
     return replace(of_fields, for_averages=False), rename

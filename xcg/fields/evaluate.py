@@ -121,9 +121,11 @@ class CoarseGraining(FrameAnalysis):
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     """1 / (extents of the averaged axes x thickness of the layer) for one step."""
-    given = {**plan.extent, **({plan.depth: None} if isinstance(plan.depth, str) else {})}
-    lengths = [length for length in given.values() if length is not None]
-    of_box = [a in given and given[a] is None for a in COMPONENTS]
+    extent = dict(plan.extent)
+    if isinstance(plan.depth, str):
+        extent[plan.depth] = None
+    lengths = [length for length in extent.values() if length is not None]
+    of_box = [extent.get(a, 0.0) is None for a in COMPONENTS]
     if any(of_box):
         lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
@@ -154,50 +156,44 @@ def _compute_step(
     scale = scale_of(plan, lattice, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
-    traced = program.widths if program else ()
-    untraced = tuple(name for name in plan.fields if name not in traced)
+    untraced = plan.fields
+    if program:
+        untraced = tuple(name for name in plan.fields if name not in program.widths)
 
     reached: list[int] = []
 
     def fill(part: Block) -> None:
-        found = sums.over(part)
+        at_nodes = sums.over(part)
         place = part.places
-        reached.append(int(np.count_nonzero(~np.isnan(found.velocity[:, 0]))))
+        reached.append(int(np.count_nonzero(~np.isnan(at_nodes.velocity[:, 0]))))
         if program:
-            program.run(found, place, rows, part.order)
+            program.run(at_nodes, place, rows, part.order)
         if untraced:  # with NumPy
             # the box may change
             options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))
-            for name, values in registry.evaluate(untraced, found.moments, options).items():
+            for name, values in registry.evaluate(untraced, at_nodes.moments, options).items():
                 rows[name][place] = values.swapaxes(0, 1)
 
-    whole = plan.options.gradient == "finite_difference"
-    for_each(
-        grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads),
-        fill,
-        threads,
-    )
-    if grid.undirected.size:
-        for name, values in rows.items():
-            rank = registry.row(name, plan.options).rank
-            if rank:  # what is along the axis alone has a direction there
-                along: Any = (grid.undirected, ..., *(2,) * rank)
-                known = values[along]
-                values[grid.undirected] = np.nan
-                values[along] = known
+    if plan.options.gradient == "finite_difference":  # of all nodes at once
+        blocks = grid.blocks(grid.count, 1)
+    else:
+        blocks = grid.blocks(plan.block_nodes, threads)
+    for_each(blocks, fill, threads)
+    for name, values in rows.items():
+        rank = registry.row(name, plan.options).rank
+        if rank and grid.undirected.size:  # what is along the axis alone has a direction there
+            along: Any = (grid.undirected, ..., *(2,) * rank)
+            known = values[along]
+            values[grid.undirected] = np.nan
+            values[along] = known
     if plan.is_narrow:
         return  # the plan has warned of the cause of what follows
-    if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
+    if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
     # extent=1 m asks for an integral in place of an average: no warning
-    if (
-        "volume_fraction" in rows
-        and 1.0 not in plan.extent.values()
-        and rows["volume_fraction"].max(initial=0.0) > 1.0
-    ):
-        _warn_of_fraction(
-            plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source
-        )
+    if "volume_fraction" in rows and 1.0 not in plan.extent.values():
+        largest = frame["volume"].max(initial=0.0) * scale
+        _warn_of_fraction(plan, rows["volume_fraction"], largest, source)
 
 
 _NARROW = "narrow kernel"  # a cause that both warnings have, and that one of them tells
@@ -205,18 +201,17 @@ _NARROW = "narrow kernel"  # a cause that both warnings have, and that one of th
 
 def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
     """Warn of a volume fraction (nodes, phases) above 1, where the volume of the `largest` grain may be the cause."""
+    if not fraction.max(initial=0.0) > 1.0:
+        return
     node = int(fraction.max(axis=1).argmax())
     grid = plan.deposit.grid
     kernel = plan.kernel
     index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
-    coords = {
-        name: coord.isel({dim: index[str(dim)] for dim in coord.dims})
-        for name, coord in grid.coords.items()
-    }
-    place = (
-        ", ".join(f"{name} = {float(coord):.4g}" for name, coord in coords.items())
-        or "the only node"
-    )
+    at_node = []
+    for name, coord in grid.coords.items():
+        value = float(coord.isel({dim: index[str(dim)] for dim in coord.dims}))
+        at_node.append(f"{name} = {value:.4g}")
+    place = ", ".join(at_node) or "the only node"
     alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
     about = "volume fraction"
     cause = "grains overlap, or their sizes, or the length of an average (extent=, thickness=), are not right"
@@ -249,7 +244,6 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
     "theta": {"units": "rad", "long_name": "angle about the axis"},
     "z": {"long_name": "position along the axis", "axis": "Z"},
 }
-_AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 
 def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
@@ -262,21 +256,19 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {}
-        if name in _AXES and scene.cylindrical:
+        if scene.cylindrical and name in _CYLINDRICAL:
             attrs = {"units": length} | _CYLINDRICAL[name]
-        elif name in _AXES:
-            attrs = {
-                "units": length,
-                "long_name": f"position along {name}",
-                "axis": name.upper(),
-            }
-            if name in wrapped:
-                attrs["period"] = wrapped[name]  # also of a part of the nodes
+        elif name in COMPONENTS:
+            attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        if name in wrapped:
+            attrs["period"] = wrapped[name]  # also of a part of the nodes
         coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
     if plan.deposit.by:
         coords["phase"] = phases_of(plan.deposit.by, plan.deposit.groups)
     fields = [registry.row(name, options) for name in plan.fields]
-    axes = list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)
+    axes = list(COMPONENTS)
+    if scene.cylindrical:
+        axes = list(_CYLINDRICAL)
     for dim in ("component", "direction")[: max(field.rank for field in fields)]:
         coords[dim] = xr.Variable(dim, axes)
     if any(field.paired for field in fields):
@@ -289,11 +281,21 @@ def _choices(plan: Plan) -> dict[str, Any]:
     """Return the options of a plan as attributes of its result."""
     options = plan.options
     grid = plan.deposit.grid
-    choices: dict[str, Any] = {
+    width: Any = plan.kernel.width
+    cutoff: Any = plan.kernel.cutoff
+    if len(plan.widths) > 1:
+        width = plan.widths
+        cutoff = list(plan.deposit.cutoffs)
+    sampling = "node"
+    if grid.half.any():
+        sampling = "cell"
+    shear_dims = "".join(COMPONENTS[k] for k in options.shear_axes or ())
+    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
+    choices = {
         **grid.attrs,
         "kernel": plan.kernel.name,
-        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
-        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
+        "width": width,
+        "cutoff": cutoff,
         "kernel_dimension": plan.kernel.dimension,
         "rtol": plan.rtol,
         "gradient": options.gradient,
@@ -301,36 +303,32 @@ def _choices(plan: Plan) -> dict[str, Any]:
         "deviatoric": options.deviatoric,
         "size": options.size,
         "temperature": options.temperature,
-        "sampling": "cell" if grid.half.any() else "node",
+        "sampling": sampling,
         "averaged_axes": grid.averaged,
         "wrapped_axes": "".join(
             a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
         ),
-    }
-    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
-    given: dict[str, Any] = {
-        "shear_dims": None
-        if options.shear_axes is None
-        else "".join(COMPONENTS[k] for k in options.shear_axes),
+        "shear_dims": shear_dims or None,
         "fluid_viscosity": options.fluid_viscosity,
         "friction": options.friction,
         "size_diameter": options.diameter,
         "lag": options.lag,
-        "extent": json.dumps(lengths) if lengths else None,
     }
-    return choices | {name: value for name, value in given.items() if value is not None}
+    if lengths:
+        choices["extent"] = json.dumps(lengths)
+    return {name: value for name, value in choices.items() if value is not None}
 
 
 def about(row: Field, system: str) -> dict[str, str]:
     """Attributes of a field in a result."""
-    # a scene's own variables may have any unit
-    units = row.units if row.source else units_in(row.units, system)
-    found = {
-        "units": units,
+    attrs = {
+        "units": row.units,
         "long_name": row.long_name,
         "formula": row.formula,
         "source": row.source,
     }
-    # what averages of fields without a row need
-    found |= {"weight": row.weight} if row.source else {}
-    return {key: text for key, text in found.items() if text}
+    if row.source:  # a variable of the scene: it has any unit, and averages need its weight
+        attrs["weight"] = row.weight
+    else:
+        attrs["units"] = units_in(row.units, system)
+    return {key: text for key, text in attrs.items() if text}

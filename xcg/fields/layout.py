@@ -9,7 +9,6 @@ from typing import Any, cast
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_once, warn_user
@@ -18,7 +17,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.grid import make_grid, make_points
-from xcg.fields.grids.rings import make_rings
+from xcg.fields.grids.rings import letters_of, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.fields.sums.nodes import Grid
@@ -33,7 +32,8 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     """Lay the nodes: points, where coordinates are arrays; those of a cylinder; or a mesh."""
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
-    smallest, widest = (choose(kernels, key=lambda k: k.cutoff) for choose in (min, max))
+    smallest = min(kernels, key=lambda k: k.cutoff)
+    widest = max(kernels, key=lambda k: k.cutoff)
     if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=plane, cutoff=smallest.cutoff)
@@ -57,13 +57,12 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
                 f"{name}={wrong!r} takes a mesh along x, y and z, and a cylindrical frame has none: leave it out"
             )
     if {"x", "y"} <= set(automatic) and scene.radius is not None:
-        automatic["r"] = 0.0, scene.radius + widest.cutoff
+        automatic["r"] = (0.0, scene.radius + widest.cutoff)
     return make_rings(
-        request.axes_of("rtz" if "z" in plane else "rt"),
+        request.axes_of(letters_of(plane)),
         *places,
         plane=plane,
         kernel=smallest,
-        seen_all=scene.setup.dimension,
         error=request.frame.error,
         automatic=automatic,
         period=scene.periods,
@@ -82,12 +81,11 @@ def _spacing_of(
         return resolve_length("spacing", given, scene.sizes, advice)
     if not isinstance(given, Mapping):
         return cast(float, given)
-    return {
-        axis: resolve_length(f"spacing[{axis!r}]", step, scene.sizes, advice)
-        if isinstance(step, str)
-        else step
-        for axis, step in given.items()
-    }
+    steps = dict(given)
+    for axis, step in given.items():
+        if isinstance(step, str):
+            steps[axis] = resolve_length(f"spacing[{axis!r}]", step, scene.sizes, advice)
+    return steps
 
 
 def _check_pointwise(request: Request) -> None:
@@ -115,22 +113,20 @@ def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float
     """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     periodic = scene.setup.periodic
     # a box does not follow positions that were changed
-    found = {a: ends for a, ends in scene.edges.items() if scene.position_known or a in periodic}
+    bounds = {a: ends for a, ends in scene.edges.items() if scene.position_known or a in periodic}
     if scene.corners is not None:
         for a, low, high in zip(COMPONENTS, *scene.corners, strict=True):
             if a not in periodic or a not in scene.edges:
-                found[a] = low - cutoff, high + cutoff
-    return found
+                bounds[a] = (low - cutoff, high + cutoff)
+    return bounds
 
 
 def takes_gradient(name: str, options: Options) -> bool:
     """Return whether a field follows from the velocity gradient."""
-    # whose fluctuations are about the mean without it
-    if name in (
-        "velocity_gradient",
-        "fluctuation_stress",
-    ):
-        return name == "velocity_gradient"
+    if name == "velocity_gradient":
+        return True
+    if name == "fluctuation_stress":  # its fluctuations are about the mean without a gradient
+        return False
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 
 
@@ -143,16 +139,16 @@ def extents_of(
         raise ValueError(
             f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
         )
-    found: dict[str, float | None] = {}
+    lengths: dict[str, float | None] = dict.fromkeys(grid.averaged)
     for a in grid.averaged:
-        length = extent.get(a)
-        if length is None and a not in scene.edges and not scene.tilted:
+        if a in extent:
+            lengths[a] = float(extent[a])
+        elif a not in scene.edges and not scene.tilted:
             raise ValueError(
                 f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
                 f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
             )
-        found[a] = None if length is None else float(length)
-    return found
+    return lengths
 
 
 def kernels_of(scene: Description, request: Request) -> list[Kernel]:
@@ -167,13 +163,13 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
         raise ValueError(
             f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel"
         )
-    own = {str(group): value for group, value in width.items()}
+    widths = {str(group): value for group, value in width.items()}
     known = scene.groups(by, request.groups)
-    if set(own) != {str(g) for g in known}:
+    if set(widths) != {str(g) for g in known}:
         raise ValueError(
             f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
         )
-    return [kernel_of(kernel, own[str(g)], scene.sizes, dimension) for g in known]
+    return [kernel_of(kernel, widths[str(g)], scene.sizes, dimension) for g in known]
 
 
 def warn_of_width(
@@ -204,7 +200,9 @@ def warn_of_width(
 
 def undercut_size(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> str | None:
     """Return the size beside which a kernel is so narrow that it sees single grains; None if there is none."""
-    compared = ("dmin",) if of_groups else ("d43", "dmax")
+    compared = ["d43", "dmax"]
+    if of_groups:
+        compared = ["dmin"]
     return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
@@ -275,8 +273,7 @@ def check_size(
     if not grid.fitted or grid.count < _LARGE:
         return
     # all steps, or those of the longest chunk of a lazy scene
-    chunks = ds["position"].chunksizes.get("time")
-    steps = max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
+    steps = max(ds["position"].chunksizes.get("time", (ds.sizes["time"], 1)))
     needed = 8 * numbers * steps
     free = memory_at_hand()
     shown = " x ".join(map(str, grid.sizes))
@@ -289,7 +286,7 @@ def check_size(
     if grid.count > _MANY * particles:
         warn_user(
             f"the automatic mesh has {shown} nodes, {grid.count / particles:.3g} for each particle: "
-            f"{about_strays(ds, scene, grid)}"
+            f"{about_strays(ds, scene)}"
         )
 
 
@@ -306,7 +303,7 @@ def memory_at_hand() -> int | None:
         return None
 
 
-def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -> str:
+def about_strays(ds: xr.Dataset, scene: Description) -> str:
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
     way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.cg.select"
     position = ds["position"].transpose("time", "particle", "component").variable
@@ -322,23 +319,9 @@ def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -
     low, high = np.quantile(place, [(1 - _MIDDLE) / 2, (1 + _MIDDLE) / 2], axis=0)
     room = np.maximum(high - low, np.spacing(np.abs(place).max()))
     beyond = np.maximum(low - place, place - high) / room
-    strays = (beyond > 1.0).any(axis=1)
-    if not strays.any():
+    if not (beyond > 1.0).any():
         return way_out
     t, row = held[int(beyond.max(axis=1).argmax())]
     x, y, z = position.values[t, row].tolist()
-    text = f"particle {ids[t, row]} at ({x:.4g}, {y:.4g}, {z:.4g}) is far from the others"
-    if grid is not None:
-        count = len({*ids[tuple(held[strays].T)].tolist()})
-        such = "it" if count == 1 else f"{count} such particles"
-        text += f"; without {such} the mesh would have about {_nodes_around(place[~strays], grid):.3g} nodes"
-    return f"{text}; {way_out}"
-
-
-def _nodes_around(place: NDArray, grid: Grid) -> float:
-    """Nodes of a mesh around some particles, with the spacing and the margins of another."""
-    count = 1.0
-    for a, nodes in zip(grid.dims, grid.sizes, strict=True):
-        k = COMPONENTS.index(a)
-        count *= np.ptp(place[:, k]) / grid.spacing[a] + 4 if a in grid.fitted else nodes
-    return count
+    place_of_it = f"({x:.4g}, {y:.4g}, {z:.4g})"
+    return f"particle {ids[t, row]} at {place_of_it} is far from the others; {way_out}"

@@ -22,7 +22,7 @@ _IF_GIVEN = ("shear_dims", "fluid_viscosity", "friction")
 
 
 def request_like(request: Request) -> Request:
-    """Fill in a request from the result in its argument `like`, and take that out.
+    """Fill in a request from the result in its argument `like`, if there is one, and take that out.
 
     Raises
     ------
@@ -33,6 +33,8 @@ def request_like(request: Request) -> Request:
         what `like` determines.
     """
     result = request.like
+    if result is None:
+        return request
     if not isinstance(result, xr.Dataset):
         raise ValueError(f"like={type(result).__name__}: expected a result of coarse_grain")
     f = with_facts(result)
@@ -78,7 +80,9 @@ def _nodes(f: xr.Dataset) -> dict[str, Any]:
             continue
         nodes = f[a]
         if nodes.dims != (a,):
-            at[a] = float(nodes) if nodes.ndim == 0 else nodes
+            at[a] = nodes
+            if nodes.ndim == 0:
+                at[a] = float(nodes)
             continue
         bounds[a] = (float(nodes[0]), float(nodes[-1]))
         if nodes.size > 1:
@@ -107,7 +111,9 @@ def with_nodes_of(f: xr.Dataset, like: xr.Dataset) -> xr.Dataset:
         if a not in f.dims or a not in like.dims:
             continue
         x = like[a].to_numpy()
-        room = _SAME_NODES * (abs(x[1] - x[0]) if len(x) > 1 else 1.0)
+        room = _SAME_NODES
+        if len(x) > 1:
+            room *= abs(x[1] - x[0])
         if f.sizes[a] != len(x) or not np.allclose(f[a], x, rtol=_SAME_NODES, atol=room):
             raise SceneError(
                 f"like=: the nodes along {a} are {len(x)} in that result, {f.sizes[a]} here; "

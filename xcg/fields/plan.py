@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,11 @@ from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages, squared_integral
-from xcg.fields.formulas.field import (
-    Options,
-    Quantity,
-)
+from xcg.fields.formulas.field import Options, Quantity
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
+from xcg.fields.grids.grid import check_axes
 from xcg.fields.layout import (
     check_differentiable,
     extents_of,
@@ -35,7 +34,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
-from xcg.fields.sums.step import DepositSpec
+from xcg.fields.sums.step import AnyKernel, DepositSpec
 from xcg.scene.conform import require_scene
 from xcg.scene.description import Description, Summary
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
@@ -101,9 +100,12 @@ class Plan:
         deposit = self.deposit
         grid = self.deposit.grid
         self.phases = 1 + len(deposit.groups)
-        self.dims = (*grid.dims, "phase") if deposit.by else grid.dims
+        self.dims = grid.dims
+        places = grid.sizes
+        if deposit.by:
+            self.dims += ("phase",)
+            places += (self.phases,)
         self.widths = [self.kernel.spread * cutoff for cutoff in deposit.cutoffs]
-        places = (*grid.sizes, self.phases) if deposit.by else grid.sizes
         rows = {name: registry.row(name, self.options) for name in self.fields}
         self.shapes = {
             name: places + (self.phases,) * row.paired + (3,) * row.rank
@@ -113,18 +115,22 @@ class Plan:
         constants = [m for m in moments if m.column and not m.level and not m.along_branches]
         grains = deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
         points = sum(math.prod(m.shape) for m in constants if m.at_contacts)
-        self._columns = {  # of each pass, by what it goes over
-            "particles": [grains] if grains else [],
-            "slopes": [LINEAR] if any(name.endswith("_slope") for name in deposit.rows) else [],
+        has_slopes = any(name.endswith("_slope") for name in deposit.rows)
+        columns = {  # of each pass, by what it goes over; 0 for none
+            "particles": [grains],
+            "slopes": [LINEAR * has_slopes],
             "contacts": [9 for m in moments if m.along_branches],
-            "contact points": [points] if points else [],
-            "means": [m.level for m in moments if m.column and m.level],
+            "contact points": [points],
+            "means": [m.level for m in moments if m.column],
         }
+        self._columns = {over: [n for n in numbers if n] for over, numbers in columns.items()}
         # sums at a node
         self._numbers = deposit.phases * sum(sum(columns) for columns in self._columns.values())
         self.reached = grid.nodes_within(2.0 * max(deposit.cutoffs))
-        fewer = min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
-        self.block_nodes = BLOCK_NODES if self.reached <= FINE else fewer
+        self.block_nodes = BLOCK_NODES
+        if self.reached > FINE:
+            in_cache = CACHED // (8 * max(1, self._numbers))
+            self.block_nodes = min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
 
     def __str__(self) -> str:
         return "\n".join(f"{key:9s} {text}" for key, text in self._lines().items())
@@ -134,50 +140,38 @@ class Plan:
 
     def _lines(self) -> dict[str, str]:
         """Return the text of the plan by headings."""
-        grid, moments = self.deposit.grid, self.deposit.rows
-        loops = {over: len(columns) for over, columns in self._columns.items()}
-        outputs = sum(map(math.prod, self.shapes.values()))
+        grid = self.deposit.grid
+        averaged = [f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged]
+        kernel = f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions"
+        if len(self.widths) > 1:
+            kernel += f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
+        passes = {over: len(columns) for over, columns in self._columns.items()}
+        loops = f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
+        loops += f"{passes['contacts']} over contacts"
+        if passes["contact points"]:
+            loops += f", {passes['contact points']} over contact points"
+        if passes["means"]:
+            loops += f", {passes['means']} relative to means"
         sums = min(grid.count, self.block_nodes) * self._numbers
-        own = (
-            f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
-            if len(self.widths) > 1
-            else ""
-        )
-        rules = "closed form"
-        if len(self.deposit.limits):
-            steps = ", ".join(
-                f"{k} to {x:.3g} c" for k, x in zip(RULES, self.deposit.limits, strict=False)
-            )
-            rules = f"Gauss points by branch length ({steps}), closed form beyond"
-            rules += ", weights in single precision" if self.deposit.coarse else ""
+        outputs = sum(map(math.prod, self.shapes.values()))
         lines = {
             "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
             **grid.text,
-            "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged)
-            or "none",
-            "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
-            "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "loops": f"{loops['particles']} over particles, {loops['slopes']} with grad Psi, "
-            f"{loops['contacts']} over contacts"
-            + (
-                f", {loops['contact points']} over contact points"
-                if loops["contact points"]
-                else ""
-            )
-            + (f", {loops['means']} relative to means" if loops["means"] else ""),
-            "contacts": f"{rules} (rtol = {self.rtol:g})"
-            if loops["contacts"]
-            else "not read for stress",
+            "averaged": ", ".join(averaged) or "none",
+            "kernel": kernel,
+            "sums": ", ".join(f"{m} ({row.formula})" for m, row in self.deposit.rows.items()),
+            "loops": loops,
+            "contacts": self._rules(),
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
         beside = [name for name in self.fields if name not in self.asked]
         if beside:
             lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
-        if (seen := self.effective_count) is not None:
-            velocity, temperature = (
-                min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension)
-            )
+        seen = self.effective_count
+        if seen is not None:
+            velocity = min(1.0, math.sqrt(1 / seen))
+            temperature = min(1.0, math.sqrt(2 / self.setup.dimension / seen))
             lines["noise"] = (
                 f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
                 f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
@@ -185,6 +179,19 @@ class Plan:
         if self.walls is not None:
             lines["walls"] = self.walls
         return lines
+
+    def _rules(self) -> str:
+        """Return how contacts are integrated along their branches, in words."""
+        if not self._columns["contacts"]:
+            return "not read for stress"
+        rules = "closed form"
+        if len(self.deposit.limits):
+            limits = zip(RULES, self.deposit.limits, strict=False)
+            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in limits)
+            rules = f"Gauss points by branch length ({steps}), closed form beyond"
+        if self.deposit.coarse:
+            rules += ", weights in single precision"
+        return f"{rules} (rtol = {self.rtol:g})"
 
 
 def effective_count(scene: Description, plan: Plan) -> float | None:
@@ -220,17 +227,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     rtol = request.rtol
     by = request.by
     names, asked, options = _fields_and_options(scene, request)
-    here = scene.columns.keys()
-    variables = variables_of(names, here, options)
-    if not variables <= here:
-        lacking = [name for name in names if not variables_of((name,), here, options) <= here]
-        static = "contact_stress" in registry.order_of(lacking, options) and (
-            variables_of(("contact_stress",), here, options) <= here
-        )
-        instead = "; or ask for contact_stress, which needs no velocity" if static else ""
-        require_scene(
-            scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}", instead
-        )
+    read = {*_required(scene, names, options), by, "frozen"}
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
@@ -245,15 +242,21 @@ def make_plan(scene: Description, request: Request) -> Plan:
     limits = np.zeros(0)
     if rtol and any(row.along_branches for row in moments.values()):
         limits = gauss_limits(widest, len(grid.seen), rtol)
+    groups: tuple[int, ...] = ()
+    if by is not None or request.groups is not None:
+        groups = scene.groups(by, request.groups)
+    weights: Callable[[int], AnyKernel] = kernels[0].weights
+    if grid.half.any():
+        weights = kernels[0].over_cells
     deposit = DepositSpec(
         rows=moments,
         grid=grid,
-        weights=(kernels[0].over_cells if grid.half.any() else kernels[0].weights)(len(grid.seen)),
+        weights=weights(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
-        groups=() if by is None and request.groups is None else scene.groups(by, request.groups),
+        groups=groups,
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
@@ -263,7 +266,6 @@ def make_plan(scene: Description, request: Request) -> Plan:
         spacing=(x, y, z),
         wrapped=grid.fills(np.array(scene.lasting_periods)),
     )
-    read = variables | ({by} if by else set()) | ({"frozen"} & here)
     return Plan(
         fields=names,
         asked=asked,
@@ -277,6 +279,23 @@ def make_plan(scene: Description, request: Request) -> Plan:
         rtol=rtol,
         is_narrow=undercut_size(narrowest, scene.sizes, of_groups=of_groups) is not None,
     )
+
+
+def _required(scene: Description, names: Sequence[str], options: Options) -> set[str]:
+    """Return the variables that some fields need; raise SceneError unless the scene has them."""
+    here = scene.columns.keys()
+    variables = variables_of(names, here, options)
+    if variables <= here:
+        return variables
+    lacking = [name for name in names if not variables_of((name,), here, options) <= here]
+    instead = ""
+    if "contact_stress" in registry.order_of(lacking, options) and (
+        variables_of(("contact_stress",), here, options) <= here
+    ):
+        instead = "; or ask for contact_stress, which needs no velocity"
+    purpose = f"coarse_grain of {', '.join(lacking)}"
+    require_scene(scene.columns, sorted(variables), purpose, instead)
+    return variables
 
 
 def _extent_of(scene: Description) -> float:
@@ -302,7 +321,11 @@ def _fields_and_options(
     names, own = _choose_fields(request.fields, scene, options)
     if scene.cylindrical and own:
         check_turns(own)
-    absent = OF_PLACES if scene.cylindrical else OF_FITS if options.gradient not in FITS else set()
+    absent: Set[str] = set()
+    if scene.cylindrical:
+        absent = OF_PLACES
+    elif options.gradient not in FITS:
+        absent = OF_FITS
     if request.errors:
         names, own = _with_errors(names, own, scene, absent)
     if unknown_here := absent & {*names}:
@@ -341,7 +364,24 @@ def _fields_and_options(
 
 def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
     """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
-    return _choose_fields(None, scene, _options_of(scene, request))[0]
+    return _possible(scene, _options_of(scene, request))
+
+
+def _possible(scene: Description, options: Options) -> tuple[str, ...]:
+    here = scene.columns.keys()
+    rows = registry.FIELDS
+    lacking = _without_option(options)
+    usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
+    possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
+    if not possible:
+        require_scene(scene.columns, ("mass",), "coarse_grain")
+    return possible
+
+
+def _without_option(options: Options) -> set[str]:
+    """Return the fields whose option is not given."""
+    rows = registry.FIELDS.items()
+    return {name for name, row in rows if row.option and getattr(options, row.option) is None}
 
 
 def _choose_fields(
@@ -350,58 +390,48 @@ def _choose_fields(
     options: Options,
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
-    rows = registry.FIELDS
-    listed = [name for name, row in rows.items() if row.listed]
-    lacking = {
-        name for name, row in rows.items() if row.option and getattr(options, row.option) is None
-    }
     if asked is None:
-        here = scene.columns.keys()
-        usual = [name for name in listed if rows[name].default and name not in lacking]
-        possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
-        if not possible:
-            require_scene(scene.columns, ("mass",), "coarse_grain")
-        return possible, ()
-    given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
-    own = (
-        {}
-        if all(isinstance(one, str) and one in rows for one in given)
-        else own_fields(given, scene)
-    )
-    names = [own[k].name if k in own else one for k, one in enumerate(given)]
+        return _possible(scene, options), ()
+    requested: list[Any] = [asked]
+    if isinstance(asked, Iterable) and not isinstance(asked, str):
+        requested = list(asked)
+    own = own_fields(requested, scene)
+    names = requested.copy()
+    for k, field in own.items():
+        names[k] = field.name
     if not names:
         raise ValueError(
             f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
         )
-    ours = {one.name for one in own.values()}
+    known = [*registry.listed(), *(field.name for field in own.values())]
+    lacking = _without_option(options)
     for name in names:
-        if name not in listed and name not in ours:
-            word = str(name).lower()
-            if word in registry.CALLS:
-                raise ValueError(f"{name!r} is no field; did you mean {registry.CALLS[word]}?")
-            if word == "all":
-                raise ValueError("fields='all': leave fields out for all that the scene allows")
-            parts = re.findall(r"\w+", str(name))
-            if len(parts) > 1 and all(part in listed for part in parts):
-                raise ValueError(f"fields={name!r}: give several fields as a list, {parts}")
-            known = [*listed, *scene.rows]
-            raise ValueError(
-                unknown(
-                    "field",
-                    name,
-                    known,
-                    "others are listed by xcg.FIELDS and by ds.data_vars",
-                    registry.OTHER_NAMES,
-                )
-            )
-    for name in names:
-        if name in lacking and rows[name].option == "lag":
+        if name not in known:
+            raise ValueError(_unknown_field(name, scene))
+        if name not in lacking:
+            continue
+        option = registry.FIELDS[name].option
+        if option == "lag":
             raise ValueError(
                 f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
             )
-        if name in lacking:
-            raise ValueError(f"{name} needs the argument {rows[name].option}=")
+        raise ValueError(f"{name} needs the argument {option}=")
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
+
+
+def _unknown_field(name: Any, scene: Description) -> str:
+    """Return the message about a field that does not exist."""
+    listed = registry.listed()
+    word = str(name).lower()
+    if word in registry.CALLS:
+        return f"{name!r} is no field; did you mean {registry.CALLS[word]}?"
+    if word == "all":
+        return "fields='all': leave fields out for all that the scene allows"
+    parts = re.findall(r"\w+", str(name))
+    if len(parts) > 1 and all(part in listed for part in parts):
+        return f"fields={name!r}: give several fields as a list, {parts}"
+    others = "others are listed by xcg.FIELDS and by ds.data_vars"
+    return unknown("field", name, [*listed, *scene.rows], others, registry.OTHER_NAMES)
 
 
 def _with_errors(
@@ -444,17 +474,14 @@ def _options_of(scene: Description, request: Request) -> Options:
             "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
             "gradient='least_squares' (the default), or 'finite_difference' between the cells"
         )
-    setup, size, fluid_viscosity = scene.setup, request.size, request.fluid_viscosity
-    indices: dict[str, tuple[int, ...] | None] = {}
+    setup = scene.setup
+    size = request.size
+    indices: dict[str, tuple[int, ...]] = {}
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)
-        if axes is not None and (
-            not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)
-        ):
-            raise ValueError(
-                f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
-            )
-        indices[name] = None if axes is None else tuple(map(COMPONENTS.index, axes))
+        if axes is not None:
+            check_axes(setup.plane, **{name: axes})
+            indices[name] = tuple(map(COMPONENTS.index, axes))
     if size in ("d50", "dmax") and size not in scene.sizes:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
@@ -470,12 +497,12 @@ def _options_of(scene: Description, request: Request) -> Options:
     return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,
-        pressure_axes=indices["pressure_dims"],
-        shear_axes=indices["shear_dims"],
+        pressure_axes=indices.get("pressure_dims"),
+        shear_axes=indices.get("shear_dims"),
         deviatoric=request.deviatoric,
         size=size,
         diameter=scene.sizes.get(size),
-        fluid_viscosity=fluid_viscosity,
+        fluid_viscosity=request.fluid_viscosity,
         friction=request.friction,
         temperature=request.temperature,
         lag=scene.lag,

@@ -19,14 +19,13 @@ from typing import (
     TypeAlias,
     TypeVar,
     cast,
-    get_args,
     get_type_hints,
 )
 
 import numpy as np
 import xarray as xr
 
-from xcg.common.checks import check_choice, is_finite, is_positive
+from xcg.common.checks import NOT_NEGATIVE, POSITIVE, check, check_choice
 from xcg.common.messages import active_call
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
@@ -36,49 +35,48 @@ from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call
 
+
+def _is_scalar_or_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping) or np.ndim(value) == 0
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value != ""
+
+
+def _are_walls(value: Any) -> bool:
+    is_list = isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 0
+    return is_list and all(isinstance(wall, Wall) for wall in value)
+
+
 # what arguments are, whatever the scene is; what depends on the scene is checked by the plan
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "spacing": (
-        lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
+        _is_scalar_or_mapping,
         "a distance (m), a multiple of a size such as '0.5 d43', or one by axis such as {'x': 0.01, 'z': 0.005}",
     ),
     "width": (
-        lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
+        _is_scalar_or_mapping,
         "a length (m), a multiple of a size such as '0.75 d43', or one of these by group",
     ),
-    "bounds": (
-        lambda value: isinstance(value, Mapping),
-        "first and last node by axis, such as {'z': (0.0, 0.1)}",
-    ),
-    "extent": (
-        lambda value: isinstance(value, Mapping),
-        "a length (m) by axis, such as {'y': 0.1}",
-    ),
+    "bounds": (_is_mapping, "first and last node by axis, such as {'z': (0.0, 0.1)}"),
+    "extent": (_is_mapping, "a length (m) by axis, such as {'y': 0.1}"),
     "at": (
-        lambda value: isinstance(value, Mapping),
+        _is_mapping,
         "a coordinate (m) by axis, such as {'y': 0.0}; axes='z' resolves an axis",
     ),
-    "by": (
-        lambda value: isinstance(value, str),
-        "the name of a variable of the particles, such as 'species'",
-    ),
-    "rtol": (
-        lambda value: is_finite(value) and value >= 0,
-        "0 (closed form) or a positive number such as 1e-3",
-    ),
-    "fluid_viscosity": (is_positive, "a positive viscosity (Pa s), such as 1e-3 for water"),
-    "friction": (
-        lambda value: is_finite(value) and value >= 0,
-        "a coefficient of friction, such as 0.5",
-    ),
-    "on_error": (
-        lambda value: value in get_args(OnError),
-        "'raise' (stop at the first error) or 'skip' (go on without the step)",
-    ),
+    "by": (_is_text, "the name of a variable of the particles, such as 'species'"),
+    "pressure_dims": (_is_text, "axes such as 'z'"),
+    "shear_dims": (_is_text, "axes such as 'xz'"),
     "frame": (
         lambda value: isinstance(value, (Rotated, Cylindrical)),
         "xcg.Rotated(...) or xcg.Cylindrical(...)",
     ),
+    "surfaces": (_are_walls, "a list of xcg.Plane, xcg.Cylinder and xcg.Surface"),
 }
 
 Sampling: TypeAlias = Literal["node", "cell"]
@@ -90,6 +88,8 @@ _CHOICES: dict[str, Any] = {
     "size": InertialSize,
     "temperature": Temperature,
     "sampling": Sampling,
+    "preset": Literal[Preset, None],
+    "per": Literal[Per, None],
 }
 # defaults of presets in place of those below
 OF_PRESETS: dict[Any, dict[str, Any]] = {
@@ -219,10 +219,13 @@ class SharedOptions:
             if not (value is None or fits(value)):
                 raise ValueError(f"{name}={value!r}: expected {expected}")
         for name, choices in _CHOICES.items():
-            check_choice(name, getattr(self, name), choices)
+            check_choice(name, getattr(self, name, None), choices)
+        check("rtol", self.rtol, NOT_NEGATIVE, hint=", such as 1e-3")
+        check("friction", self.friction, NOT_NEGATIVE, optional=True, hint=", such as 0.5")
+        viscosity = self.fluid_viscosity
+        check("fluid_viscosity", viscosity, POSITIVE, "Pa s", optional=True, hint=", such as 1e-3")
         for axis, length in (self.extent or {}).items():
-            if not is_positive(length):
-                raise ValueError(f"extent[{axis!r}]={length!r}: expected a positive length (m)")
+            check(f"extent[{axis!r}]", length, POSITIVE, "m")
 
     def ask(self, **own: Any) -> Request:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
@@ -305,7 +308,9 @@ class Request(SharedOptions):
 
     def axes_of(self, plane: str) -> str:
         """Return the resolved axes: by default, and without fixed axes, all axes of the scene."""
-        return plane if self.axes is None and self.at is None else self.axes or ""
+        if self.axes is None and self.at is None:
+            return plane
+        return self.axes or ""
 
 
 # arguments that most calls give, in the order in which signatures show them
@@ -318,7 +323,7 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     shared = {field.name for field in fields(SharedOptions)}
 
     def place(field: Field[Any]) -> tuple[bool, int, bool]:
-        usual = _FIRST.index(field.name) if field.name in _FIRST else len(_FIRST)
+        usual = [*_FIRST, field.name].index(field.name)
         return bool(field.kw_only), usual, field.name in shared
 
     return tuple(sorted(fields(request), key=place))
@@ -340,23 +345,19 @@ def takes(
             asked = request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
             with active_call().active():
                 result = function(scene, asked)
-            return result if scene is ds else as_selected(result, ds)
+            if scene is not ds:
+                result = as_selected(result, ds)
+            return result
 
-        parameters = [
-            inspect.Parameter(
-                "ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset"
-            )
-        ]
+        of_call = inspect.Parameter
+        kinds = {False: of_call.POSITIONAL_OR_KEYWORD, True: of_call.KEYWORD_ONLY}
+        parameters = [of_call("ds", kinds[False], annotation="xr.Dataset")]
         for field in arguments(request):
-            kind = (
-                inspect.Parameter.KEYWORD_ONLY
-                if field.kw_only
-                else inspect.Parameter.POSITIONAL_OR_KEYWORD
-            )
-            default = inspect.Parameter.empty if field.default is MISSING else field.default
-            parameters.append(
-                inspect.Parameter(field.name, kind, default=default, annotation=field.type)
-            )
+            kind = kinds[bool(field.kw_only)]
+            default = field.default
+            if default is MISSING:
+                default = of_call.empty
+            parameters.append(of_call(field.name, kind, default=default, annotation=field.type))
         hints = {
             "ds": xr.Dataset,
             **get_type_hints(request),
@@ -366,13 +367,11 @@ def takes(
         signature = shown.__signature__ = inspect.Signature(
             parameters, return_annotation=function.__annotations__["return"]
         )
-        shown.__annotations__ = {
-            name: hints[name] for name in (*(p.name for p in parameters), "return")
-        }
+        shown.__annotations__ = {name: hints[name] for name in (*signature.parameters, "return")}
         if function.__doc__:  # there is none under python -OO
             meanings = _meanings(request)
-            told = "\n".join(meanings[field.name] for field in arguments(request))
-            call.__doc__ = inspect.cleandoc(function.__doc__).replace("{arguments}", told)
+            descriptions = "\n".join(meanings[field.name] for field in arguments(request))
+            call.__doc__ = inspect.cleandoc(function.__doc__).replace("{arguments}", descriptions)
         return call
 
     return decorate
@@ -380,8 +379,8 @@ def takes(
 
 def _meanings(request: Any) -> dict[str, str]:
     """Entries of the parameters in the docstrings of a class of requests and of its bases."""
-    found: dict[str, str] = {}
+    meanings: dict[str, str] = {}
     for kind in reversed(request.__mro__):
         _, _, entries = inspect.cleandoc(kind.__doc__ or "").partition("Parameters\n----------\n")
-        found |= {entry.split(" :")[0]: entry for entry in re.split(r"\n(?=\S)", entries)}
-    return found
+        meanings |= {entry.split(" :")[0]: entry for entry in re.split(r"\n(?=\S)", entries)}
+    return meanings

@@ -262,7 +262,7 @@ def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:
 def _rows_along(values: xr.Variable) -> str:
     """Return the dimension of the rows of a variable; "" for one value a step."""
     dims = [str(dim) for dim in values.dims if dim != "time" and dim not in AXES]
-    return dims[0] if dims else ""
+    return "".join(dims[:1])
 
 
 # --- one chunk of time ----------------------------------------------------------------------------
@@ -281,7 +281,9 @@ def _with_others(
         for name in read:
             row = ds.variables[name].isel(time=np.clip(other, 0, len(steps) - 1))
             beside[f"{name}@{lag}"] = row.to_base_variable()
-    return ds.assign(beside) if beside else ds, list(beside)
+    if beside:
+        ds = ds.assign(beside)
+    return ds, list(beside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,32 +302,35 @@ class _Task:
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Return the results of all steps, padded to the declared lengths."""
         steps = len(arrays["particle_id"])
-        found: Iterable[Mapping[str, ArrayLike]] = (
+        of_steps: Iterable[Mapping[str, ArrayLike]] = (
             self.analysis.frames(now, *others) for now, *others in self._steps(arrays)
         )
         sizes = dict(self.sizes)
         unknown = {dim for row in self.rows.values() for dim in row.dims if sizes[dim] is None}
         if unknown:
-            found = list(found)
+            of_steps = list(of_steps)
             for dim in unknown:
-                sizes[dim] = self._most_rows(dim, found)
+                sizes[dim] = self._most_rows(dim, of_steps)
         out: dict[str, NDArray] = {}
+        places: dict[str, Any] = {}
         ragged = any(map(self._is_ragged, self.rows.values()))
-        for t, results in enumerate(found):
-            places = self._places(arrays, t) if ragged else {}
+        for t, results in enumerate(of_steps):
+            if ragged:
+                places = self._places(arrays, t)
             for name, row in self.rows.items():
                 shape = tuple(sizes[dim] or 0 for dim in row.dims)
                 values = self._checked(name, results, row, shape)
-                place: Any = slice(None)
+                place: Any = ...
+                in_order = True
                 if self._is_ragged(row):
                     place = places.get(row.dims[0], slice(len(values)))
-                in_order = isinstance(place, slice) or place.dtype == bool
+                    in_order = isinstance(place, slice) or place.dtype == bool
                 if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
                     out[name] = values[None]
                     continue
                 if name not in out:
                     out[name] = np.full((steps, *shape), row.fill, row.dtype)
-                out[name][(t, place) if row.dims else t] = values
+                out[name][t, place] = values
         return out
 
     def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
@@ -354,10 +359,11 @@ class _Task:
         """Return whether steps may have fewer rows than the result."""
         return bool(row.dims) and row.dims[0] not in self.labelled and row.dims[0] not in AXES
 
-    def _most_rows(self, dim: str, found: Sequence[Mapping[str, ArrayLike]]) -> int:
+    def _most_rows(self, dim: str, of_steps: Iterable[Mapping[str, ArrayLike]]) -> int:
         """Return the number of rows along a dimension of the step that has most."""
         names = [name for name, row in self.rows.items() if row.dims[:1] == (dim,)]
-        return max((len(np.asarray(one[name])) for one in found for name in names), default=0)
+        lengths = [len(np.asarray(step[name])) for step in of_steps for name in names]
+        return max(lengths, default=0)
 
     def _places(self, arrays: Mapping[str, NDArray], t: int) -> dict[str, Any]:
         """Return the rows of particles and contacts in padded arrays."""

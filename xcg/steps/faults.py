@@ -148,12 +148,12 @@ SKIPPED = "skipped"
 
 
 def guarded(
-    compute: Compute,
     results: Mapping[str, Result],
     numbers: NDArray | None,
     graph: Mapping[Any, Any],
     keys: Mapping[str, Any],
     arrays: Mapping[str, NDArray],
+    compute: Compute,
 ) -> dict[str, NDArray]:
     """Results of one chunk; steps that cannot be read or computed are filled, and warned of."""
     with collecting() as faults:
@@ -161,51 +161,53 @@ def guarded(
             from dask.core import get  # only lazy scenes have keys
 
             try:
-                arrays = dict(arrays) | dict(
-                    zip(keys, get(graph, list(keys.values())), strict=True)
-                )
+                read = get(graph, list(keys.values()))
+                arrays = {**arrays, **dict(zip(keys, read, strict=True))}
             except FAULTS as error:  # of none of its steps alone
                 if numbers is None:
                     raise  # how many steps there are is not known
                 warn_of(dict.fromkeys(numbers.tolist(), cause_of(error)))
                 return _filled(results, len(numbers), {})
     count = len(next(iter(arrays.values())))
-    named = np.arange(count) if numbers is None else numbers
-    if numbers is None and faults:
-        faults = dict.fromkeys(named.tolist(), next(iter(faults.values())))
-    if not any(number in faults for number in named.tolist()):
+    steps = list(range(count))
+    if numbers is not None:
+        steps = numbers.tolist()
+    elif faults:
+        faults = dict.fromkeys(steps, next(iter(faults.values())))
+    if faults.keys().isdisjoint(steps):
         try:
             return {**compute(arrays), SKIPPED: np.zeros(count, bool)}
         except FAULTS:
             pass  # find out which step it is
-    found: dict[int, dict[str, NDArray]] = {}
+    computed: dict[int, dict[str, NDArray]] = {}
     unread = set(faults)  # a step that cannot be computed says nothing of others with its number
-    for t, number in enumerate(named.tolist()):
+    for t, number in enumerate(steps):
         if number in unread:
             continue
         try:
-            found[t] = compute({of: a[t : t + 1] for of, a in arrays.items()})
+            computed[t] = compute({of: a[t : t + 1] for of, a in arrays.items()})
         except FAULTS as error:
             faults[number] = cause_of(error)
-    warn_of({number: cause for number, cause in faults.items() if number in named})
-    return _filled(results, count, found)
+    warn_of({number: cause for number, cause in faults.items() if number in steps})
+    return _filled(results, count, computed)
 
 
 def _filled(
-    results: Mapping[str, Result], count: int, found: Mapping[int, Mapping[str, NDArray]]
+    results: Mapping[str, Result], count: int, computed: Mapping[int, Mapping[str, NDArray]]
 ) -> dict[str, NDArray]:
     """Results of the steps that were computed, and padding in place of the others."""
     out = {}
     for name, (shape, dtype) in results.items():
         if name == SKIPPED:
-            out[name] = np.array([t not in found for t in range(count)])
+            out[name] = np.array([t not in computed for t in range(count)])
             continue
+        of_steps = {t: arrays[name][0] for t, arrays in computed.items()}
         # a search in memory finds out by itself how many rows it returns
-        sizes = [one[name].shape[1:] for one in found.values()] or [shape]
-        whole = np.max(sizes, axis=0).astype(int) if shape else ()
+        sizes = [values.shape for values in of_steps.values()] or [shape]
+        longest = [max(lengths) for lengths in zip(*sizes, strict=True)]
         fill = np.nan if np.dtype(dtype).kind == "f" else PADDING
-        out[name] = np.full((count, *whole), fill, dtype)
-        for t, one in found.items():
-            source: Any = (t, *map(slice, one[name].shape[1:]))
-            out[name][source] = one[name][0]
+        out[name] = np.full((count, *longest), fill, dtype)
+        for t, values in of_steps.items():
+            place: Any = (t, *map(slice, values.shape))
+            out[name][place] = values
     return out

@@ -63,31 +63,21 @@ def label(
         if row.formula:
             about["formula"] = row.formula
         data[name] = xr.Variable(("time", *row.dims), array, about)
-    # those of the scene may be changed in place
-    labels: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
-    used = {dim for given in data.values() for dim in given.dims}
+    labels: dict[str, Any] = {}
+    for name in ("time", "step"):
+        if name in ds.coords:
+            labels[name] = ds.variables[name].copy()  # those of the scene may be changed in place
+    if SKIPPED in arrays:
+        long_name = "whether the step was left out, as it could not be read or computed"
+        labels[SKIPPED] = ("time", arrays[SKIPPED], {"long_name": long_name})
+    used = {dim for values in data.values() for dim in values.dims}
     for name, coord in (coords or {}).items():
         if used.issuperset(coord.dims):
             labels[name] = coord
     labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    return mark_skipped(with_phase_labels(result), arrays)
-
-
-def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
-    """Coordinates along time of a scene, which its results have, too."""
-    coords = ds.coords
-    return {name: ds.variables[name] for name in ("time", "step") if name in coords}
-
-
-def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
-    """Label the skipped steps: the coordinate ``skipped``, and once known, an attribute."""
-    if SKIPPED not in arrays:
-        return result
-    long_name = "whether the step was left out, as it could not be read or computed"
-    result = result.assign_coords({SKIPPED: ("time", arrays[SKIPPED], {"long_name": long_name})})
-    return name_skipped(result)
+    return name_skipped(with_phase_labels(result))
 
 
 def name_skipped(result: xr.Dataset) -> xr.Dataset:
@@ -95,35 +85,37 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
     skipped = result.coords.get(SKIPPED)
     if skipped is None or skipped.chunks is not None or not skipped.to_numpy().any():
         return result
-    numbers = (
-        result["step"].to_numpy() if "step" in result.coords else np.arange(result.sizes["time"])
-    )
+    numbers = np.arange(result.sizes["time"])
+    if "step" in result.coords:
+        numbers = result["step"].to_numpy()
     return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
 
 
 def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
-    shown = {}
+    arguments = []
     for name, value in given.items():
-        if isinstance(value, Mapping) and any(
-            np.ndim(one) and hasattr(one, "dtype") for one in value.values()
-        ):
-            shown[name] = format_call("dict", value)
-        else:
-            array = hasattr(value, "dtype") and np.ndim(value)
-            shown[name] = f"<array {np.shape(value)}>" if array else printable(repr(value))
-    return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace(
-        "\n", " "
-    )
+        text = printable(repr(value))
+        if _is_array(value):
+            text = f"<array {np.shape(value)}>"
+        elif isinstance(value, Mapping) and any(map(_is_array, value.values())):
+            text = format_call("dict", value)
+        arguments.append(f"{name}={text}")
+    return f"{function}({', '.join(arguments)})".replace("\n", " ")
+
+
+def _is_array(value: Any) -> bool:
+    return hasattr(value, "dtype") and np.ndim(value) > 0
 
 
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {version('xcg')}: {call}"
-    earlier = ds.attrs.get("history")
+    if "history" in ds.attrs:
+        line = f"{ds.attrs['history']}\n{line}"
     kept = {name: ds.attrs[name] for name in ABOUT if name in ds.attrs}
-    return kept | {"history": line if earlier is None else f"{earlier}\n{line}"}
+    return kept | {"history": line}
 
 
 PHASES = ("phase", "other_phase")
@@ -160,11 +152,9 @@ class PhaseLabels(pd.Index):
 
 
 def _as_text(label: Any) -> Any:
-    return (
-        str(label)
-        if isinstance(label, (int, np.integer)) and not isinstance(label, bool)
-        else label
-    )
+    if isinstance(label, (int, np.integer)) and not isinstance(label, bool):
+        return str(label)
+    return label
 
 
 def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
@@ -174,7 +164,8 @@ def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
             plain = result[dim].variable
             index = PandasIndex(PhaseLabels(plain.to_numpy(), dim), dim, coord_dtype=plain.dtype)
             result = result.assign_coords(xr.Coordinates.from_xindex(index))
-            result[dim].attrs, result[dim].encoding = plain.attrs, plain.encoding
+            result[dim].attrs = plain.attrs
+            result[dim].encoding = plain.encoding
     return result
 
 
@@ -191,37 +182,31 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     of_frame = ("r", "theta", *COMPONENTS)
     axes = [a for a in of_frame if a in ds.dims]
     nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
-    count = ds.sizes.get("time", 1)
-    steps = (
-        f"{count} step{'s' * (count != 1)}"
-        if "time" in ds.dims
-        else "one step"
-        if "time" in ds.coords
-        else "all times"
-    )
-    along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
-    over = ds.attrs.get("averaged_steps")
-    averaged = [f"along {along}"] * bool(along) + [f"over {over} steps"] * (over is not None)
+    steps = "all times"
+    if "time" in ds.coords:
+        steps = "one step"
+    if "time" in ds.dims:
+        count = ds.sizes["time"]
+        steps = f"{count} step" if count == 1 else f"{count} steps"
+    title = f"result of {steps}"
+    if nodes:
+        title += f" on {nodes} nodes"
+    places = [a for a in of_frame if a in ds.coords and not ds[a].ndim]
+    averaged = []
+    if ds.attrs.get("averaged_axes"):
+        averaged.append(f"along {', '.join(str(ds.attrs['averaged_axes']))}")
+    if "averaged_steps" in ds.attrs:
+        averaged.append(f"over {ds.attrs['averaged_steps']} steps")
+    phases = [dim for dim in PHASES if dim in ds.coords]
     known = {*of_frame, "time", *PHASES, *AXES}
     return Summary.of(
-        f"result of {steps}" + (f" on {nodes} nodes" if nodes else ""),
+        title,
         [
             ("fields", ", ".join(map(str, ds.data_vars)) or "none"),
             *((a, _nodes(ds[a])) for a in axes),
-            (
-                "fixed",
-                ", ".join(
-                    f"{a} = {float(ds[a]):.6g}"
-                    for a in of_frame
-                    if a in ds.coords and not ds[a].ndim
-                ),
-            ),
+            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in places)),
             ("averaged", ", ".join(averaged)),
-            *(
-                (dim, ", ".join(map(str, np.atleast_1d(ds[dim]))))
-                for dim in PHASES
-                if dim in ds.coords
-            ),
+            *((dim, ", ".join(map(str, np.atleast_1d(ds[dim])))) for dim in phases),
             *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
             ("kernel", _kernel(ds)),
             *rows_of_origin(ds),
@@ -236,21 +221,22 @@ def _nodes(axis: xr.DataArray) -> str:
     unit = str(axis.attrs.get("units", "")).removesuffix("1")
     if not nodes.size:
         return "no nodes"
+    if nodes.size == 1:
+        return f"{nodes[0]:.6g} {unit}".rstrip()
+    text = f"{nodes[0]:.6g} to {nodes[-1]:.6g} {unit}".rstrip()
     steps = np.diff(nodes)
-    even = steps.size and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
-    ends = f"{nodes[0]:.6g} to {nodes[-1]:.6g}" if steps.size else f"{nodes[0]:.6g}"
-    text = f"{ends} {unit}".rstrip()
-    return f"{text}, spacing {steps[0]:.6g}" if even else text
+    if np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+        text += f", spacing {steps[0]:.6g}"
+    return text
 
 
 def _kernel(ds: xr.Dataset) -> str:
     """Return name, width and cutoff; one of each for groups that have their own."""
     if "kernel" not in ds.attrs:
         return ""
-    lengths = (
-        (name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs
-    )
-    shown = (
-        f"{name} {' and '.join(f'{value:.6g}' for value in values)}" for name, values in lengths
-    )
-    return ", ".join([str(ds.attrs["kernel"]), *shown])
+    parts = [str(ds.attrs["kernel"])]
+    for name in ("width", "cutoff"):
+        if name in ds.attrs:
+            lengths = [f"{value:.6g}" for value in np.atleast_1d(ds.attrs[name])]
+            parts.append(f"{name} {' and '.join(lengths)}")
+    return ", ".join(parts)

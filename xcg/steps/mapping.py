@@ -73,19 +73,20 @@ def map_over_time(
         name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
         for name in names
     }
-    skip = on_error != "raise" and check_on_error(on_error) == "skip"
-    numbers = _numbers(ds) if skip else None
+    numbers = None
+    skip = check_on_error(on_error) == "skip"
     if skip:
-        results = dict(results) | {SKIPPED: ((), "bool")}
+        results = {**results, SKIPPED: ((), "bool")}
+        numbers = _numbers(ds)
     if not ds.sizes["time"]:
         return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
-    if any(given.chunks is not None for given in inputs.values()):
-        return _lazy_results(
-            inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error
-        )
-    arrays = {name: given.to_numpy() for name, given in inputs.items()}
-    with once.active():
-        return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
+    compute = partial(_with_warnings_once, once, compute)
+    if any(values.chunks is not None for values in inputs.values()):
+        return _lazy_results(inputs, compute, results, label, numbers, on_error)
+    arrays = {name: values.to_numpy() for name, values in inputs.items()}
+    if skip:
+        return guarded(results, numbers, {}, {}, arrays, compute)
+    return compute(arrays)
 
 
 def _with_warnings_once(
@@ -110,11 +111,9 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     """Return the number of threads of a chunk of time: all for a single chunk, else one."""
-    return (
-        threads
-        if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names)
-        else 1
-    )
+    if any(len(ds.variables[name].chunksizes.get("time", ())) > 1 for name in names):
+        return 1
+    return threads
 
 
 def chunks_of_time(ds: xr.Dataset) -> list[slice]:
@@ -207,9 +206,11 @@ class Gathered:
         entries = {}
         for name, array in arrays.items():
             # of what is `picked`
-            found = getattr(array.dask.layers.get(array.name), "origin", None)
-            layer, entry = found or (array.name, "")
-            source = (layer, 1 if found else array.ndim)
+            picks = array.dask.layers.get(array.name)
+            layer, entry = getattr(picks, "origin", (array.name, ""))
+            source = (layer, array.ndim)
+            if entry:
+                source = (layer, 1)
             if source not in sources:
                 sources.append(source)
             entries[name] = (sources.index(source), entry)
@@ -221,10 +222,12 @@ class Gathered:
 
     def take(self, values: Sequence[Any]) -> dict[str, NDArray]:
         """Arrays by name, from the values of the keys."""
-        return {
-            name: values[k][entry] if entry else values[k]
-            for name, (k, entry) in self.entries.items()
-        }
+        arrays = {}
+        for name, (k, entry) in self.entries.items():
+            arrays[name] = values[k]
+            if entry:
+                arrays[name] = values[k][entry]
+        return arrays
 
 
 def _lazy_results(
@@ -240,54 +243,47 @@ def _lazy_results(
     from dask.highlevelgraph import HighLevelGraph
     from dask.optimization import cull
 
-    lazy, fixed = _in_chunks(inputs)
+    arrays: dict[str, Any] = {n: v.data for n, v in inputs.items() if v.chunks is not None}
+    finest = max((a.chunks[0] for a in arrays.values()), key=len)
+    # whole but along time
+    lazy = {
+        n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in arrays.items()
+    }
+    fixed = {n: v.to_numpy() for n, v in inputs.items() if n not in arrays}
     name = f"{label}-{tokenize(compute, lazy, fixed, on_error)}"
-    chunks = next(iter(lazy.values())).chunks[0]
     # a key of its own, so that what all tasks share, such as a million points, travels to a worker
     # once
     call = f"call-{name}"
-    skip = SKIPPED in results
-    tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
+    tasks: dict[Any, Any] = {call: compute}
+    dependencies = list(lazy.values())
     gathered = Gathered.of(lazy)
-    # tasks that record faults hold the graphs of their inputs, whose faults they record, too
-    below = (
-        HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
-    )
-    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
+    below: Mapping[Any, Any] = {}
+    if SKIPPED in results:
+        # tasks that record faults hold the graphs of their inputs, whose faults they record, too
+        below = HighLevelGraph.merge(*(a.__dask_graph__() for a in dependencies)).to_dict()
+        dependencies = []
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *finest]).tolist())):
         here = {n: a[start:stop] for n, a in fixed.items()}
-        if skip:
-            keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
-            part, _ = cull(below, list(keys.values()))
-            these = None if numbers is None else numbers[start:stop]
-            tasks[name, t] = (partial(_compute_guarded, these, part, keys, here), call)
-        else:
+        if not below:
             tasks[name, t] = (partial(_compute_chunk, gathered, here), call, *gathered.keys(t))
-    graph = HighLevelGraph.from_collections(name, tasks, [] if skip else list(lazy.values()))
+            continue
+        keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
+        part, _ = cull(below, list(keys.values()))
+        numbers_here = numbers
+        if numbers is not None:
+            numbers_here = numbers[start:stop]
+        tasks[name, t] = (partial(guarded, results, numbers_here, part, keys, here), call)
+    graph = HighLevelGraph.from_collections(name, tasks, dependencies)
     return {
-        result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
+        result: picked(graph, name, result, f"{result}-{name}", finest, shape, dtype)
         for result, (shape, dtype) in results.items()
     }
-
-
-def _in_chunks(inputs: Mapping[str, xr.Variable]) -> tuple[dict[str, da.Array], dict[str, NDArray]]:
-    """Lazy arrays, whole but along time, where they have the finest chunks of all; and arrays in memory."""
-    found: dict[str, Any] = {n: v.data for n, v in inputs.items() if v.chunks is not None}
-    finest = max((a.chunks[0] for a in found.values()), key=len)
-    lazy = {
-        n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()
-    }
-    return lazy, {n: v.to_numpy() for n, v in inputs.items() if n not in found}
 
 
 def _compute_chunk(
     gathered: Gathered, fixed: Mapping[str, NDArray], compute: Compute, *given: Any
 ) -> dict[str, NDArray]:
     return compute({**gathered.take(given), **fixed})
-
-
-def _compute_guarded(*arguments: Any) -> dict[str, NDArray]:
-    *chunk, compute = arguments
-    return compute(*chunk)
 
 
 # --- progress: a bar in a terminal or notebook, plain lines elsewhere ------------------------------------
@@ -339,14 +335,13 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
             "bar_format": _LINE,
             "mininterval": 0,
             "miniters": _SHARE * count,
-        }
-        # which leaves out the line before the first step
-        how |= {
             "maxinterval": float("inf"),
-            "delay": 1e-9,
+            "delay": 1e-9,  # leaves out the line before the first step
         }
-    how |= {"delay": _LONG} if wanted is None else {}
-    quiet = done >= count or not (redraws if wanted is None else wanted)
+    if wanted is None:
+        wanted = redraws
+        how["delay"] = _LONG
+    quiet = done >= count or not wanted
     with tqdm(total=count, initial=done, disable=quiet, unit=f" {what}", ascii="-#", **how) as bar:
         yield bar
 

@@ -118,7 +118,7 @@ RIGHT = {"compute": lambda f, s, o: f.density, "fields": "density"}
 
 @pytest.mark.parametrize(("name", "options", "message"), [
     ("density", {}, "that of a field of xcg"),
-    ("phase", {}, "that of a coordinate"),
+    ("phase", {}, "or of a coordinate"),
     ("two words", {}, "letters, digits and underscores"),
     ("_own", {}, "letters, digits and underscores"),
     ("own", {"compute": 3.0}, r"compute=3.0: expected a function"),

@@ -22,7 +22,7 @@ FITTED = {
     "velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "fluctuation_density",
     "granular_temperature", "directional_temperature", "inertial_number",
 }  # fmt: skip
-ALL = [name for name in xcg.FIELDS if xcg.FIELDS[name].listed and not xcg.FIELDS[name].option]
+ALL = [name for name in xcg.FIELDS if name[0] != "_" and not xcg.FIELDS[name].option]
 
 
 def shuffled(mesh, dim="point"):

@@ -192,7 +192,7 @@ def test_lazy_scenes_phases_and_wrong_arguments():
     ):
         with pytest.raises(ValueError, match=message):
             preset(ds, **options)
-    with pytest.raises(ValueError, match="expected 'pysammos'"):
+    with pytest.raises(ValueError, match="expected one of 'pysammos', 'lammps', None"):
         ds.cg.coarse_grain(preset="mercury")
 
 

@@ -53,11 +53,15 @@ class Trace:
         It is made of these columns, in sums of each group, or of each pair of a group with another
         or with walls.
         """
-        shape = (max(1, groups), *((groups + 1,) if groups and paired else ()))
+        shape = [max(1, groups)]
+        if groups and paired:
+            shape.append(groups + 1)
         keys = product(range(math.prod(shape)), columns.ravel().tolist())
         loads = [self.add(loops.LOAD, name, group, column) for group, column in keys]
-        each = as_symbols(np.array(loads, object).reshape(*shape, *columns.shape))
-        return (np.stack([reduce(operator.add, each), *each]) if groups else each)[:, None]
+        phases = as_symbols(np.array(loads, object).reshape(*shape, *columns.shape))
+        if groups:
+            phases = np.stack([reduce(operator.add, phases), *phases])
+        return phases[:, None]
 
 
 @dataclass(eq=False, slots=True)
@@ -71,12 +75,8 @@ class Symbol:
         numbers = [self.number, self.record.of(other).number]
         if reflected:
             numbers.reverse()
-        # the order of two does not matter, to the last bit
-        if operation in (
-            loops.ADD,
-            loops.MULTIPLY,
-        ):
-            numbers.sort()
+        if operation in (loops.ADD, loops.MULTIPLY):
+            numbers.sort()  # the order of two does not matter, to the last bit
         return self.record.add(operation, *numbers)
 
     __add__ = __radd__ = partialmethod(_with, loops.ADD)
@@ -145,11 +145,13 @@ class Symbols(np.ndarray):
 
 def as_symbols(value: Any) -> Any:
     """Return an array of symbols as `Symbols`, anything else as it is."""
-    return value.view(Symbols) if isinstance(value, np.ndarray) and value.dtype == object else value
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return value.view(Symbols)
+    return value
 
 
 def _each(array: NDArray, operation: int) -> NDArray:
-    steps = [one.record.add(operation, one.number) for one in array.ravel()]
+    steps = [symbol.record.add(operation, symbol.number) for symbol in array.ravel()]
     return as_symbols(np.array(steps, object).reshape(array.shape))
 
 
@@ -157,11 +159,10 @@ def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDA
     """As `xcg.compiled.matrices.fit_gradient`, for symbols."""
     record = sums[0, 0].record
     flags = flags_of(active, about_node)
-    fits = [
-        record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T
-    ]
-    found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]
-    return as_symbols(np.array(found, object).reshape(FOUND, -1))
+    operands = [[symbol.number for symbol in column] for column in sums.T]
+    fits = [record.add(loops.FIT, flags, *numbers) for numbers in operands]
+    parts = [[record.add(loops.PART, k, fit.number) for fit in fits] for k in range(FOUND)]
+    return as_symbols(np.array(parts, object))
 
 
 # --- functions of arrays of either kind ------------------------------------------------------------------
@@ -182,9 +183,14 @@ def zero_if_unknown(x: NDArray) -> NDArray:
     return _each(x, loops.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)
 
 
+def _like(b: NDArray, a: NDArray) -> NDArray:
+    """Return b with the last axes of a that it lacks, of one element."""
+    return b.reshape(b.shape + (1,) * (a.ndim - b.ndim))
+
+
 def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
-    return a / where_positive(b).reshape(b.shape + (1,) * (a.ndim - b.ndim))
+    return a / _like(where_positive(b), a)
 
 
 def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
@@ -193,7 +199,7 @@ def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
     Weights are below zero where parts of the kernel are. The mean that belongs to them is p / rho
     there, too: what is about it, such as the kinetic stress, is then what the balances ask for.
     """
-    return sums / weights.reshape(weights.shape + (1,) * (sums.ndim - weights.ndim))
+    return sums / _like(weights, sums)
 
 
 def absolute(x: NDArray) -> NDArray:

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_whole
+from xcg.common.checks import check, whole
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
@@ -133,9 +133,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     if "time" not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
     count = f.sizes["time"]
-    for name, value in (("window", window), ("every", every)):
-        if value is not None and not is_whole(value, 1, count):
-            raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
+    check("window", window, whole(1, count), optional=True, hint=", the number of steps")
+    check("every", every, whole(1, count), hint=", the number of steps")
     if window is None and every != 1:
         raise ValueError(
             f"every={every!r} is the distance of windows: give their length, window=, too"
@@ -166,11 +165,10 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
             "long_name": f"standard error of {name}",
         }
         beside[f"{name}_error"] = error
-    mean = mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
-    steps_averaged = samples.sizes[_SAMPLE]
+    in_a_mean = samples.sizes[_SAMPLE]
+    mean = mean.assign(beside).assign_attrs(averaged_steps=in_a_mean)
     of_steps = {
-        name: _noise(error, samples, name, [_SAMPLE], steps_averaged)
-        for name, error in noisy.items()
+        name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
     mean = _with_larger(mean, of_steps, "scatter_of_steps")
     # what was not asked for has no error
@@ -190,8 +188,9 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     divided = {}
     for name, values in sums.items():
         part_of_ratio = "/" in str(name)
-        kept = part_of_ratio or name == "sample_count"
-        divided[name] = values if kept else values / fraction
+        if not (part_of_ratio or name == "sample_count"):
+            values = values / fraction
+        divided[name] = values
     out = _from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
     unchanged = {name: f[name].where(known) for name in ratios}
@@ -352,8 +351,10 @@ def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, li
         """Return what a field lacks, which counts as here from then on."""
         if row is None:
             return [_NO_RULE]
+        if row.additive and follows(name):
+            return []
         if row.additive:
-            wanted = [] if follows(name) else [name]
+            wanted = [name]
         elif row.weight:
             wanted = [field for field in (name, row.weight) if field not in here]
         elif row.moments:
@@ -407,14 +408,14 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
         lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
-        msg = (
-            f"{purpose} averages ratios through their sums, and some are not in this result: "
-            + "; ".join(lacks)
-        )
         sums = ", ".join(_all_of(missing))
+        way_out = ""
         if sums:
-            msg += f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
-        raise ValueError(msg)
+            way_out = f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
+        raise ValueError(
+            f"{purpose} averages ratios through their sums, and some are not in this result: "
+            f"{'; '.join(lacks)}{way_out}"
+        )
     f = _with_components(f, rows, purpose)
     out: dict[str, xr.DataArray] = {}
     for name, row in rows.items():
@@ -478,7 +479,9 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
         raise ValueError(
             f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
         )
-    return weight.sel(phase="bulk", drop=True) if "phase" in weight.dims else weight
+    if "phase" not in weight.dims:
+        return weight
+    return weight.sel(phase="bulk", drop=True)
 
 
 def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:

@@ -105,7 +105,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Field of the registry.
+    """Field of the registry; names with an underscore first are steps of the algebra, not fields themselves.
 
     Attributes
     ----------
@@ -130,8 +130,6 @@ class Field:
         Whether `weight` is that of the bulk, also for phases.
     harmonic : bool
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
-    listed : bool
-        False for steps of the algebra that are not fields themselves.
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -153,7 +151,6 @@ class Field:
     weight: str = ""
     by_bulk: bool = False
     harmonic: bool = False
-    listed: bool = True
     default: bool = True
     option: str = ""
     paired: bool = False
@@ -365,13 +362,16 @@ def read_quantity(text: str) -> Quantity | None:
     if call is None:
         return None
     kind = call[1].lower()
-    given = [part.strip() for part in call[2].split(",")]
+    parts = [part.strip() for part in call[2].split(",")]
     named: dict[str, Any] = dict(
-        re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part
+        re.split(r"\s*=\s*", part, maxsplit=1) for part in parts if "=" in part
     )
-    plain: list[Any] = [part for part in given if "=" not in part]
-    if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
-        hint = "" if kind in KINDS else did_you_mean(kind, KINDS)
-        forms = f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
-        raise ValueError(f"{text!r}{hint}: {forms}")
+    plain: list[Any] = [part for part in parts if "=" not in part]
+    forms = (
+        f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
+    )
+    if kind not in KINDS:
+        raise ValueError(f"{text!r}{did_you_mean(kind, KINDS)}: {forms}")
+    if set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
+        raise ValueError(f"{text!r}: {forms}")
     return KINDS[kind](*plain, **named)

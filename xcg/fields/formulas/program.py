@@ -84,13 +84,15 @@ class Program:
             for array, width, row in zip(arrays, widths, rows, strict=False)
         ]
         tile = np.empty((loops.TILE + EIGHT) * max(widths))
+        if order is not None:
+            place = place[order]
         loops.run(
             self.steps,
             np.array(records, "uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
             self._fields(out, places=1 + int(place.max(initial=0))),
             self.target,
-            place if order is None else place[order],
+            place,
             order,
             tile.ctypes.data,
             scratch,
@@ -112,18 +114,13 @@ class Program:
 
     def _fields(self, out: Mapping[str, NDArray], places: int) -> NDArray:
         """Return address, width and components of each store (stores, 3), for the loop."""
-        addresses = [
-            loops.address_of(out[name], places, width, name) for name, width in self.widths.items()
+        fields = [
+            (loops.address_of(out[name], places, width, name), width)
+            for name, width in self.widths.items()
         ]
-        field, first, components = self.stores.T
-        return np.stack(
-            [
-                np.array(addresses, "uint64")[field] + loops.BYTES * first.astype("uint64"),
-                np.array(list(self.widths.values()), "uint64")[field],
-                components.astype("uint64"),
-            ],
-            axis=1,
-        )
+        field, first, components = self.stores.astype("uint64").T
+        address, width = np.array(fields, "uint64")[field].T
+        return np.stack([address + loops.BYTES * first, width, components], axis=1)
 
 
 class _Source(NamedTuple):
@@ -182,7 +179,9 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
         for first in range(0, len(components), together):
             values = components[first : first + together]
             results[name, first, together] = [record.of(value).number for value in values]
-    return _allocate(record.steps, results) if results else None
+    if not results:
+        return None
+    return _allocate(record.steps, results)
 
 
 def _allocate(
@@ -299,4 +298,6 @@ def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:
     """Return the steps that a step takes something from."""
     if operation in (loops.CONSTANT, loops.LOAD):
         return ()
-    return operands[1:] if operation in (loops.FIT, loops.PART) else operands
+    if operation in (loops.FIT, loops.PART):
+        return operands[1:]
+    return operands

@@ -129,27 +129,35 @@ def row(name: str, options: Options) -> Field:
 def options_of(attrs: Mapping[Any, Any]) -> Options:
     """Return the choices that a result was computed with, from its attributes."""
 
-    def axes(name: str) -> tuple[int, ...] | None:
-        return tuple("xyz".index(a) for a in attrs[name]) if name in attrs else None
+    def axes_of(dims: str) -> tuple[int, ...]:
+        return tuple(map("xyz".index, dims))
 
-    viscosity, lag = attrs.get("fluid_viscosity"), attrs.get("lag")
-    return Options(
-        plane=axes("plane") or (0, 1, 2),
-        gradient=str(attrs.get("gradient", "least_squares")),
-        pressure_axes=axes("pressure_dims"),
-        shear_axes=axes("shear_dims"),
-        deviatoric=str(attrs.get("deviatoric", "stress")),
-        size=str(attrs.get("size", "d43")),
-        temperature=str(attrs.get("temperature", "biased")),
-        diameter=float(attrs["size_diameter"]) if "size_diameter" in attrs else None,
-        fluid_viscosity=None if viscosity is None else float(viscosity),
-        lag=None if lag is None else int(lag),
-    )
+    # attribute, option, and the option's value from that of the attribute
+    kinds: dict[str, tuple[str, Callable[[Any], Any]]] = {
+        "plane": ("plane", axes_of),
+        "gradient": ("gradient", str),
+        "pressure_dims": ("pressure_axes", axes_of),
+        "shear_dims": ("shear_axes", axes_of),
+        "deviatoric": ("deviatoric", str),
+        "size": ("size", str),
+        "temperature": ("temperature", str),
+        "size_diameter": ("diameter", float),
+        "fluid_viscosity": ("fluid_viscosity", float),
+        "lag": ("lag", int),
+    }
+    options: dict[str, Any] = {"temperature": "biased"}  # of files without it
+    for name, (option, kind) in kinds.items():
+        if name in attrs:
+            options[option] = kind(attrs[name])
+    return Options(**options)
 
 
 def listed(*, registered: bool = True) -> list[str]:
     """Names of all fields that can be asked for, with or without fields that users registered."""
-    return [name for name, field in (FIELDS if registered else _ROWS).items() if field.listed]
+    names = [name for name in FIELDS if not name.startswith("_")]
+    if registered:
+        return names
+    return [name for name in names if name not in REGISTERED]
 
 
 @dataclass(frozen=True)
@@ -163,15 +171,15 @@ class OwnRow:
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the rows needed for some fields, each after its own inputs."""
-    found = dict[str, None]()
+    ordered = dict[str, None]()
     waiting = [*fields][::-1]
     while waiting:
-        lacking = [need for need in row(waiting[-1], options).fields if need not in found]
+        lacking = [need for need in row(waiting[-1], options).fields if need not in ordered]
         if lacking:
             waiting += reversed(lacking)
         else:
-            found[waiting.pop()] = None
-    return tuple(found)
+            ordered[waiting.pop()] = None
+    return tuple(ordered)
 
 
 def moments_of(fields: Iterable[str], options: Options) -> dict[str, Moment]:
@@ -191,7 +199,8 @@ def evaluate(
     fields: Sequence[str], moments: Mapping[str, NDArray], options: Options
 ) -> dict[str, NDArray]:
     """Compute fields from moments with NumPy; arrays (phase, node, ...)."""
-    s, f = SimpleNamespace(**moments), SimpleNamespace()
+    s = SimpleNamespace(**moments)
+    f = SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
         for name in order_of(fields, options):
             setattr(f, name, row(name, options).compute(f, s, options))
@@ -209,7 +218,8 @@ COORDINATES = (
     "component",
     "direction",
 )
-_PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
+_PHASES = 3  # of the trial: the bulk and two phases
+_NODES = 5  # of which the first is empty
 
 
 def register_field(
@@ -311,7 +321,9 @@ def register_field(
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
-    return (given,) if isinstance(given, str) else tuple(given)
+    if isinstance(given, str):
+        return (given,)
+    return tuple(given)
 
 
 def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
@@ -338,33 +350,30 @@ def _refuse(name: Any, why: str) -> NoReturn:
 
 
 def _check(name: str, row: Field) -> None:
-    own = listed(registered=False)
+    of_xcg = listed(registered=False)
     if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
         _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
-    if name in own or name in COORDINATES:
-        _refuse(
-            name,
-            f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another",
-        )
+    if name in (*of_xcg, *COORDINATES):
+        _refuse(name, "the name is that of a field of xcg, or of a coordinate; choose another")
     if not callable(row.compute):
         _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
     if row.rank not in (0, 1, 2):
         _refuse(name, f"rank={row.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
     if not row.fields and not row.moments:
         _refuse(name, "name the fields= or moments= that it is computed from")
-    for kind, needs, known, where in (
-        ("field", row.fields, listed(), "xcg.FIELDS"),
-        ("moment", row.moments, list(MOMENTS), "xcg.fields.sums.moments.MOMENTS"),
-    ):
-        for need in needs:
-            if need not in known:
-                _refuse(
-                    name, f"it needs an {unknown(kind, need, known, f'{kind}s are in {where}')}"
-                )
+    for need in row.fields:
+        if need not in listed():
+            _refuse(
+                name, f"it needs an {unknown('field', need, listed(), 'fields are in xcg.FIELDS')}"
+            )
+    for need in row.moments:
+        if need not in MOMENTS:
+            where = "moments are in xcg.fields.sums.moments.MOMENTS"
+            _refuse(name, f"it needs an {unknown('moment', need, list(MOMENTS), where)}")
     if name in order_of(row.fields, Options()):
         _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
-    if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):
-        sums = [field for field in own if FIELDS[field].additive and FIELDS[field].rank == 0]
+    if row.weight and (row.additive or row.weight not in of_xcg or not FIELDS[row.weight].additive):
+        sums = [field for field in of_xcg if FIELDS[field].additive and FIELDS[field].rank == 0]
         _refuse(
             name,
             f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}",
@@ -420,8 +429,10 @@ def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...
         with np.errstate(all="ignore"):
             scaled = row.compute(SimpleNamespace(**fields), SimpleNamespace(**moments), options)
             power = np.log2(np.asarray(scaled, float) / values)[is_number]
-        nearest = round(2 * power[0]) / 2 if np.isfinite(power[0]) else np.nan
-        powers.append(nearest if np.allclose(power, nearest, rtol=0.0, atol=1e-6) else np.nan)
+        nearest = np.round(2 * power[0]) / 2
+        if not np.allclose(power, nearest, rtol=0.0, atol=1e-6):
+            nearest = np.nan
+        powers.append(float(nearest))
     return tuple(powers)
 
 
@@ -429,13 +440,11 @@ def _try_out(name: str, row: Field) -> _Trial:
     """Return the field, computed from made-up moments."""
     options = Options(fluid_viscosity=1.0, own=(OwnRow(name, row),))
     moments = _made_up(moments_of((name,), options))
-    part = {
-        moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4]
-        for moment, a in moments.items()
-    }
+    of_some = {moment: a[:, 2:4] for moment, a in moments.items() if moment != "reference"}
+    of_some["reference"] = moments["reference"][2:4]
     try:
-        found = evaluate([*row.fields, name], moments, options)
-        again = evaluate([name], part, options)[name]
+        fields = evaluate([*row.fields, name], moments, options)
+        again = evaluate([name], of_some, options)[name]
     except Exception as error:
         why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
         if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
@@ -443,7 +452,7 @@ def _try_out(name: str, row: Field) -> _Trial:
         raise ValueError(
             f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
         ) from error
-    values = np.asarray(found[name])
+    values = np.asarray(fields[name])
     expected = (_PHASES, _NODES, *(3,) * row.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":
         _refuse(
@@ -452,7 +461,7 @@ def _try_out(name: str, row: Field) -> _Trial:
             f"of rank={row.rank} it has to give numbers {expected}",
         )
     for need, unchanged in evaluate(row.fields, moments, options).items():
-        if not np.array_equal(found[need], unchanged, equal_nan=True):
+        if not np.array_equal(fields[need], unchanged, equal_nan=True):
             _refuse(
                 name,
                 f"its formula changes the field {need!r} that it is given; let it work on a copy",
@@ -462,13 +471,13 @@ def _try_out(name: str, row: Field) -> _Trial:
             name,
             "what its formula gives at a node depends on other nodes, which are computed block by block",
         )
-    return _Trial(found, moments, options)
+    return _Trial(fields, moments, options)
 
 
 def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:
     """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
     rng = np.random.default_rng(0)
-    found = {}
+    made_up = {}
     for name, row in moments.items():
         tail = (_PHASES,) * row.paired + row.shape
         values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
@@ -476,8 +485,8 @@ def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:
             values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)
         values[0] = values[1] + values[2]
         values[:, 0] = 0.0
-        found[name] = values
-    found["reference"] = rng.uniform(-1.0, 1.0, (_NODES, 3))
-    for values in found.values():
+        made_up[name] = values
+    made_up["reference"] = rng.uniform(-1.0, 1.0, (_NODES, 3))
+    for values in made_up.values():
         values.flags.writeable = False
-    return found
+    return made_up

@@ -111,10 +111,9 @@ class OwnField:
             )
             return {formula: moment}
         if isinstance(self.quantity, (Mean, Sum)):
-            symbol = WEIGHTS[self.weight][0]
             moment = Moment(
                 self._reads,
-                q if symbol == "1" else f"{symbol} {q}",
+                f"{WEIGHTS[self.weight][0]} {q}".removeprefix("1 "),
                 (3,) * self.rank,
                 column=partial(_weighted, q, self.weight),
                 contacts=self.at_contacts,
@@ -183,21 +182,20 @@ class OwnField:
         q = self.quantity.variable
         kind = type(self.quantity)
         # what weights sum to: a moment, and the field that weighs averages over nodes or steps
+        symbol, _, total, counts = WEIGHTS[self.weight]
+        point = "Psi"
+        rows = "particles"
         if self.at_contacts:
-            total, counts = "contacts", "contact_number_density"
-            by = "number"
+            total = "contacts"
+            counts = "contact_number_density"
             point = "Psi(r - c)"
-        else:
-            total, counts = WEIGHTS[self.weight][2:]
-            by = self.weight
-            point = "Psi"
-        symbol = WEIGHTS[self.weight][0]
-        u = "" if symbol == "1" else f"{symbol}_i "
+            rows = "contacts"
+        u = f"{symbol}_i ".removeprefix("1_i ")
         below = f"sum {u}{point}"
         mean = f"<q> = sum {u}q {point} / {below}"
         forms: dict[type[Quantity], tuple[Any, ...]] = {
             Mean: (
-                f"mean of {self.what}, weighted by {by}",
+                f"mean of {self.what}, weighted by {self.weight}",
                 f"sum {u}q {point} / {below}",
                 lambda f, s, o: mean_of(getattr(s, names[0]), getattr(s, total)),
                 (total,),
@@ -209,7 +207,7 @@ class OwnField:
                 (),
             ),
             Variance: (
-                f"variance of {self.what}, weighted by {by}",
+                f"variance of {self.what}, weighted by {self.weight}",
                 f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
                 partial(_variance, names, rank),
                 (),
@@ -234,7 +232,9 @@ class OwnField:
             ),
         }
         long_name, formula, compute, more = forms[kind]
-        rows = "contacts" if self.at_contacts else "particles"
+        weight = ""
+        if kind in (Mean, Variance):
+            weight = counts
         return Field(
             rank=rank + (kind in (Flux, Conduction)),
             units=self.units,
@@ -244,7 +244,7 @@ class OwnField:
             fields=("_drift",) * (kind is Flux),
             moments=(*names, *more),
             additive=kind in (Sum, Flux, Conduction),
-            weight=counts if kind in (Mean, Variance) else "",
+            weight=weight,
             source=f"variable {q!r} of the {rows}",
         )
 
@@ -309,15 +309,17 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     if name not in scene.columns:
         raise SceneError(f"{quantity}: {unknown('variable', name, scene.rows)}")
     column = scene.columns[name]
-    dtype = "int64" if column.kind in "iu" else "float64"
-    row = variable(name, dtype, max(len(column.dims) - 1, 1))
+    dtypes = {"i": "int64", "u": "int64"}
+    row = variable(name, dtypes.get(column.kind, "float64"), max(len(column.dims) - 1, 1))
     rank = len(row.dims) - 1
     if set(column.dims) != {"time", *row.dims} or column.kind not in "fiub":
         raise SceneError(_wrong_dims(name, column, row.dims))
     at_contacts = row.dims[0] == "contact"
-    weight = quantity.weight or ("number" if at_contacts else quantity.usual)
+    weight = quantity.weight or quantity.usual
+    if at_contacts and quantity.weight is None:
+        weight = "number"
     if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
-        lack = "velocity" if weight == "number" else weight
+        lack = {"number": "velocity"}.get(weight, weight)
         raise ValueError(
             f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: "
             "leave weight= out, and take Mean, Sum or Variance"
@@ -372,27 +374,22 @@ def check_turns(own: Iterable[Any]) -> None:
 
 
 def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
-    msg = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
     rows = expected[0]
-    if "contact" in column.dims and rows == "particle":
-        to = f"contact_{name}"
-        return (
-            f"{msg}: names of variables of contacts begin with 'contact_'; "
-            f"call ds = ds.rename({name}={to!r})"
-        )
-    if "particle" in column.dims and rows == "contact":
-        return (
-            f"{msg}: names that begin with 'contact_' are for contacts; give it another name, "
-            "by ds.rename"
-        )
-    if "time" not in column.dims:
-        return (
-            f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
-        )
-    return (
-        f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, "
+    way_out = (
+        f"expected numbers with ('time', {rows!r}), and 'component' for vectors, "
         "or 'component' and 'direction' for tensors"
     )
+    if "contact" in column.dims and rows == "particle":
+        rename = f"ds = ds.rename({name}='contact_{name}')"
+        way_out = f"names of variables of contacts begin with 'contact_'; call {rename}"
+    elif "particle" in column.dims and rows == "contact":
+        way_out = (
+            "names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
+        )
+    elif "time" not in column.dims:
+        way_out = f"add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
+    dims = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
+    return f"{dims}: {way_out}"
 
 
 def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) -> str:
@@ -418,8 +415,7 @@ def _times(unit: str, exponent: int, other: str) -> str:
     """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
     factors = factors_of_unit(unit)
     if factors is None:  # another notation
-        text = f"({unit})^{exponent}" if exponent > 1 else f"({unit})"
-        return text if other == "1" else f"{text} {other}"
+        return f"({unit})^{exponent} {other}".replace("^1 ", " ").removesuffix(" 1")
     powers = {name: exponent * power for name, power in factors.items()}
     for name, power in (factors_of_unit(other) or {}).items():
         powers[name] = powers.get(name, 0) + power
@@ -441,14 +437,20 @@ _FIRST = 1
 _SQUARES = (4, 7, 9)
 _PRODUCTS = (5, 6)
 _OF_WEIGHTS = 10
+# components of a scalar, vector or tensor in one pass
+_IN_A_PASS = (1, 3, 3)
 
 
 def _text(part: _Number) -> str:
-    return "0" if part is None else f"{part[0]}[{part[1]}]"
+    if part is None:
+        return "0"
+    return f"{part[0]}[{part[1]}]"
 
 
 def _weights(weight: str, frame: Frame, count: int) -> NDArray:
-    return np.ones(count) if weight == "number" else frame[weight]
+    if weight == "number":
+        return np.ones(count)
+    return frame[weight]
 
 
 def _weighted(name: str, weight: str, frame: Frame, _: Contacts) -> NDArray:
@@ -484,7 +486,7 @@ def _bulk_mean(weight: NDArray, first: NDArray) -> NDArray:
 def _variance(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return S u (q - b)^2 / S u, with S u (q - b)^2 = S u q q - b S u q - (S u q - b S u) b."""
     variances = []
-    for name, k in product(names, range(3 if rank else 1)):
+    for name, k in product(names, range(_IN_A_PASS[rank])):
         sums = getattr(s, name)
         weight = sums[..., 0]
         first = sums[..., _FIRST + k]
@@ -497,7 +499,7 @@ def _variance(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> 
 def _mean_error(names: tuple[str, ...], rank: int, f: Any, s: Any, o: Options) -> NDArray:
     """Return the error of a mean, see `_MeanError`."""
     errors = []
-    for name, k in product(names, range(3 if rank else 1)):
+    for name, k in product(names, range(_IN_A_PASS[rank])):
         sums = getattr(s, name)
         weight = where_positive(sums[..., 0])
         first = sums[..., _FIRST + k]

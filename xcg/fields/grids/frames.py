@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import axis_vector, is_positive, unit, unit_vector, vector
+from xcg.common.checks import POSITIVE, axis_vector, check, unit, unit_vector, vector
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading, mark_measured
@@ -28,17 +28,17 @@ _SAME = 1e-12  # rounding of directions
 def axis_of(direction: NDArray) -> int | None:
     """Return the axis that a unit vector is along, None for others."""
     k = int(np.argmax(np.abs(direction)))
-    return k if abs(direction[k]) > 1 - _SAME else None
+    if abs(direction[k]) > 1 - _SAME:
+        return k
+    return None
 
 
 def frame_about(direction: NDArray) -> tuple[NDArray, NDArray]:
     """Two unit vectors that make a right-handed frame with `direction` as the third; x and y for z."""
     k = axis_of(direction)
-    first = (
-        np.eye(3)[(k + 1) % 3]
-        if k is not None
-        else np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    )
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    if k is not None:
+        first = np.eye(3)[(k + 1) % 3]
     first = first / np.linalg.norm(first)
     return first, np.cross(direction, first)
 
@@ -89,17 +89,17 @@ class Rotated:
     origin: Sequence[float] = _NO_PLACE
 
     def __post_init__(self) -> None:
-        given = self._chosen
-        if len(given) not in (1, 2):
+        chosen = self._chosen
+        if len(chosen) not in (1, 2):
             raise ValueError(
                 f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
             )
-        for name in given:
+        for name in chosen:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
-        if len(given) == 2 and self._second(*given) is None:
+        if len(chosen) == 2 and self._second(*chosen) is None:
             raise ValueError(
-                f"{self}: the axes {' and '.join(given)} are parallel: give two different directions"
+                f"{self}: the axes {' and '.join(chosen)} are parallel: give two different directions"
             )
 
     @classmethod
@@ -164,15 +164,16 @@ class Rotated:
     @property
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
-        first = self._chosen[0]
-        others = self._chosen[1:] or [a for a in "zxy" if a != self._chosen[0]]
-        second, beside = next(
-            (a, part) for a in others if (part := self._second(first, a)) is not None
-        )
-        found = {first: unit(self._given(first)), second: beside}
-        (k,) = (k for k, a in enumerate(COMPONENTS) if a not in found)
-        found[COMPONENTS[k]] = np.cross(found[COMPONENTS[k - 2]], found[COMPONENTS[k - 1]])
-        return np.array([found[a] for a in COMPONENTS]) + 0.0
+        first, *others = self._chosen
+        axes = {first: unit(self._given(first))}
+        for a in others or [a for a in "zxy" if a != first]:
+            second = self._second(first, a)
+            if second is not None:
+                axes[a] = second
+                break
+        (k,) = (k for k, a in enumerate(COMPONENTS) if a not in axes)
+        axes[COMPONENTS[k]] = np.cross(axes[COMPONENTS[k - 2]], axes[COMPONENTS[k - 1]])
+        return np.array([axes[a] for a in COMPONENTS]) + 0.0
 
     @property
     def _chosen(self) -> list[str]:
@@ -182,13 +183,18 @@ class Rotated:
     def _given(self, axis: str) -> NDArray:
         """Direction of an axis: given, or the scene's own."""
         value = getattr(self, axis)
-        return np.eye(3)[COMPONENTS.index(axis)] if value is None else np.asarray(value, float)
+        if value is None:
+            value = np.eye(3)[COMPONENTS.index(axis)]
+        return np.asarray(value, float)
 
     def _second(self, first: str, second: str) -> NDArray | None:
         """Part of an axis at a right angle to the first; None where they are parallel."""
-        one, other = unit(self._given(first)), unit(self._given(second))
-        part = other - (other @ one) * one
-        return unit(part - (part @ one) * one) if np.linalg.norm(part) > _PARALLEL else None
+        kept = unit(self._given(first))
+        other = unit(self._given(second))
+        part = other - (other @ kept) * kept
+        if np.linalg.norm(part) <= _PARALLEL:
+            return None
+        return unit(part - (part @ kept) * kept)
 
 
 @dataclass(frozen=True)
@@ -241,17 +247,20 @@ class Cylindrical:
 
     def __post_init__(self) -> None:
         axis_vector("axis", self.axis)
-        if not is_positive(self.error):
-            raise ValueError(f"{self}: expected a positive error, such as 1e-3")
+        check("error", self.error, POSITIVE, hint=", such as 1e-3")
         _ = self.rotated
 
     @property
     def rotated(self) -> Rotated:
         """The axes in which the cylinder's is z, and theta is 0 along x."""
-        z = axis_vector("axis", self.axis) if isinstance(self.axis, str) else self.axis
-        given = Rotated(z=tuple(np.asarray(z, float).tolist()), x=self.x, origin=self.origin)
-        along_x = self.x is None and Rotated(z=given.z).axes[2] @ np.eye(3)[0] > 1.0 - _PARALLEL**2
-        return Rotated(z=given.z, x=(0.0, 1.0, 0.0), origin=self.origin) if along_x else given
+        axis: Any = self.axis
+        if isinstance(axis, str):
+            axis = axis_vector("axis", axis)
+        z = tuple(np.asarray(axis, float).tolist())
+        x = self.x
+        if x is None and Rotated(z=z).axes[2][0] > 1.0 - _PARALLEL**2:
+            x = (0.0, 1.0, 0.0)
+        return Rotated(z=z, x=x, origin=self.origin)
 
 
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
@@ -282,8 +291,11 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         If the axes lead out of the plane of a scene of one layer, or some components of a variable
         are not there.
     """
-    # in the scene's own, a row each
-    axes = (frame if isinstance(frame, Rotated) else frame.rotated).axes
+    name_of_frame = "rotated"
+    if isinstance(frame, Cylindrical):
+        name_of_frame = CYLINDRICAL
+        frame = frame.rotated
+    axes = frame.axes  # in the scene's own, a row each
     origin = np.asarray(frame.origin, float)
     across = [k for k, a in enumerate(COMPONENTS) if a not in ds.attrs.get("plane", "xyz")]
     plane = "".join(
@@ -294,35 +306,31 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
             f"the scene is a layer in the plane {ds.attrs['plane']!r}, and the axes {axes.tolist()} lead out of it: "
             "turn it about the axis across its plane"
         )
-    found = {}
+    in_axes = {}
     for name in map(str, ds.data_vars):
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]
-        if dims and name not in ("box", *MOTION):
-            shift = origin if name in _PLACES else np.zeros(3)
-            in_axes = (
-                partial(turned, axes=axes, origin=shift)
-                if len(dims) == 1
-                else partial(_tensors, axes=axes)
-            )
-            found[name] = _mapped(in_axes, ds[name], dims).transpose(*ds[name].dims)
-    out = _with_box(ds.assign(found), axes, origin)
+        if not dims or name in ("box", *MOTION):
+            continue
+        turn: Any = partial(turned, axes=axes, origin=np.zeros(3))
+        if name in _PLACES:
+            turn = partial(turned, axes=axes, origin=origin)
+        elif len(dims) == 2:
+            turn = partial(_tensors, axes=axes)
+        in_axes[name] = _mapped(turn, ds[name], dims).transpose(*ds[name].dims)
+    out = _with_box(ds.assign(in_axes), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
-    attrs["frame"] = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
+    attrs["frame"] = name_of_frame
     attrs |= {"frame_axes": axes.ravel(), "frame_origin": origin}
     if across:
         attrs["plane"] = plane
     if "gravity" in attrs:
         attrs["gravity"] = axes @ np.asarray(attrs["gravity"], float)
     out = out.drop_attrs(deep=False).assign_attrs(attrs)
-    in_memory = is_in_memory(ds["position"].variable)
-    if (
-        not in_memory
-        and known_without_reading(ds, "position")
-        and {"particle_lower", "particle_upper"} <= {*ds.attrs}
-    ):
-        extremes = (
-            corners(ds.attrs["particle_lower"], ds.attrs["particle_upper"]) - origin
-        ) @ axes.T
+    is_measured = {"particle_lower", "particle_upper"} <= {*ds.attrs}
+    is_lazy = not is_in_memory(ds["position"].variable)
+    if is_lazy and is_measured and known_without_reading(ds, "position"):
+        extent = corners(ds.attrs["particle_lower"], ds.attrs["particle_upper"])
+        extremes = (extent - origin) @ axes.T
         out = out.assign_attrs(
             particle_lower=extremes.min(axis=0), particle_upper=extremes.max(axis=0)
         )
@@ -367,8 +375,11 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         return ds
     own = [axis_of(row) for row in axes]
     others = [k for k in range(3) if k not in own]
-    # which of its axes stands in the place of each new one
-    rows = [others.pop(0) if k is None else k for k in own]
+    rows = []  # which of its axes stands in the place of each new one
+    for k in own:
+        if k is None:
+            k = others.pop(0)
+        rows.append(k)
     periodic = str(ds.attrs.get("periodic", ""))
     loose = [k for k in range(3) if k not in own and COMPONENTS[k] in periodic]
     edges = partial(_edges, own=own, axes=axes, origin=origin)
@@ -379,25 +390,25 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
     attrs["periodic"] = "".join(
         a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic
     )
-    found = {"box": _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)}
+    turned_box = {}
+    turned_box["box"] = _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)
     if "lattice" in ds:
-        found |= {
-            n: ds[n].isel(vector=rows).assign_coords(vector=list(VECTORS))
-            for n in _LATTICE
-            if n in ds
-        }
+        for name in _LATTICE:
+            if name in ds:
+                vectors = ds[name].isel(vector=rows)
+                turned_box[name] = vectors.assign_coords(vector=list(VECTORS))
     elif loose:
         repeats = np.array([a in periodic for a in COMPONENTS])
         lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
         vectors = _mapped(lattice_of, ds["box"], ["component", "bound"], ["vector", "component"])
-        found["lattice"] = vectors.assign_coords(vector=list(VECTORS))
+        turned_box["lattice"] = vectors.assign_coords(vector=list(VECTORS))
     if "image" in ds:
         images = ds["image"].isel(component=rows).assign_coords(component=ds["component"])
-        if "lattice" not in ds and "lattice" not in found:  # periods lead along the new axes
+        if "lattice" not in ds and "lattice" not in turned_box:  # periods lead along the new axes
             ahead = np.sign(axes[range(3), rows]).astype("int64")
             images = images * xr.DataArray(ahead, dims="component")
-        found["image"] = images
-    return ds.assign(found).drop_attrs(deep=False).assign_attrs(attrs)
+        turned_box["image"] = images
+    return ds.assign(turned_box).drop_attrs(deep=False).assign_attrs(attrs)
 
 
 def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArray) -> NDArray:
@@ -406,9 +417,8 @@ def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArr
     out[...] = -np.inf, np.inf
     for j, k in enumerate(own):
         if k is not None:
-            out[..., j, :] = (
-                np.sort(np.sign(axes[j, k]) * (box[..., k, :] - origin[k]), axis=-1) + 0.0
-            )
+            ends = np.sign(axes[j, k]) * (box[..., k, :] - origin[k])
+            out[..., j, :] = np.sort(ends, axis=-1) + 0.0
     return out
 
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite, rising_pair
+from xcg.common.checks import FINITE, check, is_finite, rising_pair
 from xcg.common.messages import warn_once
 from xcg.compiled._jit import THREADS, for_each
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
@@ -21,33 +21,32 @@ from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
 
+# first and last place along axes (m)
+Bounds: TypeAlias = Mapping[str, Sequence[float]]
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 1 << 24  # 134 MB of places
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
 def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
-    """Raise ValueError for axes that a scene does not have, among those of some arguments."""
-    for name, given in places.items():
-        if wrong := [a for a in given if a not in known]:
-            layer = " (one layer, dimension=2)" if len(known) == 2 else ""
-            example = "".join(known[:2])
-            how = ""
-            if {",", " "} & {*wrong}:
-                how = f"; write names without commas or spaces, such as {example!r}"
-            elif all(isinstance(a, str) and a.lower() in known for a in wrong):
-                how = f"; did you mean {wrong[0].lower()!r}?"
-            elif "r" in wrong:
-                how = "; axes r, theta and z need frame=xcg.Cylindrical(...)"
-            raise ValueError(
-                f"{name} names {wrong}: the axes of this scene are {', '.join(known)}{layer}{how}"
-            )
+    """Raise ValueError for axes that a scene does not have, or that an argument names twice."""
+    for name, axes in places.items():
+        wrong = [a for a in axes if a not in known]
+        if wrong:
+            of_scene = ", ".join(known)
+            if len(known) == 2:
+                of_scene += " (one layer, dimension=2)"
+            if "r" in wrong:
+                of_scene += "; axes r, theta and z need frame=xcg.Cylindrical(...)"
+            raise ValueError(f"{name} names {wrong}: the axes of this scene are {of_scene}")
+        if len(set(axes)) < len(list(axes)):
+            raise ValueError(f"{name}={axes!r} names an axis twice")
 
 
 def check_places(
     axes: Sequence[str],
     at: Mapping[str, float],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     known: Sequence[str],
 ) -> None:
     """Raise ValueError for unknown axes, axes both resolved and fixed, and bounds of axes that are not resolved."""
@@ -57,10 +56,7 @@ def check_places(
             f"axes= and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
         )
     for a, value in at.items():
-        if not is_finite(value):
-            raise ValueError(
-                f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
-            )
+        check(f"at[{a!r}]", value, FINITE, "m", hint="; use axes= with bounds= for several")
     if loose := [a for a in bounds if a not in axes]:
         raise ValueError(
             f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
@@ -72,11 +68,11 @@ def labels_of(
     nodes: Mapping[str, NDArray], fixed: Mapping[str, float], note: str
 ) -> tuple[dict[str, xr.Variable], dict[str, str]]:
     """Coordinates of results, and where the nodes are in words, with a note about them."""
-    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {
-        a: xr.Variable((), x) for a, x in fixed.items()
-    }
+    coords = {a: xr.Variable(a, x) for a, x in nodes.items()}
+    coords |= {a: xr.Variable((), x) for a, x in fixed.items()}
+    count = " x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one"
     text = {
-        "nodes": (" x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one") + note,
+        "nodes": f"{count}{note}",
         "fixed": ", ".join(f"{a} = {x:g}" for a, x in fixed.items()) or "none",
     }
     return coords, text
@@ -90,8 +86,8 @@ def nodes_along(
     a: str,
     step: Any,
     axes: Iterable[str],
-    bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]],
+    bounds: Bounds,
+    automatic: Bounds,
     period: Mapping[str, float],
     cutoff: float,
     cells: bool = False,
@@ -115,11 +111,13 @@ def nodes_along(
         first = automatic[a][0]
         count = max(1, np.floor(period[a] / step + 0.5))
         step = period[a] / count
-        first += 0.5 * step if cells else 0.0
+        if cells:
+            first += 0.5 * step
     else:
         first, last = automatic[a]
-        count = np.ceil((last - first) / step)
-        count = max(1, count) if cells else count + 1
+        count = np.ceil((last - first) / step) + 1
+        if cells:
+            count = max(1, count - 1)
         first = 0.5 * (first + last) - 0.5 * (count - 1) * step
     if not count < _MOST_OF_ONE_AXIS:
         raise MeshTooLargeError(
@@ -139,12 +137,12 @@ def nodes_along(
 def make_grid(
     axes: str,
     at: Mapping[str, float],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     spacing: float | Mapping[str, float],
     *,
     plane: str,
     cutoff: float,
-    automatic: Mapping[str, tuple[float, float]],
+    automatic: Bounds,
     period: Mapping[str, float],
     cells: bool = False,
 ) -> Grid:
@@ -177,13 +175,17 @@ def make_grid(
     if not isinstance(axes, Iterable):
         raise ValueError(f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}")
     check_places(axes, at, bounds, plane)
-    if len(set(axes)) != len(axes):
-        raise ValueError(f"axes={axes!r} names an axis twice")
     axes = "".join(sorted(axes))
-    steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
-    nodes, taken = {}, {}
+    steps: Mapping[str, Any] = dict.fromkeys(axes, spacing)
+    note = ""
+    if isinstance(spacing, Mapping):
+        steps = spacing
+    if cells and axes:
+        note = ", averages over their cells"
+    nodes: dict[str, NDArray] = {}
+    distances: dict[str, float] = {}
     for a in axes:
-        nodes[a], taken[a] = nodes_along(
+        nodes[a], distances[a] = nodes_along(
             a, steps.get(a), axes, bounds, automatic, period, cutoff, cells
         )
     shape = {a: len(x) for a, x in nodes.items()}
@@ -193,10 +195,12 @@ def make_grid(
             "larger spacing or smaller bounds"
         )
     fixed = {a: float(v) for a, v in at.items()}
-    coords, text = labels_of(nodes, fixed, ", averages over their cells" if cells and axes else "")
-    half = np.array([0.5 * taken[a] if cells and a in nodes else 0.0 for a in COMPONENTS])
-    origin = np.array([nodes[a][0] if a in nodes else fixed.get(a, 0.0) for a in COMPONENTS])
-    last = origin + [(shape.get(a, 1) - 1) * taken.get(a, 1.0) for a in COMPONENTS]
+    coords, text = labels_of(nodes, fixed, note)
+    firsts = fixed | {a: float(x[0]) for a, x in nodes.items()}
+    origin = np.array([firsts.get(a, 0.0) for a in COMPONENTS])
+    steps_along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
+    last = origin + (np.array([shape.get(a, 1) for a in COMPONENTS]) - 1) * steps_along
+    half = 0.5 * steps_along * cells
     return Grid(
         dims=tuple(axes),
         sizes=tuple(shape.values()),
@@ -208,7 +212,7 @@ def make_grid(
         upper=last + half,
         text=text,
         cuts={a: (place, place) for a, place in fixed.items()},
-        spacing=taken,
+        spacing=distances,
         fitted="".join(a for a in axes if a not in bounds and a not in period),
         half=half,
     )
@@ -238,9 +242,8 @@ def check_mesh(
     first = grid.lower
     last = grid.upper
     x = position
-    if not np.all(
-        [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0
-    ).any():
+    reaches = [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes]
+    if not np.all(reaches, axis=0).any():
         grains = ", ".join(
             f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes
         )
@@ -280,7 +283,8 @@ def warn_beyond(
 # Cells hold about this many points, but are no wider and no narrower than these shares of the
 # support's radius: measured, see docs/measurements.md.
 _IN_A_CELL = 16
-_WIDEST, _NARROWEST = 1.0, 0.35
+_WIDEST = 1.0
+_NARROWEST = 0.35
 # They are flat, as the run of points within reach begins and ends with a cell.
 _FLAT = 0.2
 # Cells of a block, besides four for each point: where points are far apart, cells are wider.
@@ -351,7 +355,8 @@ class PointBlock:
         """Return the points as loops take them; the origin is theirs."""
         share = self.unit / unit
         place = self.position * share
-        begin, end = self.lower * share, self.upper * share
+        begin = self.lower * share
+        end = self.upper * share
         many = np.array(self.shape) > 1
         size = np.where(many, self.size * share, 0.0)
         per_size = np.where(many, 1.0 / (self.size * share), 0.0)
@@ -388,25 +393,18 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     """
     check_places("", dict.fromkeys(at, 0.0), {}, plane)  # names only
     arrays = _aligned({a: _array(a, at[a]) for a in COMPONENTS if a in at})
-    sizes = {str(dim): size for array in arrays.values() for dim, size in array.sizes.items()}
-    shape = tuple(sizes.values())
-    if math.prod(map(float, shape)) > MAX_NODES:
+    sizes: dict[str, int] = {}
+    for array in arrays.values():
+        sizes |= {str(dim): size for dim, size in array.sizes.items()}
+    if math.prod(map(float, sizes.values())) > MAX_NODES:
         raise ValueError(f"at= names {sizes} points, more than {MAX_NODES}: take fewer at a time")
-    position = np.zeros((3, math.prod(shape)))
+    position = np.zeros((3, math.prod(sizes.values())))
     for a, array in arrays.items():
-        column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
-        if column.size and not -_FARTHEST < column.min() <= column.max() < _FARTHEST:
-            lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
-            where = dict(
-                zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True)
-            )
-            raise ValueError(
-                f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
-            )
-        position[COMPONENTS.index(a)] = column
+        position[COMPONENTS.index(a)] = _column(a, array, sizes)
     lower, upper, origin = np.zeros((3, 3))
     if position.size:
-        lower, upper = position.min(axis=1), position.max(axis=1)
+        lower = position.min(axis=1)
+        upper = position.max(axis=1)
         origin = np.array([np.partition(x, len(x) // 2)[len(x) // 2] for x in position])
     most = min(BLOCK_NODES, max(_FEW, position.shape[1] // (2 * THREADS) + 1))
     place = (position - origin[:, None]) / cutoff
@@ -415,13 +413,13 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     cuts = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS) if a in arrays}
     spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in cuts.items())
     text = " x ".join(f"{size} {dim}" for dim, size in sizes.items())
-    coords = {
-        str(name): c.variable for array in arrays.values() for name, c in array.coords.items()
-    }
+    coords: dict[str, xr.Variable] = {}
+    for array in arrays.values():
+        coords |= {str(name): coord.variable for name, coord in array.coords.items()}
     coords |= {a: array.variable for a, array in arrays.items()}
     return Grid(
         tuple(sizes),
-        shape,
+        tuple(sizes.values()),
         coords,
         "".join(arrays),
         "".join(a for a in plane if a not in arrays),
@@ -455,12 +453,8 @@ def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
     """Raise ValueError for arrays that do not belong together, or whose dimensions results have already."""
     for a, array in arrays.items():
         # a dimension may be named by the one axis that runs along it, as the nodes of a mesh are
-        taken = [
-            d
-            for d in array.dims
-            if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))
-        ]
-        taken += [d for d in array.dims if d in _OF_RESULTS]
+        own = {d for d in array.dims if d in arrays and arrays[str(d)].dims == (d,)}
+        taken = [d for d in array.dims if d in {*COMPONENTS, *_OF_RESULTS} - own]
         if taken:
             raise ValueError(
                 f"at[{a!r}] has the dimensions {array.dims}: {taken} are other dimensions of results; rename them"
@@ -472,6 +466,20 @@ def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
         raise ValueError(
             f"the coordinates in at= have other sizes or labels along dimensions that they share, {sizes}: {error}"
         ) from error
+
+
+def _column(axis: str, array: xr.DataArray, sizes: Mapping[str, int]) -> NDArray:
+    """Return the coordinates of all points along an axis (n,). Raise ValueError unless they are finite."""
+    column = array.variable.set_dims(sizes).to_numpy().ravel()
+    is_lost = ~(np.abs(column) < _FARTHEST)
+    if is_lost.any():
+        lost = int(is_lost.argmax())
+        indices = map(int, np.unravel_index(lost, tuple(sizes.values())))
+        where = dict(zip(sizes, indices, strict=True))
+        raise ValueError(
+            f"at[{axis!r}] is {column[lost]} at {where}: expected finite coordinates; leave these points out"
+        )
+    return column
 
 
 def _cells_of(extent: NDArray, size: NDArray | float) -> float:
@@ -490,7 +498,8 @@ def _sorted(
     """
     many = len(rows)
     count = math.prod(shape.tolist())
-    start, (cell, order, rank) = np.zeros(count + 2, "int64"), np.empty((3, many), "int64")
+    start = np.zeros(count + 2, "int64")
+    cell, order, rank = np.empty((3, many), "int64")
     place = np.empty((3, many + PAD))
     sorted_rows = np.empty_like(rows)
     place[:, many:] = 0.0

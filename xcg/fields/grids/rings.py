@@ -18,7 +18,15 @@ from xcg.compiled import points as loops
 from xcg.compiled._jit import THREADS
 from xcg.compiled.points import SQUARES
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
-from xcg.fields.grids.grid import MAX_NODES, PointBlock, check_places, labels_of, nodes_along
+from xcg.fields.grids.grid import (
+    MAX_NODES,
+    Bounds,
+    PointBlock,
+    check_axes,
+    check_places,
+    labels_of,
+    nodes_along,
+)
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS
@@ -34,10 +42,8 @@ _TO_TURN = (  # moments in kinematic columns that are vectors and tensors, and t
     (loops.SQUARED, "square_offset"),
     (loops.SQUARED, "square_spread"),
 )
-_FLOW = {
-    name: MOMENTS[name].first + MOMENTS[name].columns
-    for name in (*(n for _, n in _TO_TURN), "cubes")
-}
+_VECTORS = [*(name for _, name in _TO_TURN), "cubes"]
+_FLOW = {name: MOMENTS[name].first + MOMENTS[name].columns for name in _VECTORS}
 _SHIFTED = Flow(**{name: _FLOW[name] for name in Flow._fields})
 
 
@@ -73,17 +79,13 @@ class RingBlock:
         Numbers relative to a velocity are brought to one velocity first, in these axes the same at
         all angles of a node.
         """
-        # passes that refer to one velocity share the array
-        common: dict[int, tuple[NDArray, NDArray]] = {}
         filled: list[NDArray] = []
         references: list[NDArray] = []
         for run, sums, velocities in zip(
             at_angles.of.passes, at_angles.filled, at_angles.references, strict=True
         ):
             layout = run.layout
-            if id(velocities) not in common:
-                common[id(velocities)] = self._reference(velocities, turns=layout.vector)
-            reference, difference = common[id(velocities)]
+            reference, difference = self._reference(velocities, turns=layout.vector)
             groups, _, columns = sums.shape
             averaged = np.zeros((groups, len(self.places), columns))
             record = np.empty(columns)
@@ -104,10 +106,7 @@ class RingBlock:
                     self._square(layout, squared, averaged)
             filled.append(averaged)
             references.append(reference)
-        main = at_angles.velocity
-        if id(main) not in common:
-            common[id(main)] = self._reference(main, turns=True)
-        velocity, _ = common[id(main)]
+        velocity, _ = self._reference(at_angles.velocity, turns=True)
         return BlockSums(at_angles.of, filled, velocity, references)
 
     def _reference(self, velocities: NDArray, *, turns: bool) -> tuple[NDArray, NDArray]:
@@ -148,7 +147,9 @@ class RingBlock:
             np.zeros((4, 3)),
             out,
         )
-        columns = SQUARES if layout.level >= loops.SQUARED else SQUARES[:1]
+        columns = SQUARES[:1]
+        if layout.level >= loops.SQUARED:
+            columns = SQUARES
         for k, column in enumerate(columns):
             averaged[squared.groups, :, column] = out[squared.groups, :, k]
 
@@ -172,15 +173,22 @@ def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
     first : array (nodes,)
         First point of each node.
     """
-    points, shares, nodes = [], [], []
+    points: list[NDArray] = []
+    shares: list[NDArray] = []
+    nodes: list[NDArray] = []
     for part in grid.parts or ():
         assert isinstance(part, RingBlock)
         rings = part.rings
-        counts = np.diff(rings.start) if whole else np.ones(len(rings.place), int)
-        rows = np.arange(len(rings.angle)) if whole else rings.start[:-1]
+        counts = np.ones(len(rings.place), int)
+        rows = rings.start[:-1]
+        share = np.ones(len(rows))
+        if whole:
+            counts = np.diff(rings.start)
+            rows = np.arange(len(rings.angle))
+            share = rings.share
         radius, height = np.repeat(rings.place, counts, axis=0).T
         points.append(np.stack([radius * rings.cosine[rows], radius * rings.sine[rows], height], 1))
-        shares.append(rings.share[rows] if whole else np.ones(len(rows)))
+        shares.append(share)
         nodes.append(np.repeat(part.places.astype(int), counts))
     order = np.argsort(np.concatenate(nodes), kind="stable")
     _, first = np.unique(np.concatenate(nodes)[order], return_index=True)
@@ -209,14 +217,13 @@ _BLOCKS = 4  # parts a thread
 def make_rings(
     axes: str,
     at: Mapping[str, Any],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     spacing: float | Mapping[str, float],
     *,
     plane: str,
     kernel: Kernel,
-    seen_all: int,
     error: float,
-    automatic: Mapping[str, tuple[float, float]],
+    automatic: Bounds,
     period: Mapping[str, float],
 ) -> Grid:
     """Lay the nodes of a cylinder.
@@ -229,8 +236,6 @@ def make_rings(
         The axes that the scene has.
     kernel : Kernel
         The one with the smallest support.
-    seen_all : int
-        Dimensions that the kernel has.
     error : float
         What averages over theta may differ by.
     automatic, period : mapping
@@ -241,38 +246,36 @@ def make_rings(
     ValueError
         If an argument is wrong.
     """
-    known = [NAMES[letter] for letter in _letters_of(plane)]
-    resolved = _resolved_axes(axes, plane)
+    letters = letters_of(plane)
+    check_axes(letters, axes=axes)
+    dimension = len(plane)
+    known = [NAMES[letter] for letter in letters]
+    resolved = [NAMES[letter] for letter in letters if letter in axes]
     fixed = _fixed_places(at, bounds, resolved, known)
-    steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
+    steps: Mapping[str, Any] = {"r": spacing, "z": spacing}
+    if isinstance(spacing, Mapping):
+        steps = spacing
     nodes: dict[str, NDArray] = {}
     if "r" in resolved:
         nodes["r"] = _radii(steps.get("r"), resolved, bounds, automatic, kernel.cutoff)
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = _part_of_circle(bounds)
     if "theta" in resolved:
-        widest = max(float(radii.max()), kernel.cutoff)
-        step = steps.get("theta", steps["r"] / widest if "r" in steps else None)
-        circle = {"theta": (0.0, _FULL)}
-        nodes["theta"], _ = nodes_along(
-            "theta", step, resolved, bounds, circle, {"theta": _FULL}, kernel.cutoff / widest
-        )
+        nodes["theta"] = _angles(steps, resolved, bounds, float(radii.max()), kernel.cutoff)
     if "z" in resolved:
         nodes["z"], _ = nodes_along(
             "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
         )
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
-    averaged = "z" if "z" in plane and "z" not in resolved and "z" not in fixed else ""
+    # by the loops' kernel; theta by its rule
+    averaged = "".join(a for a in known[2:] if a not in resolved and a not in fixed)
     error_met = 0.0
     if "theta" in nodes or "theta" in fixed:
         angles = nodes.get("theta", np.array([fixed.get("theta", 0.0)]))
         rules = [[(np.array([angle]), np.ones(1)) for angle in angles] for _ in radii]
     else:
-        step, error_met = angular_step(kernel, seen_all - len(averaged), error)
-        if high - low > _FULL * (1 - 1e-12):
-            rules = [[_circle(radius, step)] for radius in radii]
-        else:
-            rules = [[_part(radius, step, low, high)] for radius in radii]
+        step, error_met = angular_step(kernel, dimension - len(averaged), error)
+        rules = [[_average(radius, step, low, high)] for radius in radii]
     count = sum(len(share) for rule in rules for _, share in rule) * len(heights)
     if count > MAX_NODES:
         raise ValueError(
@@ -283,16 +286,19 @@ def make_rings(
     widest = float(radii.max())
     lower = np.array([-widest, -widest, heights.min()])
     upper = np.array([widest, widest, heights.max()])
-    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, seen_all, count))
+    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, dimension, count))
     # on the axis r and theta have no direction
     on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
-    mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
-    coords, text = labels_of(nodes, fixed, mean)
+    note = ""
+    if any(part.is_mean for part in parts):
+        note = f", averages over {count} places"
+    coords, text = labels_of(nodes, fixed, note)
+    seen = "".join(a for a in "xyz" if a in {"x", "y", *coords})
     return Grid(
         tuple(nodes),
         tuple(map(len, nodes.values())),
         coords,
-        "xyz" if "z" in coords else "xy",
+        seen,
         averaged,
         origin,
         lower,
@@ -304,23 +310,16 @@ def make_rings(
     )
 
 
-def _letters_of(plane: str) -> str:
-    return "rtz" if "z" in plane else "rt"
-
-
-def _resolved_axes(axes: str, plane: str) -> list[str]:
-    """Return the names of the resolved axes. Raise ValueError for other letters."""
-    letters = _letters_of(plane)
-    if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(
-            f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)"
-        )
-    return [NAMES[letter] for letter in letters if letter in axes]
+def letters_of(plane: str) -> str:
+    """Return the letters of the axes of a cylindrical frame: theta is "t"."""
+    if "z" in plane:
+        return "rtz"
+    return "rt"
 
 
 def _fixed_places(
     at: Mapping[str, Any],
-    bounds: Mapping[str, Sequence[float]],
+    bounds: Bounds,
     resolved: Sequence[str],
     known: Sequence[str],
 ) -> dict[str, float]:
@@ -347,8 +346,8 @@ def _fixed_places(
 def _radii(
     step: float | None,
     resolved: Sequence[str],
-    bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]],
+    bounds: Bounds,
+    automatic: Bounds,
     cutoff: float,
 ) -> NDArray:
     """Return the radii of the nodes; without bounds a whole number of steps from the axis."""
@@ -362,7 +361,25 @@ def _radii(
     return radii
 
 
-def _part_of_circle(bounds: Mapping[str, Sequence[float]]) -> tuple[float, float]:
+def _angles(
+    steps: Mapping[str, Any],
+    resolved: Sequence[str],
+    bounds: Bounds,
+    radius: float,
+    cutoff: float,
+) -> NDArray:
+    """Return the angles of the nodes; by default as far from each other at the largest radius as the radii are."""
+    widest = max(radius, cutoff)
+    step = steps.get("theta")
+    if step is None and "r" in steps:
+        step = steps["r"] / widest
+    circle = {"theta": (0.0, _FULL)}
+    turn = {"theta": _FULL}
+    angles, _ = nodes_along("theta", step, resolved, bounds, circle, turn, cutoff / widest)
+    return angles
+
+
+def _part_of_circle(bounds: Bounds) -> tuple[float, float]:
     """Return the bounds of theta. Raise ValueError unless they are at most a circle apart."""
     low, high = map(float, bounds.get("theta", (0.0, _FULL)))
     if not 0.0 < high - low <= _FULL * (1 + 1e-12):
@@ -398,14 +415,15 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
         step *= 0.93
 
 
-def _circle(radius: float, step: float) -> tuple[NDArray, NDArray]:
-    """Angles around a circle and their shares: trapezoids, which converge fast for what is smooth."""
-    count = max(_FEWEST, math.ceil(_FULL * radius / step))
-    return _FULL * np.arange(count) / count, np.full(count, 1.0 / count)
+def _average(radius: float, step: float, low: float, high: float) -> tuple[NDArray, NDArray]:
+    """Angles of an average over a circle or a part of it, and their shares.
 
-
-def _part(radius: float, step: float, low: float, high: float) -> tuple[NDArray, NDArray]:
-    """Angles of a part of a circle and their shares: panels of Gauss-Legendre points, as a part has ends."""
+    Around a circle trapezoids converge fast for what is smooth; a part has ends, and takes panels
+    of Gauss-Legendre points.
+    """
+    if high - low > _FULL * (1 - 1e-12):
+        count = max(_FEWEST, math.ceil(_FULL * radius / step))
+        return _FULL * np.arange(count) / count, np.full(count, 1.0 / count)
     x, w = np.polynomial.legendre.leggauss(_PANEL)
     most = min(step * _PANEL * 2.0 / math.pi / max(radius, 1e-300), 0.5 * math.pi)
     panels = math.ceil((high - low) / most)

@@ -193,12 +193,16 @@ class AveragedFraction:
     @property
     def steps(self) -> int:
         """Number of rays."""
-        return sum(cells.rays for cells in self._slabs) if self.seen else RAYS
+        if not self.seen:
+            return RAYS
+        return sum(cells.rays for cells in self._slabs)
 
     @property
     def along(self) -> int:
         """Axis that the rays are parallel to."""
-        return self.seen[-1] if self.seen else next(iter(self.averaged))
+        if self.seen:
+            return self.seen[-1]
+        return next(iter(self.averaged))
 
     def _ranges(self, cells: _SeenCells | None) -> list[tuple[int, float, float]]:
         """Return the axes across the rays and their bounds, first that of the columns of cells."""
@@ -213,7 +217,9 @@ class AveragedFraction:
 
     def seconds(self) -> float:
         """Estimate how long `values` takes, from some of its rays."""
-        cells = self._slabs[0] if self.seen else None
+        cells = None
+        if self.seen:
+            cells = self._slabs[0]
         low, high = self._bounds(cells)
         rays = next(_lattice(self._ranges(cells), _RAYS_TIMED))
         rays[:, self.along] = low

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import (
+    FINITE,
+    POSITIVE,
     axis_vector,
+    check,
     floats,
-    is_finite,
-    is_positive,
     rising_pair,
     unit_vector,
     vector,
@@ -187,14 +188,22 @@ class Plane(Wall):
         """The normal, and two axes along the plane: coordinate axes where the normal is one."""
         normal = unit_vector("normal", self.normal)
         k = axis_of(normal)
-        return (normal, *(frame_about(normal) if k is None else np.delete(np.eye(3), k, axis=0)))
+        if k is None:
+            return (normal, *frame_about(normal))
+        return (normal, *np.delete(np.eye(3), k, axis=0))
+
+    @property
+    def _axis(self) -> int | None:
+        """Axis that it is across; None for others."""
+        return axis_of(self._frame[0])
 
     @property
     def _origin(self) -> NDArray:
         """Origin of its two coordinates."""
         point = vector("point", self.point)
-        k = axis_of(self._frame[0])
-        return point if k is None else np.where(np.arange(3) == k, point, 0.0)
+        if self._axis is None:
+            return point
+        return np.where(np.arange(3) == self._axis, point, 0.0)
 
     def distance(self, points: NDArray) -> NDArray:
         """Distance of points."""
@@ -221,14 +230,16 @@ class Plane(Wall):
 
     def turns(self) -> bool:
         """Return whether a rotation about z matters."""
-        return axis_of(self._frame[0]) != 2
+        return self._axis != 2
 
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
-        up = self._frame[0][axis]
-        here = float(self.point[axis])
-        across = axis_of(self._frame[0]) == axis
-        return here if across and up > 0 else -np.inf, here if across and up < 0 else np.inf
+        low, high = -np.inf, np.inf
+        if self._axis == axis and self._frame[0][axis] > 0:
+            low = float(self.point[axis])
+        elif self._axis == axis:
+            high = float(self.point[axis])
+        return low, high
 
     def coordinates(self, points: NDArray) -> NDArray:
         """Coordinates along the surface."""
@@ -236,26 +247,22 @@ class Plane(Wall):
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
-        k = axis_of(self._frame[0])
         reached = self.coordinates(corners(lower, upper))
-        bounds = (
-            np.transpose([reached.min(0), reached.max(0)])
-            if self.bounds is None
-            else floats(self.bounds)
-        )
-        dims = ("u", "v") if k is None else tuple(a for a in COMPONENTS if a != COMPONENTS[k])
-        sides = [
-            cell_centres(low, high, spacing, dim)
-            for (low, high), dim in zip(bounds, dims, strict=True)
-        ]
-        first, second = (a.ravel() for a in np.meshgrid(*sides, indexing="ij"))
-        centre = self._origin + first[:, None] * self._frame[1] + second[:, None] * self._frame[2]
-        size = math.prod(
-            (high - low) / len(side) for (low, high), side in zip(bounds, sides, strict=True)
-        )
-        coords = {
-            dim: (side, f"position along {dim}") for dim, side in zip(dims, sides, strict=True)
-        }
+        bounds = np.transpose([reached.min(0), reached.max(0)])
+        if self.bounds is not None:
+            bounds = floats(self.bounds)
+        dims = tuple(a for k, a in enumerate(COMPONENTS) if k != self._axis)
+        if self._axis is None:
+            dims = ("u", "v")
+        coords: dict[str, tuple[NDArray, str]] = {}
+        size = 1.0
+        for dim, (low, high) in zip(dims, bounds, strict=True):
+            side = cell_centres(low, high, spacing, dim)
+            size *= (high - low) / len(side)
+            coords[dim] = (side, f"position along {dim}")
+        sides = np.meshgrid(*(side for side, _ in coords.values()), indexing="ij")
+        first, second = (a.reshape(-1, 1) for a in sides)
+        centre = self._origin + first * self._frame[1] + second * self._frame[2]
         return SurfaceCells(coords, centre, np.full(len(centre), size), dims, bounds)
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
@@ -300,11 +307,9 @@ class Cylinder(Wall):
     def __post_init__(self) -> None:
         vector("point", self.point)
         axis_vector("axis", self.axis)
-        if not is_positive(self.radius):
-            raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
-        for name, end in (("low", self.low), ("high", self.high)):
-            if end is not None and not is_finite(end):
-                raise ValueError(f"{name}={end!r}: expected a finite coordinate (m), or None")
+        check("radius", self.radius, POSITIVE, "m")
+        check("low", self.low, FINITE, "m", optional=True)
+        check("high", self.high, FINITE, "m", optional=True)
         if self.low is not None and self.high is not None:
             rising_pair("(low, high)", (self.low, self.high))
 
@@ -320,13 +325,9 @@ class Cylinder(Wall):
 
     def _from_axis(self, points: NDArray) -> NDArray:
         """Coordinates of points across and along the axis, (n, 3)."""
-        return np.stack(
-            [
-                (points - vector("point", self.point)) @ e
-                for e in (*self._frame[1:], self._frame[0])
-            ],
-            1,
-        )
+        axis, first, second = self._frame
+        from_point = points - vector("point", self.point)
+        return np.stack([from_point @ first, from_point @ second, from_point @ axis], axis=1)
 
     def coordinates(self, points: NDArray) -> NDArray:
         """Coordinates along the surface."""
@@ -350,7 +351,8 @@ class Cylinder(Wall):
         """Return where rays cross."""
         x, y, _ = self._from_axis(points).T
         u, v = (directions @ e for e in self._frame[1:])
-        a, b = u * u + v * v, x[:, None] * u + y[:, None] * v
+        a = u * u + v * v
+        b = x[:, None] * u + y[:, None] * v
         c = (np.hypot(x, y) - self.radius) * (np.hypot(x, y) + self.radius)
         with np.errstate(divide="ignore", invalid="ignore"):
             root = np.sqrt(b * b - a * c[:, None])
@@ -376,14 +378,19 @@ class Cylinder(Wall):
     def span(self, axis: int) -> tuple[float, float]:
         """Lowest and highest accessible coordinate."""
         across = math.sqrt(max(0.0, 1 - float(self._frame[0][axis]) ** 2)) > 1 - 1e-12
-        reach = self.radius if self.inside and across else np.inf
-        return float(self.point[axis]) - reach, float(self.point[axis]) + reach
+        if not (self.inside and across):
+            return -np.inf, np.inf
+        return float(self.point[axis]) - self.radius, float(self.point[axis]) + self.radius
 
     def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells in theta and along the axis."""
         reached = self.coordinates(corners(lower, upper))
-        low = float(reached.min() if self.low is None else self.low)
-        high = float(reached.max() if self.high is None else self.high)
+        low = float(reached.min())
+        high = float(reached.max())
+        if self.low is not None:
+            low = float(self.low)
+        if self.high is not None:
+            high = float(self.high)
         theta = cell_centres(0.0, 2 * np.pi, spacing / self.radius, "theta")
         along = cell_centres(low, high, spacing, "the axis")
         angle, z = (a.ravel() for a in np.meshgrid(theta, along, indexing="ij"))
@@ -445,10 +452,9 @@ class Surface(Wall):
                 raise ValueError("triangles= belongs to vertices as an array; a file holds its own")
             name = os.fspath(vertices)
             vertices, triangles = _read(name)
-        if not is_positive(scale):
-            raise ValueError(f"scale={scale!r}: expected a positive factor")
+        check("scale", scale, POSITIVE)
         points = np.asarray(vertices, float) * scale
-        rows = np.asarray(np.empty((0, 3)) if triangles is None else triangles)
+        rows = np.asarray(triangles)
         if points.shape[1:] != (3,) or not np.isfinite(points).all():
             raise ValueError(f"{name}: expected finite corners (n, 3), got an array {points.shape}")
         if rows.shape[1:] != (3,) or not len(rows) or rows.dtype.kind not in "iu":
@@ -459,7 +465,9 @@ class Surface(Wall):
             raise ValueError(
                 f"{name}: triangles name corners {rows.min()} to {rows.max()}, there are {len(points)}"
             )
-        corners = points[rows[:, ::-1] if flip else rows]
+        if flip:
+            rows = rows[:, ::-1]
+        corners = points[rows]
         twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(twice, axis=1)
         if not (size > 0).any():
@@ -502,8 +510,8 @@ class Surface(Wall):
     def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
         """Return where rays cross."""
         out = np.full((*directions.shape[:2], loops.MOST_CROSSINGS), np.inf)
-        given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
-        most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
+        rays = (np.ascontiguousarray(a, "float64") for a in (points, directions))
+        most = loops.crossings(*rays, float(reach), self.corners, self.centre, self._radius, out)
         return out[..., : max(1, most)]
 
     @cached_property

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from xcg.common.checks import is_positive
+from xcg.common.checks import POSITIVE, check
 from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
@@ -111,20 +111,21 @@ def _choose(
     if asked is None:
         return [name for name, row in ROWS.items() if row.ours in available]
     known = {name.replace("/", "_"): name for name in (*ROWS, *_NOT_FOLLOWED)}
+    if isinstance(asked, (str, Quantity)):
+        asked = [asked]
     names = []
-    for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
-        found = known.get(word.removesuffix("/*").replace("/", "_"))
-        if found in ROWS:
-            names.append(found)
+    for word in map(str, asked):
+        name = known.get(word.removesuffix("/*").replace("/", "_"))
+        if name in ROWS:
+            names.append(name)
             continue
         whole, _, parts = word.replace("/", "_").rpartition("_")
-        if found is not None:
-            msg = f"{word!r} is not followed by the preset 'lammps': {_NOT_FOLLOWED[found]}"
+        if name is not None:
+            msg = f"{word!r} is not followed by the preset 'lammps': {_NOT_FOLLOWED[name]}"
         elif known.get(whole) in ROWS and 0 < len(parts) <= 2 and set(parts) <= set(COMPONENTS):
-            labels = ", ".join(
-                f"{dim}={a!r}" for dim, a in zip(("component", "direction"), parts, strict=False)
-            )
-            msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({labels}) of it"
+            labels = zip(("component", "direction"), parts, strict=False)
+            part = ", ".join(f"{dim}={a!r}" for dim, a in labels)
+            msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({part}) of it"
         else:
             msg = f"preset='lammps': {unknown('field', word, ROWS)}"
         raise ValueError(msg)
@@ -149,12 +150,9 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
 def _kernel(scene: Description, request: Request) -> Kernel:
     """Return the kernel in as many dimensions as there are axes, in a cylinder all."""
     setup = scene.setup
-    axes = request.axes_of(setup.plane)
-    seen = (
-        setup.dimension
-        if scene.cylindrical
-        else len({*axes, *(request.at or {})}) or setup.dimension
-    )
+    seen = len({*request.axes_of(setup.plane), *(request.at or {})})
+    if scene.cylindrical or not seen:
+        seen = setup.dimension
     if isinstance(request.width, Mapping):
         raise ValueError(
             "preset='lammps' has one kernel for all grains: give one width= instead of one for each group"
@@ -178,16 +176,16 @@ def translate(
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
     require_scene(scene.columns, (), "coarse_grain")
-    own = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
-    names = _choose(request.fields, possible_fields(scene, own))
+    in_xcg = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
+    names = _choose(request.fields, possible_fields(scene, in_xcg))
     points = any(map(np.ndim, (request.at or {}).values()))
     if request.gradient == "finite_difference" and (scene.cylindrical or points):
         # rings and points have no differences
         names = [name for name in names if request.fields is not None or name not in _GRADIENTS]
         if not set(names) & set(_GRADIENTS):
-            own = replace(own, gradient="least_squares")
+            in_xcg = replace(in_xcg, gradient="least_squares")
     needed = list(dict.fromkeys(["sample_count", *(ROWS[name].ours for name in names)]))
-    return replace(own, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
+    return replace(in_xcg, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
 
 
 def lammps_mesh(
@@ -239,7 +237,9 @@ def lammps_mesh(
     """
     require_scene(ds, (), "lammps_mesh")
     scene = describe(ds)
-    sizes = delta if isinstance(delta, Mapping) else dict.fromkeys(axes, delta)
+    sizes: Mapping[str, Any] = dict.fromkeys(axes, delta)
+    if isinstance(delta, Mapping):
+        sizes = delta
     check_axes(scene.setup.plane, axes=axes, delta=sizes, origin=origin or {})
     edges = scene.edges
     bounds = {}
@@ -249,12 +249,10 @@ def lammps_mesh(
             raise ValueError(
                 f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
             )
-        step = sizes.get(a)
-        if not is_positive(step):
-            raise ValueError(
-                f"delta={delta!r}: expected a positive size of bins (m), or one for each of {axes!r}"
-            )
-        first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]
+        check(f"delta[{a!r}]", sizes.get(a), POSITIVE, "m")
+        step = sizes[a]
+        first, last = edges[a]
+        first = (origin or {}).get(a, first)
         # a box of a whole number of bins has that many, whatever the rounding
         count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))
         bounds[a] = (first + 0.5 * step, first + (count - 0.5) * step)

@@ -12,7 +12,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, cast
+from itertools import product
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -64,26 +65,32 @@ class PysammosRow:
 
     Attributes
     ----------
+    name : str
     family : str
         Its key among ``fields_to_export``.
     field : Field
         Its units, the fields of xcg that it is made of, and the algebra.
     """
 
+    name: str
     family: str
     field: Field
 
 
-def _magnitude_of_part(
-    f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool, size: Callable[[NDArray], NDArray]
+def _part(
+    f: Any,
+    tensor: str,
+    axes: tuple[int, ...],
+    deviatoric: bool,
+    magnitude: Callable[[NDArray], NDArray] | None = None,
 ) -> NDArray:
-    return size(_part(f, tensor, axes, deviatoric))
-
-
-def _part(f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool) -> NDArray:
-    """Restriction of a tensor to some axes, or the deviator of that."""
+    """Restriction of a tensor to some axes, or the deviator of that, or a magnitude of either."""
     part = algebra.restricted(getattr(f, tensor), axes)
-    return algebra.deviator(part, axes) if deviatoric else part
+    if deviatoric:
+        part = algebra.deviator(part, axes)
+    if magnitude is not None:
+        part = magnitude(part)
+    return part
 
 
 def _pressure(f: Any, axes: tuple[int, ...]) -> NDArray:
@@ -112,6 +119,31 @@ def _friction(f: Any, shear: tuple[int, ...], axes: tuple[int, ...], component: 
     return stress / where_positive(_pressure(f, axes))
 
 
+def _row(
+    name: str,
+    family: str,
+    needs: Sequence[str],
+    formula: str,
+    compute: Callable[..., NDArray],
+    *given: Any,
+    rank: int = 0,
+    like: str = "",
+) -> PysammosRow:
+    """Return a row; `compute` takes the fields and what is `given`, and the unit is that of the field `like`."""
+    units = "1"
+    if like:
+        units = registry.FIELDS[like].units
+    field = Field(
+        rank=rank,
+        units=units,
+        long_name=name.replace("_", " "),
+        formula=formula,
+        compute=Formula(compute, given),
+        fields=tuple(needs),
+    )
+    return PysammosRow(name, family, field)
+
+
 @lru_cache
 def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     """Its fields by their names.
@@ -123,97 +155,74 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     axes : str
         The axes of the scene, for ``xyz``: all three, or the two of a layer.
     """
-    index = {
-        name: tuple(COMPONENTS.index(a) for a in dims)
-        for name, dims in (("xyz", axes), (plane, plane))
-    }
-    index |= {a: (COMPONENTS.index(a),) for a in axes}
-    table: dict[str, PysammosRow] = {}
-
-    def add(
-        name: str,
-        family: str,
-        needs: Sequence[str],
-        formula: str,
-        compute: Callable[..., NDArray],
-        *given: Any,
-        rank: int = 0,
-        like: str = "",
-    ) -> None:
-        row = Field(
-            rank=rank,
-            units=registry.FIELDS[like].units if like else "1",
-            long_name=name.replace("_", " "),
-            formula=formula,
-            compute=Formula(compute, given),
-            fields=tuple(needs),
-        )
-        table[name] = PysammosRow(family, row)
-
-    for name, ours in _RENAMED.items():
-        add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, like=ours)
+    # by their name in names of fields
+    named = {"xyz": axes, plane: plane, **dict(zip(axes, axes, strict=True))}
+    index = {name: tuple(map(COMPONENTS.index, dims)) for name, dims in named.items()}
+    table = [
+        _row(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, like=ours)
+        for name, ours in _RENAMED.items()
+    ]
     for dims in ("xyz", plane):
-        for label, tensor, size, formula in (
-            ("total_stress_tensor", "stress", algebra.stress_magnitude, "sqrt(X:X / 2)"),
-            (_RATE, _RATE, algebra.rate_magnitude, "sqrt(2 X:X)"),
-        ):
-            for deviatoric, end, what in (
-                (False, "", f"{label}, restricted to {dims}"),
-                (True, "_dev", f"deviator over {dims}"),
-            ):
-                name = f"{label}_{dims}{end}"
-                given = (tensor, index[dims], deviatoric)
-                add(name, label, (tensor,), what, _part, *given, rank=2, like=tensor)
-                add(
-                    f"{name}_mag",
-                    label,
-                    (tensor,),
-                    formula,
-                    _magnitude_of_part,
-                    *given,
-                    size,
-                    like=tensor,
-                )
+        table += _parts_of_tensors(dims, index[dims])
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
-        add(
-            f"pressure_{dims}",
-            "pressure",
-            ("stress",),
-            formula,
-            _pressure,
-            index[dims],
-            like="stress",
-        )
+        name = f"pressure_{dims}"
+        given = (_pressure, index[dims])
+        table.append(_row(name, "pressure", ("stress",), formula, *given, like="stress"))
+    temperature = "granular_temperature"
     for dims in ("xyz", *axes):
-        family = "granular_temperature"
         formula = f"mean of fluctuation_stress_aa / density, a in {dims}"
         needs = ("fluctuation_stress", "density")
-        add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], like=family)
-    pressures = ("xyz", plane, plane[1])
-    for diameter in ("d43", "d32"):
-        for dims in pressures:
-            root = f"sqrt(density_particle / pressure_{dims}), pressure > 0"
-            made_of = (_RATE, "particle_density", diameter, "stress")
-            name = f"inertial_number_S{plane}_P{dims}_{diameter}"
-            formula = f"shear_rate_tensor_{plane}_dev_mag {diameter} {root}"
-            add(
-                name,
-                "inertial_number",
-                made_of,
-                formula,
-                _inertial,
-                index[plane],
-                index[dims],
-                diameter,
+        name = f"{temperature}_{dims}"
+        given = (_temperature, index[dims])
+        table.append(_row(name, temperature, needs, formula, *given, like=temperature))
+    table += _numbers_of_rheology(plane, index)
+    return {row.name: row for row in table}
+
+
+def _parts_of_tensors(dims: str, axes: tuple[int, ...]) -> list[PysammosRow]:
+    """Restrictions of stress and shear rate to some axes, their deviators, and the magnitudes of both."""
+    table = []
+    for family, tensor, size, formula in (
+        ("total_stress_tensor", "stress", algebra.stress_magnitude, "sqrt(X:X / 2)"),
+        (_RATE, _RATE, algebra.rate_magnitude, "sqrt(2 X:X)"),
+    ):
+        for deviatoric, end, what in (
+            (False, "", f"{family}, restricted to {dims}"),
+            (True, "_dev", f"deviator over {dims}"),
+        ):
+            name = f"{family}_{dims}{end}"
+            given = (tensor, axes, deviatoric)
+            table.append(_row(name, family, (tensor,), what, _part, *given, rank=2, like=tensor))
+            of_part = _row(
+                f"{name}_mag", family, (tensor,), formula, _part, *given, size, like=tensor
             )
-    for kind, shear in (("Dxyz", "xyz"), (f"D{plane}", plane), ("01", plane)):
-        for dims in pressures:
-            top = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{shear}_dev_mag"
-            name = f"frictional_coefficient_{kind}_P{dims}"
-            formula = f"{top} / pressure_{dims}, pressure > 0"
-            ways = (index[shear], index[dims], kind == "01")
-            add(name, "frictional_coefficient", ("stress",), formula, _friction, *ways)
+            table.append(of_part)
+    return table
+
+
+def _numbers_of_rheology(plane: str, index: Mapping[str, tuple[int, ...]]) -> list[PysammosRow]:
+    """Inertial numbers and friction coefficients."""
+    table = []
+    pressures = ("xyz", plane, plane[1])
+    for diameter, dims in product(("d43", "d32"), pressures):
+        name = f"inertial_number_S{plane}_P{dims}_{diameter}"
+        needs = (_RATE, "particle_density", diameter, "stress")
+        root = f"sqrt(density_particle / pressure_{dims}), pressure > 0"
+        formula = f"shear_rate_tensor_{plane}_dev_mag {diameter} {root}"
+        of_planes = (index[plane], index[dims])
+        number = _row(name, "inertial_number", needs, formula, _inertial, *of_planes, diameter)
+        table.append(number)
+    tops = [
+        ("Dxyz", "xyz", "total_stress_tensor_xyz_dev_mag"),
+        (f"D{plane}", plane, f"total_stress_tensor_{plane}_dev_mag"),
+        ("01", plane, f"|sigma_{plane}|"),
+    ]
+    for (kind, shear, top), dims in product(tops, pressures):
+        name = f"frictional_coefficient_{kind}_P{dims}"
+        formula = f"{top} / pressure_{dims}, pressure > 0"
+        given = (index[shear], index[dims], kind == "01")
+        table.append(_row(name, "frictional_coefficient", ("stress",), formula, _friction, *given))
     return table
 
 
@@ -231,15 +240,17 @@ def choose(
     """
     if asked is None:
         return [name for name, row in table.items() if set(row.field.fields) <= set(available)]
+    if isinstance(asked, (str, Quantity)):
+        asked = [asked]
     names: list[str] = []
-    for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
-        found = (
-            [word] if word in table else [name for name, row in table.items() if row.family == word]
-        )
-        if not found:
+    for word in map(str, asked):
+        of_word = [name for name, row in table.items() if word in (name, row.family)]
+        if word in table:
+            of_word = [word]
+        if not of_word:
             listed = "the documentation lists them on the page on Pysammos"
             raise ValueError(f"preset='pysammos': {unknown('field', word, table, listed)}")
-        names += found
+        names += of_word
     return list(dict.fromkeys(names))
 
 
@@ -252,7 +263,7 @@ def plane_of(scene: Description, shear_dims: str | None) -> tuple[str, str]:
         If `shear_dims` are not two axes of the scene.
     """
     axes = scene.setup.plane
-    plane = shear_dims or ("xy" if len(axes) == 3 else axes)
+    plane = shear_dims or axes[:2]
     if len(set(plane)) != 2 or len(plane) != 2 or set(plane) - set(axes):
         raise ValueError(
             f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}"
@@ -279,9 +290,9 @@ def translate(
     ValueError
         If a variant is asked for by an argument, or names or plane are wrong.
     """
-    clash = request.changed(("pressure_dims", "deviatoric", "size")) + ["temperature"] * (
-        request.temperature != "biased"
-    )
+    clash = request.changed(("pressure_dims", "deviatoric", "size"))
+    if request.temperature != "biased":
+        clash.append("temperature")
     if request.for_averages:
         raise ValueError(
             "preset='pysammos': averages take fields under names of xcg; leave out preset= or for_averages="
@@ -295,15 +306,17 @@ def translate(
         )
     require_scene(scene.columns, (), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
-    own = replace(request, preset=None, shear_dims=None)
+    in_xcg = replace(request, preset=None, shear_dims=None)
     chosen = {
         name: table[name].field
-        for name in choose(request.fields, table, possible_fields(scene, own))
+        for name in choose(request.fields, table, possible_fields(scene, in_xcg))
     }
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
-    asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
-    own = replace(own, fields=cast(Any, [*asked, "sample_count"]))
-    return own, partial(_in_its_names, renamed=same)
+    fields: list[Any] = []
+    for name, row in chosen.items():
+        fields.append(name if name in same else registry.OwnRow(name, row))
+    in_xcg = replace(in_xcg, fields=[*fields, "sample_count"])
+    return in_xcg, partial(_in_its_names, renamed=same)
 
 
 def pysammos_mesh(

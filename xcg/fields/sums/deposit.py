@@ -38,8 +38,9 @@ def grains(step: StepRows) -> list[Pass]:
     width = spec.level
     for name, row in spec.of_grains.items():
         if row.level:
-            power = CUTOFF_POWERS.get(name, 0)
-            factor = spec.by_phase**power if power else 1.0
+            factor: float | NDArray = 1.0
+            if name in CUTOFF_POWERS:
+                factor = spec.by_phase ** CUTOFF_POWERS[name]
             moments[name] = (row.first + row.columns, factor)
             continue
         if row.width == 1:
@@ -59,7 +60,10 @@ def grains(step: StepRows) -> list[Pass]:
     def columns() -> Iterator[NDArray]:
         """Yield columns of constants; what is wide is made when it is written beside the others."""
         for name, row in differing.items():
-            yield made.pop(name) if name in made else step.column(row, images)
+            if name in made:
+                yield made.pop(name)
+            else:
+                yield step.column(row, images)
         if same:
             yield np.ones((len(images.position), 1))
 
@@ -129,11 +133,11 @@ def between_phases(step: StepRows) -> list[Pass]:
     contacts = step.contacts
     others = step.spec.others
     phase = np.append(step.phase, step.spec.phases)  # row -1 is that of a wall
-    points, pairs, forces = [], [], []
-    for row, partner, sign in (
-        (contacts.i, contacts.j, 1.0),
-        (contacts.j, contacts.i, -1.0),
-    ):
+    points: list[NDArray] = []
+    pairs: list[NDArray] = []
+    forces: list[NDArray] = []
+    sides = [(contacts.i, contacts.j, 1.0), (contacts.j, contacts.i, -1.0)]
+    for row, partner, sign in sides:
         # inside a phase both sides add up to nothing
         at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
         points.append(contacts.point[at])
@@ -202,7 +206,9 @@ def _pass(
         columns[:, first : first + values.shape[1]] = values
         first += values.shape[1]
         del values  # before the next are made
-    beyond = step.lattice if step.lattice.vectors is None else Lattice(np.full(3, np.inf))
+    beyond = step.lattice
+    if step.lattice.vectors is not None:  # images are places of their own
+        beyond = Lattice(np.full(3, np.inf))
     of_squares = {column for column in loops.SQUARES if column < level}
     of_moments = [numbers.ravel().tolist() for numbers, _ in layout.moments.values()]
     squares = any(not of_squares.isdisjoint(numbers) for numbers in of_moments)
@@ -223,7 +229,9 @@ def _pass(
         )
         mesh = step.meshes[cutoff]
         weights = step.kernels[cutoff]
-        translations = step.translations(cutoff) if squares else None
+        translations = None
+        if squares:
+            translations = step.translations(cutoff)
         fill.append(partial(_fill, grains, mesh, weights, (level, translations, by_gradient)))
         if squares:
             squared.append(Squared(grains, beyond, groups, weights, spec.grid))
@@ -299,14 +307,18 @@ class Sums:
         filled: list[NDArray] = []
         references: list[NDArray] = []
         for run in self.passes:
-            reference = np.full_like(velocity, np.nan) if run.layout.apart else velocity
+            reference = velocity
+            if run.layout.apart:
+                reference = np.full_like(velocity, np.nan)
             sums = np.zeros((run.layout.groups, nodes.count, run.layout.columns))
             for fill in run.fill:
                 fill(nodes, sums, reference)
             filled.append(sums)
             references.append(reference)
         at_nodes = BlockSums(self, filled, velocity, references)
-        return block.averages(at_nodes) if block.inner else at_nodes
+        if block.inner:
+            return block.averages(at_nodes)
+        return at_nodes
 
 
 def sums_of_frame(
@@ -333,8 +345,8 @@ def sums_of_frame(
     moments = spec.rows.values()
     names = spec.rows.keys()
     # variables of scenes were checked with their frame
-    own = {name for row in moments for name in row.variables} - VARIABLES.keys()
-    for name in own:
+    of_scene = {name for row in moments for name in row.variables} - VARIABLES.keys()
+    for name in of_scene:
         check_finite(name, step.frame, source)
     # the calling thread begins with the last: contacts take more memory than grains
     needed = {

@@ -127,18 +127,17 @@ def _line_error(profile: Profile) -> float:
         radii = np.hypot(distance, half * (2.0 * share - 1.0))
         exact = 0.5 * (_values(profile, radii.ravel()).reshape(radii.shape) @ weights).mean()
         chord = np.array([[half, distance]]), np.array([2.0 * half, 0.0])
-        found = mean_along(*chord, 0, codes.TABLE, table_of(profile, 0))
-        largest = max(largest, abs(float(found[0]) - exact))
+        mean = mean_along(*chord, 0, codes.TABLE, table_of(profile, 0))
+        largest = max(largest, abs(float(mean[0]) - exact))
     return largest / _largest(profile)
 
 
 def jumps_of(profile: Profile) -> list[float]:
     """Radii at which a profile jumps, the cutoff among them; without shells no others are known."""
     # each shell ends with the jump of the profile
-    ends = [(radius, float(shell(radius))) for radius, shell in _shells(profile)] or [
-        (1.0, _value(profile, _AT_END))
-    ]
-    return [radius for radius, jump in ends if abs(jump) > _JUMP * _largest(profile)]
+    jumps = {radius: float(shell(radius)) for radius, shell in _shells(profile)}
+    jumps = jumps or {1.0: _value(profile, _AT_END)}
+    return [radius for radius, jump in jumps.items() if abs(jump) > _JUMP * _largest(profile)]
 
 
 def rims_of(profile: Profile) -> list[float]:
@@ -159,10 +158,9 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
     value = np.vectorize(_integrated(profile, codimension))
     pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
+    points = np.polynomial.chebyshev.chebpts1(codes.PIECE)
     for k, (domain, series) in enumerate(zip(domains, pieces, strict=True)):
-        q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(
-            codes.PIECE
-        )
+        q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * points
         slope = series.deriv()(q) / q
         # with the slope of the chord; what a jump at the cutoff adds is left out
         if codimension == 1:
@@ -174,9 +172,9 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
         even = _even(profile)
         table[codes.EVEN].flat[: 1 + len(even)] = [len(even), *even]
     shells = _shells(profile)
-    table[codes.SHELLS] = _columns(
-        (shells, _beyond(shells, 1.0), _beyond(shells, 2.0 * math.pi))[codimension]
-    )
+    if codimension:
+        shells = _beyond(shells, {1: 1.0, 2: 2.0 * math.pi}[codimension])
+    table[codes.SHELLS] = _columns(shells)
     return table
 
 
@@ -232,7 +230,8 @@ def _columns(shells: Shells) -> NDArray:
     for k, (radius, shell) in enumerate(shells):
         coefficients = np.asarray(shell.coef, float)
         powers = len(coefficients)
-        columns[RADIUS, k], columns[POWERS, k] = radius, AT_ONCE * math.ceil(powers / AT_ONCE)
+        columns[RADIUS, k] = radius
+        columns[POWERS, k] = AT_ONCE * math.ceil(powers / AT_ONCE)
         columns[FIRST : FIRST + powers, k] = coefficients / np.arange(1, powers + 1)
     return columns
 
@@ -257,22 +256,28 @@ def _pieces(profile: Profile) -> Shells:
     """Polynomials of a profile, each up to a radius, from the middle outwards; none where too many are needed."""
     largest = _largest(profile)
     pieces: Shells = []
-    begin = 0.0 if np.isfinite(largest) else 1.0
+    if not np.isfinite(largest):
+        return pieces
+    begin = 0.0
     while begin < 1.0 - _BISECTED and len(pieces) < codes.PIECE:
         fits = partial(_fit, profile, largest, begin)
         end, piece = _farthest(fits, begin, _DEGREES)
-        # nearly as far with the fewest powers: what lies beyond a kink takes many
-        nearly = begin + _NEARLY * (end - begin)
-        lowest = next(
-            (degree for degree in _DEGREES if piece and fits(nearly, (degree,))), _DEGREES[-1]
-        )
-        fewest = _farthest(fits, begin, (lowest,))
-        end, piece = fewest if fewest[1] else (end, piece)
         if piece is None:
             return []
+        # nearly as far with the fewest powers: what lies beyond a kink takes many
+        nearly = begin + _NEARLY * (end - begin)
+        lowest = next((degree for degree in _DEGREES if fits(nearly, (degree,))), _DEGREES[-1])
+        end_of_lowest, of_lowest = _farthest(fits, begin, (lowest,))
+        if of_lowest is not None:
+            end = end_of_lowest
+            piece = of_lowest
         pieces.append((end, piece))
-        begin = end + _BISECTED if end < 1.0 else end  # beyond a jump
-    return pieces if begin == 1.0 else []
+        begin = end
+        if end < 1.0:
+            begin += _BISECTED  # beyond a jump
+    if begin != 1.0:
+        return []
+    return pieces
 
 
 def _farthest(
@@ -288,11 +293,12 @@ def _farthest(
         return 1.0, piece
     while failed - end > _BISECTED:
         middle = 0.5 * (end + failed)
-        found = fits(middle, degrees)
-        if found is None:
+        of_middle = fits(middle, degrees)
+        if of_middle is None:
             failed = middle
         else:
-            end, piece = middle, found
+            end = middle
+            piece = of_middle
     return end, piece
 
 
@@ -312,9 +318,7 @@ def _fit(
             polynomial = series.convert(kind=Polynomial)
             error = np.abs(polynomial(places) - exact).max()  # with the rounding of its terms
             terms = np.abs(polynomial.coef) @ end ** np.arange(len(polynomial.coef))
-            return (
-                polynomial
-                if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest
-                else None
-            )
+            if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest:
+                return polynomial
+            return None
     return None

@@ -11,6 +11,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import lru_cache, partial
 from itertools import accumulate
 from typing import Any, Literal, TypeAlias, get_args
@@ -18,7 +19,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.checks import POSITIVE, Kind, check, is_finite, is_positive, whole
 from xcg.common.messages import did_you_mean, warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
@@ -26,6 +27,13 @@ from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.frame import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
+
+_USUAL = "; the usual choice is 0.75 mean diameters"
+_LENGTH = Kind(
+    lambda value: is_finite(value) and SHORTEST <= value <= LONGEST,
+    "a positive",
+    f"from {SHORTEST:g} to {LONGEST:g}",
+)
 
 
 class Kernel:
@@ -65,18 +73,17 @@ class Kernel:
         cutoff: float | None = None,
         dimension: int | None = None,
     ) -> None:
-        if width is None and cutoff is None:
-            raise ValueError(f"{type(self).__name__} needs width= or cutoff= (in metres)")
-        for name, given in (("width", width), ("cutoff", cutoff)):
-            if given is not None and not (is_finite(given) and SHORTEST <= given <= LONGEST):
-                raise ValueError(
-                    f"{name}={given!r}: expected a positive length, from {SHORTEST:g} to {LONGEST:g} m; the usual "
-                    "choice is 0.75 mean diameters"
-                )
-        if dimension not in (None, 1, 2, 3):
-            raise ValueError(f"dimension={dimension!r}: expected 1, 2 or 3")
-        self.width = float(width if width is not None else cutoff / self.ratio)  # type: ignore[operator]
-        self.cutoff = float(cutoff if cutoff is not None else self.ratio * self.width)
+        check("width", width, _LENGTH, "m", optional=True, hint=_USUAL)
+        check("cutoff", cutoff, _LENGTH, "m", optional=True, hint=_USUAL)
+        check("dimension", dimension, whole(1, 3), optional=True)
+        if width is None:
+            if cutoff is None:
+                raise ValueError(f"{type(self).__name__} needs width= or cutoff= (in metres)")
+            width = cutoff / self.ratio
+        self.width = float(width)
+        self.cutoff = self.ratio * self.width
+        if cutoff is not None:
+            self.cutoff = float(cutoff)
         self.dimension = dimension
         self.spread = self.width / self.cutoff
         if not self._any_ratio and not math.isclose(
@@ -88,15 +95,17 @@ class Kernel:
             )
 
     def __repr__(self) -> str:
-        dimension = "" if self.dimension is None else f", dimension={self.dimension}"
-        return f"{type(self).__name__}(width={self.width:g}, cutoff={self.cutoff:g}{dimension})"
+        options = f"width={self.width:g}, cutoff={self.cutoff:g}"
+        if self.dimension is not None:
+            options += f", dimension={self.dimension}"
+        return f"{type(self).__name__}({options})"
 
     def in_dimension(self, dimension: int) -> Kernel:
         """Return the same kernel normalised in `dimension` dimensions, unless it has its own."""
         if self.dimension is not None:
             return self
-        twin = object.__new__(type(self))
-        twin.__dict__ |= self.__dict__ | {"dimension": dimension}
+        twin = copy(self)
+        twin.dimension = dimension
         return twin
 
     @property
@@ -105,12 +114,15 @@ class Kernel:
         return self.smoothness >= 1
 
     def _unit_norm(self, dimension: int) -> float:
-        return self._norms[dimension - 1]
+        if self._norms:
+            return self._norms[dimension - 1]
+        return 1 / profile_integral(self.profile, dimension)
 
     def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
         dimension = self.dimension or 3
-        seen = dimension if seen is None else seen
+        if seen is None:
+            seen = dimension
         if seen == 0:  # averaged over every axis: each grain counts in full
             return KernelCode(codes.HEAVISIDE, PLAIN, 1.0)
         codimension = dimension - seen
@@ -119,14 +131,17 @@ class Kernel:
                 f"a {dimension}D {self.name} kernel cannot be seen in {seen} dimensions; use a kernel of dimension "
                 f"{max(seen, 1)} to {min(seen + 2, 3)}"
             )
-        code = self.code + codimension
-        kind = LUCY_FULL if code == codes.LUCY else code
+        kind: int | None = self.code + codimension
+        if kind == codes.LUCY:
+            kind = LUCY_FULL
         norm = self._unit_norm(dimension) / self.cutoff**seen
         return KernelCode(kind, self._table(codimension), norm)
 
     def _table(self, codimension: int) -> NDArray | None:
         """Return the polynomials that loops take, `PLAIN` for kernels with formulas."""
-        return PLAIN if self.profile is None else table_of(self.profile, codimension)
+        if self.profile is None:
+            return PLAIN
+        return table_of(self.profile, codimension)
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
@@ -140,7 +155,9 @@ class Kernel:
         w = self.weights(seen)
         q = np.abs(np.asarray(r, float)) / self.cutoff
         values = codes.sample(w.kind, w.table, np.ravel(q), derivative).reshape(q.shape)
-        return values * (w.norm / self.cutoff if derivative else w.norm)
+        if derivative:
+            return values * (w.norm / self.cutoff)
+        return values * w.norm
 
     def value(self, r: ArrayLike, seen: int | None = None) -> NDArray:
         """Psi(r) (m^-k); with ``seen=m`` its marginal in m dimensions (m^-m)."""
@@ -189,16 +206,15 @@ class Kernel:
         ValueError
             If `order` is not a whole number from 0 on.
         """
-        if not isinstance(order, int | np.integer) or order < 0:
-            raise ValueError(
-                f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form"
-            )
+        check("order", order, whole(0), hint=", of Gauss-Legendre points")
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
-        start, end = np.asarray(start, float), np.asarray(end, float)
-        return w.norm * mean_along(
-            (r - start) / self.cutoff, (end - start) / self.cutoff, order, w.kind, w.table
+        first = np.asarray(start, float)
+        branch = np.asarray(end, float) - first
+        of_unit = mean_along(
+            (r - first) / self.cutoff, branch / self.cutoff, int(order), w.kind, w.table
         )
+        return w.norm * of_unit
 
 
 class Lucy(Kernel):
@@ -274,7 +290,10 @@ class Gaussian(Kernel):
         self.profile = _gaussian_profile(self.spread, self.shifted)
 
     def __repr__(self) -> str:
-        return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
+        text = super().__repr__()
+        if self.shifted:
+            text = text.replace(")", ", shifted=True)")
+        return text
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
@@ -316,7 +335,9 @@ def _gaussian_profile(spread: float, shifted: bool) -> Callable[[NDArray], NDArr
         # a product, as a difference has no digits close to the rim
         return -gaussian(q) * np.expm1(-0.5 * (1.0 - q * q) / spread**2)
 
-    return above_edge if shifted else gaussian
+    if shifted:
+        return above_edge
+    return gaussian
 
 
 class Heaviside(Kernel):
@@ -335,15 +356,6 @@ class Heaviside(Kernel):
     name = "heaviside"
     code = codes.HEAVISIDE
     _norms = 1 / 2, 1 / math.pi, 3 / (4 * math.pi)
-
-
-class _Registered(Kernel):
-    """Kernel of a profile P(q) that a user registered."""
-
-    code = codes.TABLE
-
-    def _unit_norm(self, dimension: int) -> float:
-        return 1 / profile_integral(self.profile, dimension)
 
 
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
@@ -420,12 +432,14 @@ def register_kernel(
 
     members: dict[str, Any] = {
         "name": name,
+        "code": codes.TABLE,
         "profile": staticmethod(profile),
         "ratio": ratio,
         "smoothness": smoothness,
+        "_rims": rims_of(profile),
+        "__doc__": f"The kernel registered as {name!r}.",
     }
-    members |= {"_rims": rims_of(profile), "__doc__": f"The kernel registered as {name!r}."}
-    kind = _NAMED[name.lower()] = type(name.title(), (_Registered,), members)
+    kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
     return kind
 
 
@@ -441,15 +455,8 @@ def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) ->
         raise ValueError(
             f"register_kernel({name!r}): profile={profile!r}, expected a function P(q) of q = r / c in [0, 1)"
         )
-    if not is_positive(ratio):
-        raise ValueError(
-            f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width"
-        )
-    if not is_whole(smoothness, -1):
-        raise ValueError(
-            f"register_kernel({name!r}): smoothness={smoothness!r}, expected the number of continuous derivatives, or "
-            "-1 for a kernel that jumps"
-        )
+    check("ratio", ratio, POSITIVE, hint=", cutoff over width")
+    check("smoothness", smoothness, whole(-1), hint=", and -1 for a kernel that jumps")
 
 
 def kernel_of(
@@ -467,11 +474,9 @@ def kernel_of(
             raise ValueError(f"kernel={kernel!r} has its own width; leave width= out")
         return kernel.in_dimension(dimension)
     if str(kernel).lower() not in _NAMED:
-        likely = (
-            did_you_mean(kernel, _NAMED, 0.4, synonyms=_OTHER_NAMES)
-            if isinstance(kernel, str)
-            else ""
-        )
+        likely = ""
+        if isinstance(kernel, str):
+            likely = did_you_mean(kernel, _NAMED, 0.4, synonyms=_OTHER_NAMES)
         raise ValueError(
             f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as "
             f"xcg.Lucy(width=0.01){likely}"
@@ -479,9 +484,8 @@ def kernel_of(
     return _NAMED[kernel.lower()](resolve_width(width, sizes), dimension=dimension)
 
 
-_MULTIPLE = re.compile(
-    r"\s*([-+.\deE]*?)\s*\*?\s*([A-Za-z]\w*)\s*"
-)  # such as "0.75 d43", "2*d50", "d43"
+# such as "0.75 d43", "2*d50", "d43"
+_MULTIPLE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*\*?\s*([A-Za-z]\w*)\s*")
 
 
 def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
@@ -518,32 +522,22 @@ def resolve_length(name: str, length: float | str, attrs: Mapping[Any, Any], adv
     ValueError
         If it is not positive, or names a size that the scene does not hold.
     """
-    given = length
+    meters = length
     if isinstance(length, str):
-        multiple, size = _multiple_of(name, length)
+        parts = _MULTIPLE.fullmatch(length)
+        if parts is None or parts[2] not in SIZES:
+            raise ValueError(
+                f"{name}={length!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as "
+                "'0.75 d43'"
+            )
+        size = parts[2]
         if size not in attrs:
             raise ValueError(
-                f"{name}={given!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
+                f"{name}={length!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
                 f"diameters were changed; give {name}= in metres, or, where there are diameters, call "
                 "ds = ds.cg.measure() first (of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
             )
-        length = multiple * float(attrs[size])
-    if not is_positive(length):
-        raise ValueError(f"{name}={given!r}: expected a positive length (m); {advice}")
-    return float(length)
-
-
-def _multiple_of(name: str, text: str) -> tuple[float, str]:
-    """Return the factor and the size of a text such as "0.75 d43"; raise ValueError for another text."""
-    parts = _MULTIPLE.fullmatch(text)
-    try:
-        factor = float(parts[1] or 1.0) if parts else np.nan
-    except ValueError:
-        factor = np.nan
-    if parts is None or parts[2] not in SIZES or not np.isfinite(factor):
-        likely = f"; did you mean '{parts[1]} d43'?" if parts and parts[2] == "d" else ""
-        raise ValueError(
-            f"{name}={text!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as "
-            f"'0.75 d43'{likely}"
-        )
-    return factor, parts[2]
+        meters = float(parts[1] or 1.0) * float(attrs[size])
+    if not is_positive(meters):
+        raise ValueError(f"{name}={length!r}: expected a positive length (m); {advice}")
+    return float(meters)

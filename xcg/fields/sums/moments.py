@@ -98,19 +98,19 @@ def surface_velocities(
     Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the
     particles as they are written, or to the images that touch at the point.
     """
-    found = []
+    velocities = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
-        there = row >= 0
+        of_grain = row >= 0
+        grain = row[of_grain]
         u = frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
-        u[there] = frame["velocity"][row[there]]
+        u[of_grain] = frame["velocity"][grain]
         if "angular_velocity" in frame:
-            u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
+            u[of_grain] += np.cross(branch[of_grain], frame["angular_velocity"][grain])
         if of_images:
-            u[there] += contacts.lattice.drift(
-                (contacts.point + branch)[there] - frame["position"][row[there]]
-            )
-        found.append(u)
-    return found[0], found[1]
+            centre = (contacts.point + branch)[of_grain]
+            u[of_grain] += contacts.lattice.drift(centre - frame["position"][grain])
+        velocities.append(u)
+    return velocities[0], velocities[1]
 
 
 def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
@@ -162,7 +162,8 @@ def power_of_sides(frame: Frame, c: Contacts) -> NDArray:
 def of_sides(on_i: NDArray, on_j: NDArray) -> NDArray:
     """Numbers of the sides of each contact (contacts,), as the first of three components; (2, contacts, 3)."""
     out = np.zeros((2, len(on_i), 3))
-    out[0, :, 0], out[1, :, 0] = on_i, on_j
+    out[0, :, 0] = on_i
+    out[1, :, 0] = on_j
     return out
 
 
@@ -265,13 +266,11 @@ class Moment:
     @cached_property
     def columns(self) -> NDArray:
         """Columns of the components, counted from the first: an array of the moment's shape, read-only."""
-        found = (
-            np.array(self.layout)
-            if self.layout
-            else np.arange(math.prod(self.shape)).reshape(self.shape)
-        )
-        found.flags.writeable = False
-        return found
+        columns = np.arange(math.prod(self.shape)).reshape(self.shape)
+        if self.layout:
+            columns = np.array(self.layout)
+        columns.flags.writeable = False
+        return columns
 
     @cached_property
     def width(self) -> int:
@@ -298,36 +297,12 @@ def _fabric(frame: Frame, contacts: Contacts) -> NDArray:
 def _director_dyads(frame: Frame, _: Contacts) -> NDArray:
     n = frame["director"]
     n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    return np.stack(
-        [n[:, i] * n[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=1
-    )
+    return np.stack([n[:, i] * n[:, j] for i, j in zip(*np.triu_indices(3), strict=True)], axis=1)
 
 
 def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     mass = frame["mass"][:, None, None]
-    return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
-
-
-def _at_contacts(
-    variables: tuple[str, ...],
-    formula: str,
-    column: Column,
-    shape: tuple[int, ...] = (),
-    layout: tuple[Any, ...] = (),
-    optional: tuple[str, ...] = (),
-    units: str = "1",
-) -> Moment:
-    return Moment(
-        variables,
-        formula,
-        shape,
-        column=column,
-        contacts=True,
-        at_contacts=True,
-        layout=layout,
-        optional=optional,
-        units=units,
-    )
+    return mass * frame.get("box_gradient", np.zeros((len(mass), 3, 3)))
 
 
 _SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
@@ -342,6 +317,7 @@ _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
     Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY)
 )
+_at_contacts = partial(Moment, contacts=True, at_contacts=True)
 _along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
     # kinematic columns, relative to the node: x = r_i - r, u = v_i - U
@@ -407,32 +383,33 @@ MOMENTS: dict[str, Moment] = {
     "load_bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "load_bearing"), contacts=True),
     "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points
-    "contacts": _at_contacts((), "1", one_a_contact),
+    "contacts": _at_contacts((), "1", column=one_a_contact),
     "load_bearing_contacts": _at_contacts(
-        (), "1, between grains of z > 1", partial(of_contacts, "between_load_bearing"),
+        (), "1, between grains of z > 1", column=partial(of_contacts, "between_load_bearing"),
     ),
-    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", partial(sliding_contacts, None), optional=_NORMAL),
+    "sliding_contacts": _at_contacts(
+        _FORCE, "1, where it slides", column=partial(sliding_contacts, None), optional=_NORMAL
+    ),
     "normals": _at_contacts(
-        (), "n n", partial(normals, one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        (), "n n", (3, 3), column=partial(normals, one_a_contact), layout=_SYMMETRIC, optional=_NORMAL,
     ),
-    "branch_length": _at_contacts((), "l . n", branch_length, optional=_NORMAL, units="m"),
+    "branch_length": _at_contacts((), "l . n", column=branch_length, optional=_NORMAL, units="m"),
     "branch_normals": _at_contacts(
-        (), "l . n n n", partial(normals, branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        (), "l . n n n", (3, 3), column=partial(normals, branch_length), layout=_SYMMETRIC, optional=_NORMAL,
         units="m",
     ),
-    "normal_force": _at_contacts(_FORCE, "f . n", _NORMAL_FORCE, optional=_NORMAL, units="N"),
+    "normal_force": _at_contacts(_FORCE, "f . n", column=_NORMAL_FORCE, optional=_NORMAL, units="N"),
     "normal_force_normals": _at_contacts(
-        _FORCE, "f . n n n", partial(normals, _NORMAL_FORCE), (3, 3), _SYMMETRIC, optional=_NORMAL,
+        _FORCE, "f . n n n", (3, 3), column=partial(normals, _NORMAL_FORCE), layout=_SYMMETRIC, optional=_NORMAL,
         units="N",
     ),
-    "tangential_normals": _at_contacts(_FORCE, "f_t n", tangential_normals, (3, 3), optional=_NORMAL, units="N"),
+    "tangential_normals": _at_contacts(
+        _FORCE, "f_t n", (3, 3), column=tangential_normals, optional=_NORMAL, units="N"
+    ),
     "pair_force": Moment(
         _FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True, units="N"
     ),
-    "contact_couple": Moment(
-        _FORCE, "(b_i - b_j) x f", (3,), column=couples, contacts=True, at_contacts=True,
-        units="J",
-    ),
+    "contact_couple": _at_contacts(_FORCE, "(b_i - b_j) x f", (3,), column=couples, units="J"),
     "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, at_contacts=True, units="W"),
     "wall_power": _power_moment("f.u of the wall", column=of_walls, at_contacts=True, units="W"),
     # weighted by grad Psi

@@ -30,12 +30,13 @@ BLOCK_NODES = 110_000
 # Where there are more nodes than this in the box around a grain's support, sums have left the cache
 # when the next grain comes to the same nodes: blocks then have so few that their sums stay there.
 FINE = 1000
-CACHED, FEWEST_NODES = 10_000_000, 10_000  # bytes; nodes, however many numbers each has
+CACHED = 10_000_000  # bytes
+FEWEST_NODES = 10_000  # however many numbers each has
 
 
 def triple(values: NDArray | Sequence[Any]) -> tuple[Any, Any, Any]:
     """Return three numbers, one for each axis, as loops take them."""
-    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
+    x, y, z = np.asarray(values).tolist()
     return x, y, z
 
 
@@ -112,16 +113,15 @@ class MeshBlock:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
         half = [length / unit for length in self.half.tolist()]
         # the step of one node means nothing
-        steps = [
-            step / unit if n > 1 else 1.0
-            for n, step in zip(self.shape, self.steps.tolist(), strict=True)
-        ]
+        steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0).tolist()
         begin = [low * step - h for low, step, h in zip(self.low, steps, half, strict=True)]
         end = [(high - 1) * step + h for high, step, h in zip(self.high, steps, half, strict=True)]
         rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
-        volumes = Volumes(rows, triple(half), triple(sorted(range(3), key=lambda k: half[k] > 0.0)))
-        of = {"volumes": volumes} if any(half) else {"rows": rows}
-        return Nodes(triple(begin), triple(end), triple(active), triple(period), **of)
+        nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
+        if not any(half):
+            return nodes._replace(rows=rows)
+        order = sorted(range(3), key=lambda k: half[k] > 0.0)
+        return nodes._replace(volumes=Volumes(rows, triple(half), triple(order)))
 
     def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""
@@ -192,11 +192,12 @@ class Grid:
         self.count = math.prod(self.sizes)
         self.active = np.array([a in self.seen for a in COMPONENTS])
         length = dict(zip(self.dims, self.sizes, strict=True))
-        along = [length.get(a, 1) for a in COMPONENTS]
-        self.shape = triple(along if self.parts is None else [self.count, 1, 1])
-        self.steps = np.array(
-            [self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS]
-        )
+        step = 1.0
+        if self.parts is not None:  # as if in a row
+            length = {"x": self.count}
+            step = np.inf
+        self.shape = triple([length.get(a, 1) for a in COMPONENTS])
+        self.steps = np.array([self.spacing.get(a, step) for a in COMPONENTS])
 
     @property
     def axes(self) -> str:
@@ -208,9 +209,14 @@ class Grid:
         if self.parts is None:
             return float(np.clip(extent / self.steps, 1.0, self.shape)[self.active].prod())
         places = sum(part.inner.count if part.inner else len(part.places) for part in self.parts)
-        return max(
-            1.0, places * float((extent / (self.upper - self.lower + extent))[self.active].prod())
-        )
+        share = (extent / (self.upper - self.lower + extent))[self.active].prod()
+        return max(1.0, places * float(share))
+
+    def around(self, reach: float) -> tuple[NDArray, NDArray]:
+        """Return the bounds (3,) of what reaches the nodes (m); infinity along averaged axes."""
+        low = np.where(self.active, self.lower - reach, -np.inf)
+        high = np.where(self.active, self.upper + reach, np.inf)
+        return low, high
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
@@ -226,7 +232,9 @@ class Grid:
             return self.parts
         parts = np.ones(3, int)
         shape = np.array(self.shape)
-        wanted = max(math.ceil(self.count / size), 2 * threads if threads > 1 else 1)
+        wanted = math.ceil(self.count / size)
+        if threads > 1:
+            wanted = max(wanted, 2 * threads)
         while parts.prod() < min(wanted, self.count):
             # rows of nodes run along the last axis: cut them later
             parts[np.argmax(np.where(parts < shape, shape / parts / (1, 1, 2), 0.0))] += 1
@@ -301,10 +309,8 @@ class Mesh:
         self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
         self.half = grid.half / cutoff
         self.reach = 2.0 + 2.0 * grid.half / cutoff
-        self.lower, self.upper = (
-            (grid.lower - grid.origin) / cutoff,
-            (grid.upper - grid.origin) / cutoff,
-        )
+        self.lower = (grid.lower - grid.origin) / cutoff
+        self.upper = (grid.upper - grid.origin) / cutoff
         self.period = np.where(grid.active, period, np.inf) / cutoff
         numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
         # extent, spacing and period
@@ -328,8 +334,11 @@ class Mesh:
 
         `paired` says that images of one grain are multiplied with each other.
         """
-        most = _MOST_PAIRED if paired else _MOST_IMAGES
-        images, over_mesh = [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]
+        most = _MOST_IMAGES
+        if paired:
+            most = _MOST_PAIRED
+        images = [1.0, 1.0, 1.0]
+        over_mesh = [1.0, 1.0, 1.0]
         for k, (extent, step, period) in self._along_active:
             if not (extent < _FAR and (reach[k] + extent) / step < _FAR):
                 raise SceneError(
@@ -337,12 +346,11 @@ class Mesh:
                     f"with nodes {step * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
-            images[k], over_mesh[k] = (
-                float(reach[k]) / period + 1.0,
-                (float(reach[k]) + extent) / period + 1.0,
-            )
-        one, all_nodes = math.prod(images), math.prod(over_mesh)
-        if not (one <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * one):
+            images[k] = float(reach[k]) / period + 1.0
+            over_mesh[k] = (float(reach[k]) + extent) / period + 1.0
+        of_node = math.prod(images)
+        all_nodes = math.prod(over_mesh)
+        if not (of_node <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * of_node):
             k = int(np.argmax(over_mesh))
             raise SceneError(
                 f"{source}: the box is so small that a particle or contact reaches the mesh in "
@@ -396,12 +404,12 @@ class Mesh:
         segments[long, _BRANCHES] = np.where(open_axes, first - last, part * branch)
         segments[long[part[:, 0] == 0.0], GROUP] = -1.0
         sizes = np.abs(segments[used[segments[used, GROUP] >= 0.0], _BRANCHES])
-        longest = np.array(
-            [*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))]
-        )
-        if not longest[:3][self.active].max() < _TOO_LONG:
+        length = np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))
+        longest = np.array([*sizes.max(axis=0, initial=0.0), length])
+        largest = longest[:3][self.active].max()
+        if not largest < _TOO_LONG:
             raise SceneError(
-                f"{source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
+                f"{source}: a contact is {largest * self.cutoff:.3g} m long within the "
                 f"mesh or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in "
                 "touch: check the ids and units of the contacts, or choose a larger width"
             )
@@ -415,23 +423,23 @@ class Mesh:
         Points are counted from the end that is nearer to the mesh, so that none of its digits are
         lost.
         """
-        lower, upper = self.lower - _MARGIN, self.upper + _MARGIN
+        lower = self.lower - _MARGIN
+        upper = self.upper + _MARGIN
 
         def distance(point: NDArray) -> NDArray:
-            return (np.maximum(np.maximum(lower - point, point - upper), 0.0) * axes).max(
-                axis=1, keepdims=True
-            )
+            beyond = np.maximum(np.maximum(lower - point, point - upper), 0.0)
+            return (beyond * axes).max(axis=1, keepdims=True)
 
         turned = distance(start) < distance(end)
-        near, far = np.where(turned, start, end), np.where(turned, end, start)
+        near = np.where(turned, start, end)
+        far = np.where(turned, end, start)
         along = np.where(axes, far - near, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             # not a number: within, or on a face
             crossings = np.array([lower - near, upper - near]) / along
         within = (lower <= near) & (near <= upper) | ~axes
-        enters = np.where(
-            along != 0.0, crossings.min(axis=0), np.where(within, -np.inf, np.inf)
-        ).max(axis=1)
+        unmoved = np.where(within, -np.inf, np.inf)
+        enters = np.where(along != 0.0, crossings.min(axis=0), unmoved).max(axis=1)
         leaves = np.where(along != 0.0, crossings.max(axis=0), np.inf).min(axis=1)
         begin = np.clip(enters, 0.0, 1.0)[:, None]
         finish = np.maximum(begin, np.clip(leaves, 0.0, 1.0)[:, None])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ from xcg.compiled.segments import (
     deposit_segments,
     list_segments,
 )
+from xcg.compiled.smoothing import PLAIN
+from xcg.fields.sums.kernel_tables import Profile, table_of
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import Mesh, NodeBlock
@@ -41,22 +43,21 @@ SINGLE = 1e-4
 def _quicker(kind: int | None, table: NDArray | None, rtol: float) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is kinds.LUCY_FULL:
-        return RULES if rtol >= SINGLE else RULES[:2]
+        if rtol >= SINGLE:
+            return RULES
+        return RULES[:2]
     if table is not None:
-        # closed forms of one or two shells take less time than two points, of three less than four;
-        # not so in planes
         shells = np.count_nonzero(table[kinds.SHELLS, RADIUS])
-        return RULES if kind == kinds.TABLE + 1 or shells == 0 else RULES[: 0 if shells <= 2 else 1]
+        if kind == kinds.TABLE + 1 or shells == 0:
+            return RULES
+        # closed forms of one or two shells take less time than two points, of three less than four
+        return RULES[: int(shells > 2)]
     return RULES[:1]  # marginals take more time a point than a polynomial
 
 
 @lru_cache(maxsize=64)
 def _limits(
-    kind: int | None,
-    table: bytes | None,
-    table_shape: tuple[int, ...],
-    seen: int,
-    rtol: float,
+    kind: int | None, profile: Profile | None, codimension: int, seen: int, rtol: float
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
@@ -64,22 +65,29 @@ def _limits(
     the node, so that a scan over both bounds it for every scene. A twentieth is kept in hand for
     places between those scanned.
     """
-    array = None if table is None else np.frombuffer(table).reshape(table_shape).copy()
-    rows = 1 if seen == 1 else 24
+    table = PLAIN
+    if profile is not None:
+        table = table_of(profile, codimension)
+    rows = 24
+    if seen == 1:
+        rows = 1
 
     def kept(length: float, order: int) -> bool:
-        return largest_error(length, order, rows, kind, array) <= 0.95 * rtol
+        return largest_error(length, order, rows, kind, table) <= 0.95 * rtol
 
     limits = []
     limit = 0.0
-    for order in _quicker(kind, array, rtol):
+    for order in _quicker(kind, table, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)
                 continue
             for _ in range(4):  # and now between the last that keeps it and the first that does not
                 middle = 0.5 * (limit + length)
-                limit, length = (middle, length) if kept(middle, order) else (limit, middle)
+                if kept(middle, order):
+                    limit = middle
+                else:
+                    length = middle
             break
         limits.append(limit)
     return np.array(limits)
@@ -94,10 +102,8 @@ def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
     """
     if rtol == 0 or kernel.smoothness < 0 or seen == 0:
         return np.zeros(0)
-    w = kernel.weights(seen)
-    if w.table is None:
-        return _limits(w.kind, None, (), seen, rtol)
-    return _limits(w.kind, w.table.tobytes(), w.table.shape, seen, rtol)
+    codimension = (kernel.dimension or 3) - seen
+    return _limits(kernel.weights(seen).kind, kernel.profile, codimension, seen, rtol)
 
 
 # Segments of more contacts than this are not kept, as each takes 80 bytes.
@@ -105,10 +111,17 @@ MOST_LISTED_ONCE = 1 << 22
 # Runs that are listed at one time, so that their segments stay in cache.
 _TOGETHER = 256
 
-# the first arguments of `list_segments`, up to the origin
-Listing: TypeAlias = tuple[
-    ContactRows, NDArray | None, bool, int, NDArray, float, tuple[float, float, float]
-]
+
+class ContactSides(NamedTuple):
+    """Sides of contacts, of which segments are listed: the first arguments of `list_segments`."""
+
+    rows: ContactRows
+    on_j: NDArray | None
+    second: bool
+    others: int
+    by_phase: NDArray
+    cutoff: float
+    origin: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +139,7 @@ class ListedOnce:
 class ListedAnew:
     """Segments of which the bounds alone stay in memory."""
 
-    listing: Listing
+    sides: ContactSides
     contacts: NDArray
     bounds: NDArray
     limits: NDArray
@@ -141,7 +154,7 @@ class ListedAnew:
             places = (RUN * some[:, None] + np.arange(RUN)).ravel()
             # the last run may be shorter
             contacts = self.contacts[places[places < len(self.contacts)]]
-            records, _, _ = list_some(self.listing, contacts)
+            records, _, _ = list_some(self.sides, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
 
@@ -149,17 +162,19 @@ class ListedAnew:
 Branches: TypeAlias = ListedOnce | ListedAnew
 
 
-def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+def list_some(sides: ContactSides, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records = np.empty((len(contacts), SEGMENT))
     longest = np.empty(4)
-    more = list_segments(*listing, contacts, records, None, longest)
+    more = list_segments(*sides, contacts, records, None, longest)
     return records, longest, more
 
 
 def along_branches(step: StepRows) -> list[Pass]:
     """Prepare a pass for each moment that is smeared along branches."""
-    order = step.grains.order if step.lattice.vectors is None else step.in_space(step.position)
+    order = step.grains.order
+    if step.lattice.vectors is not None:
+        order = step.in_space(step.position)
     contacts = step.contacts.in_order_of(order)
     return [
         _branches(step, name, row, contacts)
@@ -171,7 +186,9 @@ def along_branches(step: StepRows) -> list[Pass]:
 def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass:
     """Branches of the contacts, in an order in space, each with its force or what is in its place."""
     spec = step.spec
-    others = spec.others if row.paired else 0
+    others = 0
+    if row.paired:
+        others = spec.others
     carried = _carried(step, row, step.frame)
     fill: list[Fill] = []
     for cutoff in spec.distinct:
@@ -182,9 +199,9 @@ def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass
             )
             reach = mesh.reach + longest[:3]
             mesh.check_reach(reach, step.source)
-            for real, closed, rest in _rules(step, longest[3], cutoff):
-                way = segments, mesh, step.kernels[cutoff]
-                fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
+            for rule in _rules(step, longest[3], cutoff):
+                weights = step.kernels[cutoff]
+                fill.append(partial(_fill_segments, segments, mesh, weights, reach.tolist(), rule))
             if not more:
                 break
     groups = spec.phases * max(others, 1)
@@ -215,15 +232,16 @@ def _segments(
     tilted = step.lattice.vectors is not None
     limits = step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
-    listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
+    by_phase = step.spec.by_phase
+    sides = ContactSides(rows, on_j, second, others, by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
-        more = list_segments(*listing, contacts, None, bounds, longest)
+        more = list_segments(*sides, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
-            return ListedAnew(listing, contacts, bounds, limits), longest, more
-    segments, longest, more = list_some(listing, contacts)
+            return ListedAnew(sides, contacts, bounds, limits), longest, more
+    segments, longest, more = list_some(sides, contacts)
     mesh.check_far(longest[:3], step.source)
     shift = np.zeros(3)
     if tilted:
@@ -233,31 +251,53 @@ def _segments(
         segments = segments[used[image]]
         contacts = contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
-        for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
-            # as seen in images that drift
+        if "velocity" not in moment.variables:
+            drifts = drifts[:0]
+        for drift, here in alike(drifts):  # as seen in images that drift
+            if not drift.any():
+                continue
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
+            in_images = sides._replace(rows=rows._replace(on_i=on_i), on_j=on_j)
+            moving, _, _ = list_some(in_images, contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
-        partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contacts]
-        ends = [points + shift for points in (c.point[contacts], step.position[partner])]
+        partner = np.where(c.i >= 0, c.j, c.i)
+        if second:
+            partner = c.i
+        ends = [c.point[contacts] + shift, step.position[partner[contacts]] + shift]
         longest = mesh.cut(segments, np.array(ends), step.source)
     return ListedOnce(Segments(segments, limits, bounds_of_segments(segments))), longest, more
 
 
-def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
-    """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-    if (
-        step.spec.grid.half.any()
-        or not step.spec.coarse
-        or not step.meshes[cutoff].fits_single(step.spec.limits.max())
-    ):
-        return [("float64", True, False)]
-    by_points = ("float32", False, False)
-    return (
-        [by_points] if longest <= step.spec.limits.max() else [by_points, ("float64", True, True)]
-    )
+class _Rule(NamedTuple):
+    """Way to the weights of segments.
+
+    Attributes
+    ----------
+    real : str
+        Type of the numbers.
+    closed : bool
+        Whether closed forms are taken as well as quadratures.
+    rest : bool
+        Whether only segments that are too long for quadratures are taken.
+    """
+
+    real: str
+    closed: bool
+    rest: bool
+
+
+def _rules(step: StepRows, longest: float, cutoff: float) -> list[_Rule]:
+    """Return the ways to the weights of segments, one after the other."""
+    spec = step.spec
+    in_double = not spec.coarse or spec.grid.half.any()
+    if in_double or not step.meshes[cutoff].fits_single(spec.limits.max()):
+        return [_Rule("float64", closed=True, rest=False)]
+    rules = [_Rule("float32", closed=False, rest=False)]
+    if longest > spec.limits.max():
+        rules.append(_Rule("float64", closed=True, rest=True))
+    return rules
 
 
 def _fill_segments(
@@ -265,15 +305,15 @@ def _fill_segments(
     mesh: Mesh,
     weights: AnyKernel,
     reach: Sequence[float],
-    real: str,
-    closed: bool,
-    rest: bool,
+    rule: _Rule,
     block: NodeBlock,
     sums: NDArray,
     _: NDArray,
 ) -> None:
     nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
-    lists = block.lists(nodes, reach, real)
-    scratch = closed_for(lists.values.shape[1]) if closed else None
+    lists = block.lists(nodes, reach, rule.real)
+    scratch = None
+    if rule.closed:
+        scratch = closed_for(lists.values.shape[1])
     for some in segments.near(nodes):
-        deposit_segments(some, nodes, weights, lists, scratch, rest, sums)
+        deposit_segments(some, nodes, weights, lists, scratch, rule.rest, sums)

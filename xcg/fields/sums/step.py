@@ -109,13 +109,11 @@ class Squared:
     @cached_property
     def images(self) -> tuple[NDArray, NDArray]:
         """Rows (k,) and places (k, 3) of the grains, with their periodic images within reach of the nodes."""
-        rows, cutoff, seen = self.grains.order, self.grains.cutoff, self.grid.active
+        rows = self.grains.order
         position = self.grains.position[rows]
         if not len(self.lattice.basis):
             return rows, position
-        low = np.where(seen, self.grid.lower - cutoff, -np.inf)
-        high = np.where(seen, self.grid.upper + cutoff, np.inf)
-        row, shift, _ = self.lattice.images(position, low, high)
+        row, shift, _ = self.lattice.images(position, *self.grid.around(self.grains.cutoff))
         return rows[row], position[row] + shift
 
 
@@ -144,25 +142,11 @@ class Layout:
     apart: bool = False
     vector: bool = True
 
-    @cached_property
-    def _rows(self) -> tuple[NDArray, NDArray]:
-        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
-        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
-        factors = [
-            np.broadcast_to(factor, (columns.size, self.groups))
-            for columns, factor in self.moments.values()
-        ]
-        return columns, np.concatenate(factors)
-
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
-        column, factor = self._rows
-        out = np.empty((column.size, *records.shape[:2]))
-        first = 0
-        np.multiply(records.transpose(2, 0, 1)[column], factor[:, :, None], out=out)
-        for name, (columns, _) in self.moments.items():
-            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
-            first += columns.size
+        turned = records.transpose(2, 0, 1)
+        for name, (columns, factor) in self.moments.items():
+            yield name, turned[columns] * np.broadcast_to(factor, self.groups)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,40 +230,43 @@ class StepRows:
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
-        found = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
-        self.contacts = cast(Contacts, found)  # None where no moment takes them
+        contacts = None  # no moment takes them
+        if "contact_i" in self.frame:
+            contacts = Contacts.of(self.frame, lattice, source)
+        self.contacts = cast(Contacts, contacts)
         moving = any(WALL_VELOCITY in row.optional for row in spec.rows.values())
         if self.contacts and moving and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
-        velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
-        self.velocity = (
-            np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
-        )
-        self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
+        at_rest = np.broadcast_to(0.0, (self.count, 3))
+        self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
+        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         # which are a part of the scene
         self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)
         self.meshes = {
             cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
         }
-        self.kernels = dict[float, AnyKernel]()
-        seen = int(spec.grid.active.sum())
-        for cutoff, mesh in self.meshes.items():
-            if cutoff in (spec.distinct[0], spec.distinct[-1]):
-                mesh.check_reach(
-                    mesh.reach, source, paired=any(name.startswith("square") for name in spec.rows)
-                )
-            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-            weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
-            if isinstance(weights, CellKernel):
-                of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
-                self.kernels[cutoff] = weights._replace(
-                    means=cell_means(triple(mesh.half), seen, weights, 1.0 / of_unit)
-                )
+        paired = any(name.startswith("square") for name in spec.rows)
+        for mesh in self.meshes.values():
+            mesh.check_reach(mesh.reach, source, paired=paired)
+        self.kernels = {cutoff: self._kernel(cutoff, scale) for cutoff in spec.distinct}
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
-        flow = self.velocity[self.grains.row]
-        drift = self.grains.drift
-        self.flow = flow if drift is None else flow + drift, self.mass[self.grains.row]
+        velocity = self.velocity[self.grains.row]
+        if self.grains.drift is not None:
+            velocity = velocity + self.grains.drift
+        self.flow = (velocity, self.mass[self.grains.row])
+
+    def _kernel(self, cutoff: float, scale: float) -> AnyKernel:
+        """Return the kernel of a cutoff, times `scale`."""
+        spec = self.spec
+        seen = int(spec.grid.active.sum())
+        norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
+        weights = spec.weights._replace(norm=norm * scale)
+        if not isinstance(weights, CellKernel):
+            return weights
+        of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
+        half = triple(self.meshes[cutoff].half)
+        return weights._replace(means=cell_means(half, seen, weights, 1.0 / of_unit))
 
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
@@ -290,16 +277,12 @@ class StepRows:
         gradient = lattice.gradient_along(~self.spec.grid.active)
         if gradient is None:
             return self.frame
-        rows = self.spec.rows.items()
-        names = [
-            name
-            for name, row in rows
-            if row.contacts and "velocity" in row.variables and name != _AT_ONE_PLACE
-        ]
+        of_velocity = {n for n, row in self.spec.rows.items() if "velocity" in row.variables}
+        of_contacts = [n for n, row in self.spec.rows.items() if row.contacts]
+        names = [n for n in of_contacts if n in of_velocity - {_AT_ONE_PLACE}]
         if names:
-            warn_once(
-                "hidden shear", f"{self.source}: {_HIDDEN_SHEAR.format(names=', '.join(names))}"
-            )
+            text = _HIDDEN_SHEAR.format(names=", ".join(names))
+            warn_once("hidden shear", f"{self.source}: {text}")
         self.velocity = self.velocity - (self.position - lattice.middle) @ gradient.T
         of_box = np.broadcast_to(gradient, (self.count, 3, 3))
         return {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
@@ -310,36 +293,41 @@ class StepRows:
             return Images(position, self.in_space(position), slice(None))
         row, shift, drift = self.near_mesh(position, self.spec.distinct[-1])
         position = position[row] + shift
-        return Images(position, self.in_space(position), row, drift if drift.any() else None)
+        images = Images(position, self.in_space(position), row)
+        if drift.any():
+            images = replace(images, drift=drift)
+        return images
 
     def near_mesh(self, position: NDArray, reach: float) -> tuple[NDArray, NDArray, NDArray]:
         """Images of positions no further than `reach` (m) from the nodes, see `Lattice.images`."""
-        first, last = self.spec.grid.lower, self.spec.grid.upper
-        active = self.spec.grid.active
-        low, high = np.where(active, first - reach, -np.inf), np.where(active, last + reach, np.inf)
-        return self.lattice.images(position, low, high, self.source)
+        return self.lattice.images(position, *self.spec.grid.around(reach), self.source)
 
     def translations(self, cutoff: float) -> NDArray | None:
         """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
         both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
-        found = self.lattice.scaled(cutoff).translations(both_seen, self.source)
-        return found if len(found) else None
+        translations = self.lattice.scaled(cutoff).translations(both_seen, self.source)
+        if not len(translations):
+            return None
+        return translations
 
     def column(self, row: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
         """Columns (n, q) of a moment: its values at the grains, or of the contacts that stand at places."""
         assert row.column is not None
-        which = at.row if contact is None else contact
-        frame = self.frame if row.contacts else self.of_grains
+        which = at.row
+        if contact is not None:
+            which = contact
+        frame = self.of_grains
+        if row.contacts:
+            frame = self.frame
         values = row.column(frame, self.contacts)[which]
         values = values.reshape(len(at.position), math.prod(values.shape[1:]))
         if at.drift is not None and "velocity" in row.variables:
             # images that move alike take one call, as a grain's value may be a sum over its
             # contacts
             for drift, here in alike(at.drift):
-                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)[
-                    which
-                ]
-                values[here] = found[here].reshape(-1, values.shape[1])
+                moved = frame | {"velocity": frame["velocity"] + drift}
+                of_images = row.column(moved, self.contacts)[which]
+                values[here] = of_images[here].reshape(-1, values.shape[1])
         return values
 
     @cached_property
@@ -363,13 +351,11 @@ class StepRows:
         if not len(position):
             return np.zeros(0, "int32")  # as of others, so that nothing is compiled for it
         # axis=0 is slow
-        lower, upper = ([float(found(x)) for x in position.T] for found in (np.min, np.max))
-        farthest = [
-            max(abs(a - o), abs(b - o))
-            for a, b, o in zip(lower, upper, self.spec.origin, strict=True)
-        ]
+        lower = [float(np.min(x)) for x in position.T]
+        upper = [float(np.max(x)) for x in position.T]
+        farthest = np.abs(np.array([lower, upper]) - self.spec.origin).max(axis=0)
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
-            self.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
+            self.meshes[cutoff].check_far(farthest / cutoff + 2.0, self.source)
         return spatial_order(
             position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist()
         )

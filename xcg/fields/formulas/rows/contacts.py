@@ -43,10 +43,12 @@ def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDA
     """Return sqrt(3/2 a:a), or sqrt(a:a / 2) in a plane, of a = factor x dev(symmetric tensor)."""
     symmetric = (tensor + transposed(tensor)) / 2
     a = factor[o.dimension - 2] * deviator(restricted(symmetric, o.plane), o.plane)
-    return np.sqrt((0.5 if o.dimension == 2 else 1.5) * contraction(a))
+    return np.sqrt({2: 0.5, 3: 1.5}[o.dimension] * contraction(a))
 
 
-_NORMAL, _TANGENTIAL = (4.0, 7.5), (4.0, 5.0)
+# factors in two and in three dimensions
+_NORMAL = (4.0, 7.5)
+_TANGENTIAL = (4.0, 5.0)
 
 
 def _fabric_stress(f: Any, s: Any, o: Options) -> NDArray:
@@ -68,7 +70,7 @@ def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
     return s.momentum - s.mass[..., None] * zero_if_unknown(f._drift[:1])
 
 
-ROWS: dict[str, Field] = {
+_ROWS: dict[str, Field] = {
     "contact_stress": sum_of(
         "contact",
         rank=2,
@@ -82,7 +84,6 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="contact stress of each phase from contacts with another, or with walls",
         formula="sigma^c of the phase's sides of its contacts with grains of other_phase",
-        default=False,
         option="by",
         paired=True,
     ),
@@ -113,21 +114,18 @@ ROWS: dict[str, Field] = {
         units="m^-3",
         long_name="number density of contacts",
         formula="n_c = sum_c Psi(r - c)",
-        default=False,
     ),
     "branch_length_density": sum_of(
         "branch_length",
         units="m^-2",
         long_name="length of branches in a unit of volume",
         formula="sum_c l Psi(r - c)",
-        default=False,
     ),
     "normal_force_density": sum_of(
         "normal_force",
         units="Pa m^-1",
         long_name="sum of normal forces in a unit of volume",
         formula="sum_c f.n Psi(r - c)",
-        default=False,
     ),
     "contact_fabric": mean_of_sums(
         "normals",
@@ -136,7 +134,6 @@ ROWS: dict[str, Field] = {
         long_name="mean of the contacts' normals",
         formula="Phi = sum_c n n Psi(r - c) / n_c",
         weight="contact_number_density",
-        default=False,
     ),
     "branch_fabric": mean_of_sums(
         "branch_normals",
@@ -145,7 +142,6 @@ ROWS: dict[str, Field] = {
         long_name="normals, weighted by the branch length",
         formula="X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)",
         weight="branch_length_density",
-        default=False,
     ),
     "normal_force_fabric": Field(
         rank=2,
@@ -154,7 +150,6 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: ratio(s.normal_force_normals, s.normal_force),
         moments=("normal_force_normals", "normal_force"),
         weight="normal_force_density",
-        default=False,
     ),
     "tangential_force_fabric": Field(
         rank=2,
@@ -163,35 +158,30 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: ratio(s.tangential_normals, s.normal_force),
         moments=("tangential_normals", "normal_force"),
         weight="normal_force_density",
-        default=False,
     ),
     "contact_anisotropy": Field(
         long_name="anisotropy of the contacts",
         formula="a_c = sqrt(3/2 a:a), a = 15/2 dev Phi, 2D: sqrt(a:a / 2), a = 4 dev Phi",
         compute=lambda f, s, o: _anisotropy(f.contact_fabric, _NORMAL, o),
         fields=("contact_fabric",),
-        default=False,
     ),
     "branch_anisotropy": Field(
         long_name="anisotropy of the branch lengths",
         formula="a_b, from a = 15/2 dev (X_b - Phi), 2D: 4 dev (X_b - Phi)",
         compute=lambda f, s, o: _anisotropy(f.branch_fabric - f.contact_fabric, _NORMAL, o),
         fields=("branch_fabric", "contact_fabric"),
-        default=False,
     ),
     "normal_force_anisotropy": Field(
         long_name="anisotropy of the normal forces",
         formula="a_n, from a = 15/2 dev (X_n - Phi), 2D: 4 dev (X_n - Phi)",
         compute=lambda f, s, o: _anisotropy(f.normal_force_fabric - f.contact_fabric, _NORMAL, o),
         fields=("normal_force_fabric", "contact_fabric"),
-        default=False,
     ),
     "tangential_force_anisotropy": Field(
         long_name="anisotropy of the tangential forces",
         formula="a_t, from a = 5 dev X_t, 2D: 4 dev X_t",
         compute=lambda f, s, o: _anisotropy(f.tangential_force_fabric, _TANGENTIAL, o),
         fields=("tangential_force_fabric",),
-        default=False,
     ),
     "fabric_stress": Field(
         rank=2,
@@ -208,7 +198,6 @@ ROWS: dict[str, Field] = {
             "contact_fabric",
             "tangential_force_fabric",
         ),
-        default=False,
     ),
     "strong_contact_stress": sum_of(
         "strong_contact",
@@ -216,7 +205,6 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="contact stress of contacts that push more than the mean of the step",
         formula="sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0",
-        default=False,
     ),
     "weak_contact_stress": Field(
         rank=2,
@@ -226,14 +214,12 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: f.contact_stress - f.strong_contact_stress,
         fields=("contact_stress", "strong_contact_stress"),
         additive=True,
-        default=False,
     ),
     "load_bearing_number_density": sum_of(
         "load_bearing",
         units="m^-3",
         long_name="number density of load-bearing grains",
         formula="sum Psi over z_i > 1",
-        default=False,
     ),
     "mechanical_coordination_number": mean_of_sums(
         "load_bearing_partners",
@@ -241,7 +227,6 @@ ROWS: dict[str, Field] = {
         long_name="coordination number of load-bearing grains",
         formula="Z_mech = sum z_i Psi / sum Psi over z_i > 1",
         weight="load_bearing_number_density",
-        default=False,
     ),
     "redundancy_number": Field(
         long_name="constraints of contacts over degrees of freedom of load-bearing grains",
@@ -250,7 +235,6 @@ ROWS: dict[str, Field] = {
         compute=_redundancy,
         moments=("load_bearing_contacts", "load_bearing"),
         weight="load_bearing_number_density",
-        default=False,
     ),
     "interphase_force": sum_of(
         "pair_force",
@@ -258,7 +242,6 @@ ROWS: dict[str, Field] = {
         units="Pa m^-1",
         long_name="density of the contact forces of another phase, or of walls, on each phase",
         formula="sum_c f_ij Psi(r - c), i in the phase and j in other_phase",
-        default=False,
         option="by",
         paired=True,
     ),
@@ -271,7 +254,6 @@ ROWS: dict[str, Field] = {
         fields=("_drift",),
         moments=("mass", "momentum"),
         additive=True,
-        default=False,
         option="by",
     ),
     "concentration": Field(
@@ -281,10 +263,17 @@ ROWS: dict[str, Field] = {
         fields=("volume_fraction",),
         weight="volume_fraction",
         by_bulk=True,
-        default=False,
         option="by",
     ),
 }
+_USUAL = (
+    "contact_stress",
+    "wall_traction",
+    "contact_force_density",
+    "fabric",
+    "coordination_number",
+)
+ROWS = {name: replace(row, default=name in _USUAL) for name, row in _ROWS.items()}
 # other ways to a field, as in `xcg.fields.formulas.rows.flow`
 WAYS: dict[str, tuple[str, dict[Any, Field]]] = {
     "redundancy_number": (

@@ -22,9 +22,8 @@ def _strain(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _volumetric_strain(f: Any, s: Any, o: Options) -> NDArray:
-    (a, b, c), (d, e, g), (h, i, j) = (
-        [f.deformation_gradient[..., row, column] for column in range(3)] for row in range(3)
-    )
+    rows = np.moveaxis(f.deformation_gradient, (-2, -1), (0, 1))
+    (a, b, c), (d, e, g), (h, i, j) = rows
     return a * (e * j - g * i) - b * (d * j - g * h) + c * (d * i - e * h) - 1.0
 
 
@@ -41,10 +40,10 @@ def _rotation_vector(f: Any, s: Any, o: Options) -> NDArray:
 
     turn = f.rotation.reshape(-1, 3, 3)
     known = np.isfinite(turn).all(axis=(1, 2))
-    found = np.full((len(turn), 3), np.nan)
+    vectors = np.full((len(turn), 3), np.nan)
     if known.any():
-        found[known] = Rotation.from_matrix(turn[known]).as_rotvec()
-    return found.reshape(f.rotation.shape[:-1])
+        vectors[known] = Rotation.from_matrix(turn[known]).as_rotvec()
+    return vectors.reshape(f.rotation.shape[:-1])
 
 
 _ROWS: dict[str, Field] = {

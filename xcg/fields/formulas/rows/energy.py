@@ -60,7 +60,9 @@ def _fluctuation_inertia(f: Any, s: Any, o: Options) -> NDArray:
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
     """Traces run over the axes that grains turn about: in a one-layer scene, that across the plane."""
-    axes = [k for k in range(3) if k not in o.plane] if o.dimension == 2 else [0, 1, 2]
+    axes = [0, 1, 2]
+    if o.dimension == 2:
+        axes = [k for k in axes if k not in o.plane]
     # as of velocities: unknown where the mean leaves less than half of a mean grain
     enough = where_positive(f.fluctuation_inertia - 0.5 * ratio(f.inertia_density, f.sample_count))
     free = f.fluctuation_inertia + (enough - enough)

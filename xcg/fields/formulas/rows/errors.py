@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.algebra import (
     at_least_zero,
     contraction,
-    deviator,
     double_dot,
     mean_of,
     ratio,
@@ -61,30 +60,30 @@ def _velocity(f: Any, s: Any, o: Options) -> NDArray:
 
 def _gradient(f: Any, s: Any, o: Options) -> NDArray:
     """Error of G_kl: T_k from the velocity's component, S_ll from the places along l."""
-    found = _root(_diagonal(f._covariance)[..., :, None] * _diagonal(f._slopes)[..., None, :])
-    return found * f._fit.determined[..., None, :]
+    error = _root(_diagonal(f._covariance)[..., :, None] * _diagonal(f._slopes)[..., None, :])
+    return error * f._fit.determined[..., None, :]
 
 
 def _rate(f: Any, s: Any, o: Options) -> NDArray:
     """Errors of (G + G^T) / 2: components of one velocity are correlated by Theta, slopes by A Q A."""
-    theta, slopes = f._covariance, f._slopes
-    t, a = _diagonal(theta), _diagonal(slopes)
-    one = t[..., :, None] * a[..., None, :]
-    return _root((one + transposed(one) + 2 * theta * slopes) / 4)
+    of_velocity = _diagonal(f._covariance)
+    of_slopes = _diagonal(f._slopes)
+    of_gradient = of_velocity[..., :, None] * of_slopes[..., None, :]
+    both = of_gradient + transposed(of_gradient) + 2 * f._covariance * f._slopes
+    return _root(both / 4)
 
 
 def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
     theta = f._covariance
     slopes = f._slopes
-    found = []
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        found.append(
+    variances = []
+    for i, j in ((1, 2), (2, 0), (0, 1)):
+        variances.append(
             theta[..., j, j] * slopes[..., i, i]
             + theta[..., i, i] * slopes[..., j, j]
             - 2 * theta[..., i, j] * slopes[..., i, j]
         )
-    return _root(np.stack(found, axis=-1))
+    return _root(np.stack(variances, axis=-1))
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
@@ -93,10 +92,9 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself
     adds to the first, at most three quarters of it.
     """
-    rate, theta, slopes = (
-        restricted(t, o.shear_axes) for t in (f.shear_rate_tensor, f._covariance, f._slopes)
-    )
-    rate = deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate
+    rate = flow.rate_of_magnitude(f, o)
+    theta = restricted(f._covariance, o.shear_axes)
+    slopes = restricted(f._slopes, o.shear_axes)
     first = 4 * double_dot(theta, times(times(rate, slopes), transposed(rate)))
     squares = contraction(theta) * contraction(slopes) + 2 * contraction(times(theta, slopes))
     both = double_dot(theta, slopes)
@@ -116,8 +114,7 @@ def _left(f: Any, s: Any, o: Options) -> NDArray:
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
     """Return sqrt(2 Theta:Theta / N_left) / D; the noise of Theta itself is subtracted from its square."""
-    inside = f._covariance if o.dimension == 3 else restricted(f._covariance, o.plane)
-    squares = contraction(inside) / (1 + (o.dimension + 1) * f._left)
+    squares = contraction(restricted(f._covariance, o.plane)) / (1 + (o.dimension + 1) * f._left)
     return _root(2 * squares * f._left) / o.dimension
 
 
@@ -133,9 +130,8 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     share = f._share[..., None, None]
     whole = _squares(f.kinetic_stress)
     steady = _squares(f.kinetic_stress - f._covariance * s.mass[..., None, None])
-    return _root(
-        (whole / (1 + share * (1 + np.eye(3))) - at_least_zero(steady - 4 * share * whole)) * share
-    )
+    without_noise = whole / (1 + share * (1 + np.eye(3)))
+    return _root((without_noise - at_least_zero(steady - 4 * share * whole)) * share)
 
 
 def _squares(tensor: NDArray) -> NDArray:
@@ -150,7 +146,6 @@ def _spin(f: Any, s: Any, o: Options) -> NDArray:
     return _root(_diagonal(f.spin_fluctuation) * (share / free)[..., None])
 
 
-_COVARIANCE = ("_covariance",)
 _SLOPES = ("_covariance", "_slopes")
 _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
     "velocity": (_velocity, ("_covariance", "_share"), "sqrt(T_k / N_eff)"),
@@ -212,7 +207,6 @@ ROWS: dict[str, Field] = {
         formula="1 / N_eff = sum w^2 / (sum w)^2, w = m_i Psi",
         compute=_share,
         moments=("mass", "square"),
-        listed=False,
     ),
     "_covariance": Field(  # of the components of one grain's fluctuation
         rank=2,
@@ -220,7 +214,6 @@ ROWS: dict[str, Field] = {
         formula="Theta = sum m_i v'_i v'_i Psi / rho_T",
         compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free),
         fields=("fluctuation_stress", "_free"),
-        listed=False,
     ),
     "_slopes": Field(
         rank=2,
@@ -229,13 +222,11 @@ ROWS: dict[str, Field] = {
         compute=_slopes,
         fields=("_fit",),
         moments=("mass", "offset", *SQUARES),
-        listed=False,
     ),
     "_left": Field(
         formula="1 / N_left = sqrt(rho / rho_T) / N_eff",
         compute=_left,
         fields=("_share", "_free"),
         moments=("mass",),
-        listed=False,
     ),
 }

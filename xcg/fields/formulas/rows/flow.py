@@ -52,10 +52,12 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(
         matrices.SUMS, -1
     )
-    way = trace_fit if sums.dtype == object else matrices.fit_gradient
-    found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
+    fit = matrices.fit_gradient
+    if sums.dtype == object:
+        fit = trace_fit
+    results = fit(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
     parts = np.split(
-        found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
+        results, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
     )
     gradient, explained, determined, mean, inverse = parts
     return SimpleNamespace(
@@ -112,10 +114,10 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     least_squares = o.gradient in FITS
     if least_squares and len(s.mass) == 1:
         return f.kinetic_stress - f._fit.explained
-    # along directions that the grains do not span, the G of a fit is zero
-    g = f._fit.gradient[:1] if least_squares else zero_if_unknown(f.velocity_gradient[:1])
+    g = f._fit.gradient[:1]  # zero along directions that the grains do not span
     unknown = [f._fit.explained[:1, :, 0, 0]]
     if not least_squares:
+        g = zero_if_unknown(f.velocity_gradient[:1])
         unknown += [f.velocity_gradient[:1, :, i, j] for i in range(3) for j in range(3)]
     zero = sum(x - x for x in unknown)  # or NaN
     # v'' = u - c - G x, and G x, G x x and u G x summed over the grains
@@ -148,8 +150,7 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
         rest = s.momentum[..., i] - b[..., i] * s.mass  # nothing but for phases
         for j in range(i, 3):
             total = s.kinetic[..., i, j] - b[..., i] * s.momentum[..., j]
-            total -= rest * b[..., j]
-            out[i, j], out[j, i] = total, total
+            out[i, j] = out[j, i] = total - rest * b[..., j]
     return _outer(out)
 
 
@@ -205,11 +206,12 @@ def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
     return ratio(at_least_zero(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1)), f._free)
 
 
-def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
+def rate_of_magnitude(f: Any, o: Options) -> NDArray:
+    """Return the part of the shear rate tensor whose magnitude is the shear rate."""
     rate = restricted(f.shear_rate_tensor, o.shear_axes)
-    return rate_magnitude(
-        deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate
-    )
+    if o.deviatoric in ("rate", "both"):
+        rate = deviator(rate, o.shear_axes or o.plane)
+    return rate
 
 
 ROWS: dict[str, Field] = {
@@ -308,7 +310,7 @@ ROWS: dict[str, Field] = {
         units="s^-1",
         long_name="shear rate",
         formula="|Gamma| = sqrt(2 Gamma:Gamma)",
-        compute=_shear_rate,
+        compute=lambda f, s, o: rate_magnitude(rate_of_magnitude(f, o)),
         fields=("shear_rate_tensor",),
     ),
     "kinetic_stress": Field(
@@ -365,19 +367,14 @@ ROWS: dict[str, Field] = {
         weight="density",
     ),
     # the velocity relative to the node's reference, NaN where there are no grains
-    "_drift": mean_of_sums(
-        "momentum", "mass", rank=1, units="m s^-1", formula="V - U", listed=False
-    ),
-    "_fit": Field(
-        rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
-    ),
+    "_drift": mean_of_sums("momentum", "mass", rank=1, units="m s^-1", formula="V - U"),
+    "_fit": Field(rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR),
     "_taken": Field(
         units="kg m^-3",
         formula="rho - rho_T",
         compute=_taken_by_fit,
         fields=("_fit",),
         moments=("mass", "offset", "spread", *SQUARES),
-        listed=False,
     ),
     "_free": Field(
         units="kg m^-3",
@@ -385,7 +382,6 @@ ROWS: dict[str, Field] = {
         compute=_free,
         fields=("fluctuation_density",),
         moments=("count", "mass"),
-        listed=False,
     ),
 }
 # variants of a field: the option that selects one, and a row for each value that is not the default

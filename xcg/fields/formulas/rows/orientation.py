@@ -8,6 +8,7 @@ Liquid Crystals.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ from xcg.fields.formulas.field import Field, Options, mean_of_sums
 
 
 def _nematic(f: Any, s: Any, o: Options) -> NDArray:
-    found = f.orientation_tensor * (o.dimension / (o.dimension - 1))
+    nematic = f.orientation_tensor * (o.dimension / (o.dimension - 1))
     for k in o.plane:
-        found[..., k, k] -= 1 / (o.dimension - 1)
-    return found
+        nematic[..., k, k] -= 1 / (o.dimension - 1)
+    return nematic
 
 
 def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
@@ -36,7 +37,7 @@ def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
     return np.where(known, values[..., -1], np.nan), np.where(known[..., None], axis, np.nan)
 
 
-ROWS: dict[str, Field] = {
+_ROWS: dict[str, Field] = {
     "orientation_tensor": mean_of_sums(
         "directors",
         "number",
@@ -44,7 +45,6 @@ ROWS: dict[str, Field] = {
         long_name="orientation tensor of the directors",
         formula="<n n> = sum n_i n_i Psi / sum Psi",
         weight="number_density",
-        default=False,
     ),
     "nematic_tensor": Field(
         rank=2,
@@ -53,14 +53,12 @@ ROWS: dict[str, Field] = {
         compute=_nematic,
         fields=("orientation_tensor",),
         weight="number_density",
-        default=False,
     ),
     "nematic_order": Field(
         long_name="nematic order, 0 for directors of all directions, 1 where all are along one",
         formula="S, the largest eigenvalue of Q",
         compute=lambda f, s, o: _axes(f.nematic_tensor, o)[0],
         fields=("nematic_tensor",),
-        default=False,
     ),
     "nematic_director": Field(
         rank=1,
@@ -68,6 +66,6 @@ ROWS: dict[str, Field] = {
         formula="eigenvector of the largest eigenvalue of Q",
         compute=lambda f, s, o: _axes(f.nematic_tensor, o)[1],
         fields=("nematic_tensor",),
-        default=False,
     ),
 }
+ROWS = {name: replace(row, default=False) for name, row in _ROWS.items()}

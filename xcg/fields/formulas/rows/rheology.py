@@ -20,8 +20,9 @@ from xcg.fields.formulas.field import Field, Options
 
 
 def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
-    whole = o.deviatoric not in ("stress", "both")
-    return stress_magnitude(restricted(f.stress, o.shear_axes) if whole else f.deviatoric_stress)
+    if o.deviatoric in ("stress", "both"):
+        return stress_magnitude(f.deviatoric_stress)
+    return stress_magnitude(restricted(f.stress, o.shear_axes))
 
 
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
@@ -99,9 +100,7 @@ ROWS: dict[str, Field] = {
         fields=("friction_coefficient", "viscous_number"),
         option="fluid_viscosity",
     ),
-    "_size": Field(
-        units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",), listed=False
-    ),
+    "_size": Field(units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",)),
 }
 
 
@@ -110,7 +109,6 @@ def _size_of_scene(name: str) -> Field:
         units="m",
         formula=name,
         compute=lambda f, s, o: np.asarray(o.diameter or np.nan),
-        listed=False,
     )
 
 
