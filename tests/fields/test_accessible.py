@@ -233,7 +233,7 @@ def test_explain_names_the_work_for_walls(packed):
 
 
 @pytest.mark.parametrize("axes", ["z", "xyz"])
-def test_work_for_walls_counts_all_of_its_steps(packed, monkeypatch, axes):
+def test_long_work_for_walls_warns_before_and_counts_all_of_its_steps(packed, monkeypatch, axes):
     counted = []
 
     @contextmanager
@@ -242,8 +242,10 @@ def test_work_for_walls_counts_all_of_its_steps(packed, monkeypatch, axes):
         yield SimpleNamespace(update=counted.append)
         assert sum(counted) == steps
 
+    monkeypatch.setattr(accessible, "_LONG", 0.0)
     monkeypatch.setattr(accessible, "shown", bar)
-    packed.cg.coarse_grain("density", axes=axes, spacing=2.0, surfaces=[SIDE, *BETWEEN])
+    with pytest.warns(xcg.SceneWarning, match="the accessible fraction .* takes about"):
+        packed.cg.coarse_grain("density", axes=axes, spacing=2.0, surfaces=[SIDE, *BETWEEN])
     assert counted
 
 

@@ -39,6 +39,7 @@ _POLAR = 12
 _TURNS = 24
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
+_LONG = 10.0  # seconds; longer work warns before, and shows its progress
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
@@ -92,6 +93,10 @@ def with_accessible(
     beside = [name for name in plan.fields if name not in plan.asked]
     f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
+    seconds = accessible.seconds()
+    if seconds > _LONG:
+        advice = "simplify the surfaces" if accessible.average else "take a larger spacing"
+        warn_user(f"walls: {accessible.text(seconds)}: {advice}")
     chi: Any
     if is_lazy(f, plan.fields):
         import dask.array as da  # slow to import
@@ -246,15 +251,13 @@ class Accessible:
         _, once, sample = np.diff(times)
         return float(once + max(0.0, sample - once) * len(self.points) / count)
 
-    def text(self) -> str:
-        """Describe the work, with an estimate of the time it takes."""
+    def text(self, seconds: float) -> str:
+        """Describe the work, which takes some seconds."""
         work = f"at {len(self.points)} points, by up to {2 * _POLAR * _TURNS} rays from each"
         if self.average:
             along = COMPONENTS[self.average.along]
             work = f"by {self.average.steps} rays along {along}"
-        return (
-            f"the accessible fraction {work} takes about {self.seconds():.2g} s, once for all steps"
-        )
+        return f"the accessible fraction {work} takes about {seconds:.2g} s, once for all steps"
 
 
 def _averaged(

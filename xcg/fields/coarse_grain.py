@@ -161,7 +161,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     plan = make_plan(scene, request)
     cost = None
     if walls:
-        cost = accessible_of(scene, plan, walls).text()
+        accessible = accessible_of(scene, plan, walls)
+        cost = accessible.text(accessible.seconds())
     return replace(plan, effective_count=effective_count(scene, plan), walls=cost)
 
 
