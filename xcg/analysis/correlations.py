@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import check, whole
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import (
@@ -75,7 +76,7 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    other = field if other is None else other
+    other = other or field
     f = with_facts(with_time(f))
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
@@ -142,8 +143,21 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
         "correlation_length": (length, "distance at which the correlation falls to 1/e"),
     }
     call = format_call("spatial_correlation", {"field": field, "other": other})
-    result = _with_errors(sums, _correlation_in_space, about, f, call)
-    pairs = sums["pairs"].mean("time") if "time" in sums.dims else sums["pairs"]
+    series = sums
+    if "time" not in sums.dims:
+        series = sums.expand_dims("time")
+    of_steps = [name for name in series.coords if name not in series.dims or name == "time"]
+    series = series.drop_vars(of_steps)
+    mean = _correlation_in_space(series.mean("time"))
+    errors = block_errors(series, "time", _correlation_in_space)
+    data = {}
+    for name, (units, long_name) in about.items():
+        data[name] = _labelled(mean[name], units, long_name)
+        data[f"{name}_error"] = _labelled(errors[name], units, f"standard error of {name}")
+    result = xr.Dataset(data, attrs=provenance(f, call))
+    pairs = sums["pairs"]
+    if "time" in sums.dims:
+        pairs = pairs.mean("time")
     return result.assign(pairs=_labelled(pairs, "1", "pairs of nodes in a step"))
 
 
@@ -190,17 +204,16 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     steps = a.sizes.get("time", 1)
     if steps < 3:
         raise ValueError(f"time_correlation needs three steps or more, and {field!r} has {steps}")
-    last = steps // 2 if max_lag is None else max_lag
-    if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
-        raise ValueError(f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}")
+    check("max_lag", max_lag, whole(1, steps - 1), optional=True)
+    last = int(max_lag or steps // 2)
     require_known_times(f, "time_correlation")
     interval = evenly_spaced(f["time"].to_numpy(), "times")
     tail = [dim for dim in _TAIL if dim in a.dims]
     nodes = [str(dim) for dim in a.dims if dim in COMPONENTS]
-    whole = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
-    if whole.chunks is not None:
-        whole = whole.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
-    deviation = whole - whole.mean("time")
+    values = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
+    if values.chunks is not None:
+        values = values.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
+    deviation = values - values.mean("time")
     known = deviation.notnull().all(tail)
     deviation = deviation.where(known, 0.0)
     at_nodes = []
@@ -244,7 +257,7 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
         "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
     data = {key: _labelled(*entry) for key, entry in about.items()}
-    call = format_call("time_correlation", {"field": field, "max_lag": int(last)})
+    call = format_call("time_correlation", {"field": field, "max_lag": last})
     return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
 
 
@@ -259,22 +272,6 @@ def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
     labelled = values.copy(deep=False)
     labelled.attrs = {"units": units, "long_name": long_name}
     return labelled
-
-
-def _with_errors(
-    sums: xr.Dataset, function: Any, about: dict[str, tuple[str, str]], f: xr.Dataset, call: str
-) -> xr.Dataset:
-    """Return a function of the time mean of some sums, and its standard errors."""
-    series = sums if "time" in sums.dims else sums.expand_dims("time")
-    of_steps = [name for name in series.coords if name not in series.dims or name == "time"]
-    series = series.drop_vars(of_steps)
-    mean = function(series.mean("time"))
-    errors = block_errors(series, "time", function)
-    data = {}
-    for name, (units, long_name) in about.items():
-        data[name] = _labelled(mean[name], units, long_name)
-        data[f"{name}_error"] = _labelled(errors[name], units, f"standard error of {name}")
-    return xr.Dataset(data, attrs=provenance(f, call))
 
 
 # --- in space -------------------------------------------------------------------------------------
@@ -303,7 +300,9 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     padded: list[int] = []
     places: list[NDArray] = []  # of the lags in an inverse transform
     for count, wrapped in zip(nodes, wraps, strict=True):
-        size = count if wrapped else fft.next_fast_len(2 * count - 1)
+        size = count
+        if not wrapped:
+            size = fft.next_fast_len(2 * count - 1)
         padded.append(size)
         places.append(_lags(count, wrapped) % size)
 

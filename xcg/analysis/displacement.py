@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import check, whole
 from xcg.common.messages import unknown
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import CoarseGraining, about
@@ -41,7 +42,8 @@ BESIDE = (
     "effective_count",
     "fluctuation_density",
 )
-_GRADIENT, _TOTAL = "displacement_gradient", "deformation_gradient"
+_GRADIENT = "displacement_gradient"
+_TOTAL = "deformation_gradient"
 _MADE = ("velocity", "interval")
 _COUNTS = {
     "left": Variable((), "1", "number of grains in the first frame only", "int64"),
@@ -197,7 +199,9 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
     result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
-    return result if asked.for_averages else result.set_coords(beside)
+    if asked.for_averages:
+        return result
+    return result.set_coords(beside)
 
 
 def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,16 +221,14 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     """Check the request, and return the names of its fields."""
     frames = ds.sizes.get("time", 1)
     lag = asked.lag
-    if not isinstance(lag, (int, np.integer)) or isinstance(lag, bool) or lag < 1:
-        raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
+    check("lag", lag, whole(1), hint="; 1 is the next frame")
     if lag >= frames:
         raise ValueError(
             f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 "
             "or more of them"
         )
-    for name, default in (("preset", None), ("by_pair", False)):
-        value = getattr(asked, name)
-        if value != default:
+    for name in ("preset", "by_pair"):
+        if value := getattr(asked, name):
             raise ValueError(f"{name}={value!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
@@ -269,6 +271,7 @@ class _Displacements(FrameAnalysis):
     """Fields of displacements relative to the box, which take the place of velocities."""
 
     name = "displacement"
+    optional = MOTION
 
     fields: CoarseGraining
     lag: int
@@ -282,13 +285,14 @@ class _Displacements(FrameAnalysis):
     def reads(self, scene: Description) -> list[str]:
         """Return what the fields need of the first frame, and where grains are in both."""
         of_fields = [name for name in self.fields.reads(scene) if name not in _MADE]
-        moved = [name for name in MOTION if name in scene.columns]
-        return [*of_fields, "position", *moved, "time"]
+        return [*of_fields, "position", "time"]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the fields, the grains that are in one frame only, and the motion of the box."""
         rows = self.fields.rows(scene) | _COUNTS
-        return rows | _MOTION if self.box_changes else rows
+        if self.box_changes:
+            return rows | _MOTION
+        return rows
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the coordinates of the fields."""
@@ -302,28 +306,21 @@ class _Displacements(FrameAnalysis):
         """Compute the fields of the grains that are in both frames."""
         (later,) = others
         if later is None:  # the last frames are left out of the result
-            return {
-                name: np.full(shape, np.nan) for name, shape in self.fields.plan.shapes.items()
-            } | {
-                "left": 0,
-                "entered": 0,
-                "box_gradient": np.full((3, 3), np.nan),
-                "box_shift": np.full(3, np.nan),
-            }
+            shapes = {**self.fields.plan.shapes, "box_gradient": (3, 3), "box_shift": (3,)}
+            nothing = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+            return nothing | {"left": 0, "entered": 0}
         frame, lattice, source = now
         later_frame, later_lattice, later_source = later
         rows = partners(frame, later_frame, (source, later_source))
-        stays = rows >= 0
+        stays = np.flatnonzero(rows >= 0)
         motion = BoxMotion.between(lattice, later_lattice)
         of_both = {name: values[stays] for name, values in frame.items() if np.ndim(values)}
-        of_both["velocity"] = motion.relative(
-            frame, later_frame, np.flatnonzero(stays), rows[stays]
-        )
-        of_both["interval"] = np.full(stays.sum(), later_frame["time"] - frame["time"])
+        of_both["velocity"] = motion.relative(frame, later_frame, stays, rows[stays])
+        of_both["interval"] = np.full(len(stays), later_frame["time"] - frame["time"])
         fields = replace(self.fields, threads=self.threads).frame(of_both, lattice, source)
         return fields | {
-            "left": (~stays).sum(),
-            "entered": len(later_frame["position"]) - stays.sum(),
+            "left": len(rows) - len(stays),
+            "entered": len(later_frame["position"]) - len(stays),
             "box_gradient": motion.gradient,
             "box_shift": motion.shift,
         }
@@ -333,7 +330,9 @@ class _Displacements(FrameAnalysis):
         count = ds.sizes["time"] - self.lag
         result = self.fields.after(result, ds).isel(time=slice(0, count))
         times = ds["time"].to_numpy()
-        what = "time" if times_are_known(ds) else "steps of the simulation"
+        what = "time"
+        if not times_are_known(ds):
+            what = "steps of the simulation"
         about = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
         interval = xr.Variable("time", times[self.lag :] - times[:count], about)
         return result.assign_coords(interval=interval).set_coords([*_COUNTS])

@@ -21,7 +21,7 @@ from xcg.analysis.chain_results import (
 )
 from xcg.analysis.chain_selection import Region, check_region
 from xcg.analysis.particle_stress import StressRule, Volumes, carries
-from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
+from xcg.common.checks import FINITE, above, check, check_choice, whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts
@@ -32,7 +32,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import call_of, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
@@ -80,7 +80,9 @@ class SearchRule:
             chosen &= frame["frozen"] != 1
         if self.min_stress is not None and len(chosen):
             major = stress["major_stress"]
-            least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
+            least = self.min_stress
+            if isinstance(least, str):
+                least = major.mean()
             chosen &= major >= least - _SHARE * abs(least)
         if self.region is not None:
             time = float(frame.get("time", 0.0))
@@ -176,27 +178,15 @@ def force_chains(
     >>> fc.chain_id.dims
     ('time', 'particle')
     """
-    given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
-    if not (is_positive(alpha) and alpha <= 90):
-        raise ValueError(
-            f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
-        )
+    call = call_of("force_chains", locals())
+    check("alpha", alpha, above(0, 90), "degrees")
     if alpha < np.pi / 2:
         warn_user(
             f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
         )
-    if not (
-        min_stress is None
-        or is_finite(min_stress)
-        or (isinstance(min_stress, str) and min_stress == "mean")
-    ):
-        raise ValueError(
-            f"min_stress={min_stress!r}: expected a finite stress (Pa), 'mean', or None for no limit"
-        )
-    if not is_whole(min_length, 2):
-        raise ValueError(
-            f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
-        )
+    if not isinstance(min_stress, str) or min_stress != "mean":
+        check("min_stress", min_stress, FINITE, "Pa", optional=True, hint=", or 'mean'")
+    check("min_length", min_length, whole(2))
     check_choice("algorithm", algorithm, Algorithm)
     check_region(region, ds)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
@@ -213,7 +203,7 @@ def force_chains(
     )
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
-    return run(ds, analysis, call=format_call("force_chains", given), on_error=on_error)
+    return run(ds, analysis, call=call, on_error=on_error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +211,8 @@ class _ForceChains(FrameAnalysis):
     """Force chains of each step, with what is copied from the scene."""
 
     name = "force_chains"
+    # regions move in time
+    optional = ("frozen", "time")
 
     rule: SearchRule
     lengths: Mapping[str, int]
@@ -228,9 +220,8 @@ class _ForceChains(FrameAnalysis):
     algorithm: Algorithm
 
     def reads(self, scene: Description) -> list[str]:
-        """Return what stress follows from, what is copied, and what regions take."""
-        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
-        return [*self.rule.stress.variables, *COPIED, *optional]
+        """Return what stress follows from, and what is copied."""
+        return [*self.rule.stress.variables, *COPIED]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the rows of particles, contacts, chains, and statistics."""
@@ -253,11 +244,10 @@ class _ForceChains(FrameAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
         """Find the chains of one step."""
-        rule = self.rule
-        found = find_chains(rule, frame, lattice, source, self.threads)
-        lengths = found["chain_particles"]
-        statistics = statistics_of(lengths, rule.min_length, self.lengths["length"])
-        return found | statistics | {name: frame[name] for name in COPIED}
+        chains = find_chains(self.rule, frame, lattice, source, self.threads)
+        lengths = chains["chain_particles"]
+        statistics = statistics_of(lengths, self.rule.min_length, self.lengths["length"])
+        return chains | statistics | {name: frame[name] for name in COPIED}
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Add the box of the scene."""
@@ -293,7 +283,8 @@ def find_chains(
     for_parts(len(i), test, contacts.threads)
     start, contact = loops.rows_of_contacts(i, j, aligned, particles)
     seeds = np.flatnonzero(qualifies)
-    chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
+    chain = np.full(particles, loops.UNSEEN)
+    parent = np.full(particles, loops.UNSEEN)
     members = np.empty(particles, int)
     first = np.empty(particles + 1, int)
     place = frame["position"].copy()
@@ -364,10 +355,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     """
     require_chains(fc, "track_chains", whole=("chain",))
     fc = with_time(fc)
-    if not (is_positive(overlap) and overlap <= 1):
-        raise ValueError(
-            f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
-        )
+    check("overlap", overlap, above(0, 1))
     if "time" not in fc.dims:
         raise ValueError(
             "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
@@ -393,41 +381,28 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         tracks += len(born)
         before = now
     number = (track >= 0).sum(axis=1)
-    births, deaths = number - survivors, np.append(0, number[:-1]) - survivors
+    births = number - survivors
+    deaths = np.append(0, number[:-1]) - survivors
     # a track is in all steps from its first to its last
     _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
     first = np.nonzero(track >= 0)[0][first]
-    birth, end = times[first], times[first + seen - 1]
+    birth = times[first]
+    end = times[first + seen - 1]
     unit = unit_of_times(fc)
+    by_chain = ("time", "chain")
+    table = {
+        "track_id": (by_chain, track, "1", "track of the chain, -1 where there is none"),
+        "births": ("time", births, "1", "chains that continue none of the step before"),
+        "deaths": ("time", deaths, "1", "chains of the step before that none continues"),
+        "survivors": ("time", survivors, "1", "chains that continue one of the step before"),
+        "birth_time": ("track", birth, unit, "first time of the track"),
+        "last_time": ("track", end, unit, "last time of the track"),
+        "lifetime": ("track", end - birth, unit, "time from first to last step"),
+        "steps": ("track", seen, "1", "steps of the track"),
+    }
     data = {
-        "track_id": (
-            ("time", "chain"),
-            track,
-            {"units": "1", "long_name": "track of the chain, -1 where there is none"},
-        ),
-        "births": (
-            "time",
-            births,
-            {"units": "1", "long_name": "chains that continue none of the step before"},
-        ),
-        "deaths": (
-            "time",
-            deaths,
-            {"units": "1", "long_name": "chains of the step before that none continues"},
-        ),
-        "survivors": (
-            "time",
-            survivors,
-            {"units": "1", "long_name": "chains that continue one of the step before"},
-        ),
-        "birth_time": ("track", birth, {"units": unit, "long_name": "first time of the track"}),
-        "last_time": ("track", end, {"units": unit, "long_name": "last time of the track"}),
-        "lifetime": (
-            "track",
-            end - birth,
-            {"units": unit, "long_name": "time from first to last step"},
-        ),
-        "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
+        name: (dims, values, {"units": units, "long_name": text})
+        for name, (dims, values, units, text) in table.items()
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))

@@ -65,9 +65,8 @@ def draw_grains(
     require_scene(ds, ("diameter",), "plot of a scene")
     if name is not None:
         _check_variable(ds, name)
-    frame, lattice, _ = frame_at(
-        ds, index, ["particle_id", "position", "diameter", *([name] if name else [])]
-    )
+    names = {"particle_id", "position", "diameter", name or "position"}
+    frame, lattice, _ = frame_at(ds, index, names)
     step = step_at(ds, index)
     plane = str(ds.attrs.get("plane", "xyz"))
     cut = _cut(plane, at, frame, lattice)
@@ -79,16 +78,14 @@ def draw_grains(
     if name is None:
         circles.set(**{"facecolor": _PLAIN, **options})
     else:
-        label = drawing.label_of(ds[name], name)
-        values = _values(frame[name], ds[name], component)[rows]
+        variable = ds[name]
+        values = _values(frame[name], variable, component)[rows]
         if frame[name].ndim > 1:
-            part = component or "magnitude"
-            label = drawing.label_of(
-                ds[name].assign_attrs(long_name=f"{drawing.long_name_of(ds[name], name)}, {part}"),
-                name,
-            )
+            text = f"{drawing.long_name_of(variable, name)}, {component or 'magnitude'}"
+            variable = variable.assign_attrs(long_name=text)
+        label = drawing.label_of(variable, name)
         known = values[np.isfinite(values)]
-        chosen = drawing.colours_of(known, colours["cmap"], colours["vmin"], colours["vmax"])
+        chosen = drawing.colours_of(known, **colours)
         circles.set_array(values)
         circles.set_cmap(chosen["cmap"])
         if "norm" in options:
@@ -105,18 +102,14 @@ def draw_grains(
 
 
 def _check_variable(ds: xr.Dataset, name: str) -> None:
-    known = [
-        str(n)
-        for n, v in ds.data_vars.items()
-        if v.dims[:2] == ("time", "particle") and v.ndim <= 3
-    ]
+    variables = ds.data_vars.items()
+    known = [str(n) for n, v in variables if v.dims[:2] == ("time", "particle") and v.ndim <= 3]
     if name not in known:
         way = (
             "fields are drawn after ds.cg.coarse_grain(...), and particles are coloured by one of "
+            + ", ".join(known)
         )
-        raise ValueError(
-            f"plot of a scene: {unknown('variable', name, known, way + ', '.join(known))}"
-        )
+        raise ValueError(f"plot of a scene: {unknown('variable', name, known, way)}")
 
 
 def _cut(
@@ -139,7 +132,8 @@ def _cut(
     position = frame["position"]
     if not len(position):
         return {plane[1]: 0.0}
-    low, high = position.min(axis=0), position.max(axis=0)
+    low = position.min(axis=0)
+    high = position.max(axis=0)
     k = int(np.argmin(high - low))
     return {COMPONENTS[k]: float(0.5 * (low[k] + high[k]))}
 

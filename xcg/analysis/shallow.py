@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite, is_positive
+from xcg.common.checks import POSITIVE, between, check
 from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
@@ -20,7 +20,7 @@ from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import call_of, format_call, provenance
 
 
 def free_surface(
@@ -72,10 +72,7 @@ def free_surface(
     if axis not in f[field].dims:
         axes = [a for a in COMPONENTS if a in f.dims]
         raise ValueError(f"free_surface({axis!r}): the result has the axes {axes}")
-    if not (is_finite(share) and 0 < share < 1):
-        raise ValueError(
-            f"share={share!r}: expected a share of the bulk value between 0 and 1, such as 0.5"
-        )
+    check("share", share, between(0, 1), hint=", such as 0.5")
     values = f[field].sortby(axis)
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
@@ -83,7 +80,7 @@ def free_surface(
     bulk = (values**2).sum(nodes) / values.sum(nodes)
     crossings = xr.apply_ufunc(
         partial(_crossings, z=values[axis].to_numpy()),
-        values.chunk({axis: -1}) if values.chunks else values,
+        in_one_chunk(values, [axis]),
         share * bulk,
         input_core_dims=[[axis], []],
         output_core_dims=[["end"]],
@@ -95,13 +92,20 @@ def free_surface(
     if "cutoff" in f.attrs:
         attrs["cutoff"] = f.attrs["cutoff"]
     where = f"along {axis}, where {field} is {share:g} of its bulk value"
-    height = crossings.isel(end=1).drop_attrs(deep=False)
-    height.attrs = attrs | {"long_name": f"free surface {where}"}
-    base = crossings.isel(end=0).drop_attrs(deep=False)
-    base.attrs = attrs | {"long_name": f"base {where}"}
+    data = {}
+    for end, (name, text) in enumerate({"base": "base", "height": "free surface"}.items()):
+        data[name] = crossings.isel(end=end).drop_attrs(deep=False)
+        data[name].attrs = attrs | {"long_name": f"{text} {where}"}
     call = format_call("free_surface", {"axis": axis, "share": share, "field": field})
     of_result = f.attrs | provenance(f, call) | {"surface_axis": axis}
-    return xr.Dataset({"height": height, "base": base}, attrs=of_result)
+    return xr.Dataset(data, attrs=of_result)[["height", "base"]]
+
+
+def in_one_chunk(values: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
+    """Return a field with one chunk along some dimensions, if it is lazy."""
+    if values.chunks is None:
+        return values
+    return values.chunk(dict.fromkeys(dims, -1))
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
@@ -158,11 +162,13 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     >>> round(float(fit_slope(xr.DataArray(0.5 - 0.3 * x, {"x": x})).angle), 6)
     16.699244
     """
-    if isinstance(surface, xr.Dataset) and "height" not in surface:
-        raise ValueError(
-            "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
-        )
-    height = surface["height"] if isinstance(surface, xr.Dataset) else surface
+    height: Any = surface
+    if isinstance(surface, xr.Dataset):
+        if "height" not in surface:
+            raise ValueError(
+                "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
+            )
+        height = surface["height"]
     facts = with_facts(height.to_dataset(name="height").assign_attrs(surface.attrs))
     facts = facts.assign_attrs(height.attrs)
     if isinstance(surface, xr.Dataset):
@@ -177,7 +183,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     count = len(axes)
     fit = xr.apply_ufunc(
         partial(_fitted, places=places, shared=nodes_a_support(height, axes, support)),
-        height.chunk(dict.fromkeys(axes, -1)) if height.chunks else height,
+        in_one_chunk(height, axes),
         input_core_dims=[axes],
         output_core_dims=[["number"]],
         dask="parallelized",
@@ -232,11 +238,13 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
         coefficients = np.linalg.lstsq(matrix, z, rcond=None)[0]
         residual = z - matrix @ coefficients
         freedom = len(matrix) - count - 1
-        variance = shared * (residual @ residual) / freedom if freedom else np.nan
+        variance = np.nan
+        if freedom:
+            variance = shared * (residual @ residual) / freedom
         covariance = variance * np.linalg.inv(matrix.T @ matrix)[1:, 1:]
         slope = coefficients[1:]
         steepness = np.linalg.norm(slope)
-        along = slope / steepness if steepness else np.zeros(count)
+        along = slope / (steepness or 1.0)
         angle_error = np.sqrt(along @ covariance @ along) / (1 + steepness**2)
         slope_error = np.sqrt(np.diag(covariance))
         angle = np.degrees([np.arctan(steepness), angle_error])
@@ -304,6 +312,7 @@ def depth_average(
     >>> d.mass_per_area.dims
     ('time', 'x')
     """
+    call = call_of("depth_average", locals())
     require_scene(ds, ("velocity", "mass"), "depth_average")
     scene = describe(ds)
     plane = scene.setup.plane
@@ -318,14 +327,9 @@ def depth_average(
         axes = "".join(a for a in plane if a != axis)
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
-    arguments: dict[str, Any] = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
-    optional = {"spacing": spacing, "bounds": bounds, "extent": extent}
-    arguments |= {name: value for name, value in optional.items() if value is not None}
-    call = format_call("depth_average", arguments)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
-    if spacing is not None and not is_positive(spacing):
-        raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
-    steps = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))
+    check("spacing", spacing, POSITIVE, "m", optional=True)
+    steps = dict.fromkeys(axes, float(spacing or smooth.width))
     lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
     shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
 

@@ -421,6 +421,11 @@ class Setup:
             )
         return made
 
+    @property
+    def axes(self) -> list[int]:
+        """Indices of the axes of `plane`."""
+        return [COMPONENTS.index(axis) for axis in self.plane]
+
     def factor(self, powers: Powers) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
         return float(

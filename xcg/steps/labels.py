@@ -117,6 +117,15 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     )
 
 
+def call_of(function: str, arguments: Mapping[str, Any]) -> str:
+    """Write a call, without the data, `on_error`, and arguments that have no value."""
+    left_out = ("ds", "f", "fc", "on_error")
+    return format_call(
+        function,
+        {n: value for n, value in arguments.items() if n not in left_out and value is not None},
+    )
+
+
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
