@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.phases import with_bulk
+from xcg.analysis.by_phase import with_bulk
 from xcg.common.checks import floats, is_whole
 from xcg.common.messages import plain
 from xcg.fields.formulas.averages import block_errors

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.analysis.phases import PhaseAnalysis, with_bulk
+from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
 from xcg.common.checks import POSITIVE, check, floats, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts

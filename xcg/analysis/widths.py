@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import POSITIVE, check, whole
+from xcg.common.checks import NOT_NEGATIVE, POSITIVE, check, whole
 from xcg.fields.coarse_grain import Asked, answer, prepare
 from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
@@ -61,6 +61,11 @@ class SweepRequest(SharedOptions):
     at: Mapping[str, ArrayLike | xr.DataArray] | None = None
     max_slope: float = 0.1
     max_bias: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check("max_slope", self.max_slope, NOT_NEGATIVE)
+        check("max_bias", self.max_bias, NOT_NEGATIVE)
 
 
 @takes(SweepRequest)

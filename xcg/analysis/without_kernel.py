@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.phases import PhaseAnalysis, with_bulk
+from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
 from xcg.common.checks import POSITIVE, check, check_choice, rising_pair, whole
 from xcg.common.messages import SceneError
 from xcg.compiled.geometry import add_shares
