@@ -20,7 +20,7 @@ from xcg.scene.frame import (
     with_time,
 )
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import format_call, labelled, provenance
 
 _TAIL = ("component", "direction")
 _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
@@ -95,48 +95,8 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
             "spatial_correlation needs resolved axes of two nodes or more, and "
             f"{field!r} has the dimensions {a.dims}"
         )
-    length = f[axes[0]].attrs.get("units", "m")
-    spacing: list[float] = []
-    wraps: list[bool] = []
-    coords = {}
-    for axis in axes:
-        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
-        extent = step * f.sizes[axis]
-        whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
-        wrapped = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
-        lag = step * _lags(a.sizes[axis], wrapped)
-        attrs = {"units": length, "long_name": f"distance along {axis}"}
-        spacing.append(step)
-        wraps.append(wrapped)
-        coords[f"lag_{axis}"] = (f"lag_{axis}", lag, attrs)
-    lags = [lag for _, lag, _ in coords.values()]
-    tail = [dim for dim in _TAIL if dim in a.dims]
-    core = [*axes, *tail]
-    sizes = {dim: len(lag) for dim, lag in zip(coords, lags, strict=True)}
-    arrays = xr.apply_ufunc(
-        _products,
-        a.drop_vars(axes),
-        b.drop_vars(axes),
-        kwargs={"wraps": tuple(wraps), "rank": len(tail)},
-        input_core_dims=[core, core],
-        output_core_dims=[list(coords)] * 2 + [[]] * 4,
-        dask="parallelized",
-        output_dtypes=[float] * 6,
-        dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
-    )
-    sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(coords)
-    r, add_by_shell = _shells(lags, min(spacing))
-    for kind in ("products", "pairs"):
-        sums[f"radial_{kind}"] = xr.apply_ufunc(
-            add_by_shell,
-            sums[kind],
-            input_core_dims=[list(coords)],
-            output_core_dims=[["r"]],
-            dask="parallelized",
-            output_dtypes=[float],
-            dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
-        )
-    sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
+    sums = _sums_over_pairs(f, a, b, axes)
+    length = sums["r"].attrs["units"]
     about = {
         "correlation": ("1", f"correlation of {field} with {other}"),
         "radial_correlation": ("1", f"correlation of {field} with {other} by distance"),
@@ -152,13 +112,59 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     errors = block_errors(series, "time", _correlation_in_space)
     data = {}
     for name, (units, long_name) in about.items():
-        data[name] = _labelled(mean[name], units, long_name)
-        data[f"{name}_error"] = _labelled(errors[name], units, f"standard error of {name}")
+        data[name] = labelled(mean[name], units, long_name)
+        data[f"{name}_error"] = labelled(errors[name], units, f"standard error of {name}")
     result = xr.Dataset(data, attrs=provenance(f, call))
     pairs = sums["pairs"]
     if "time" in sums.dims:
         pairs = pairs.mean("time")
-    return result.assign(pairs=_labelled(pairs, "1", "pairs of nodes in a step"))
+    return result.assign(pairs=labelled(pairs, "1", "pairs of nodes in a step"))
+
+
+def _sums_over_pairs(
+    f: xr.Dataset, a: xr.DataArray, b: xr.DataArray, axes: Sequence[str]
+) -> xr.Dataset:
+    """Return sums of each step over pairs of nodes, by lag along each axis and by distance."""
+    length = f[axes[0]].attrs.get("units", "m")
+    spacing = {}
+    wraps = {}
+    lags = {}
+    for axis in axes:
+        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
+        extent = step * f.sizes[axis]
+        whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
+        spacing[axis] = step
+        wraps[axis] = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
+        lag = step * _lags(a.sizes[axis], wraps[axis])
+        about = {"units": length, "long_name": f"distance along {axis}"}
+        lags[f"lag_{axis}"] = xr.Variable(f"lag_{axis}", lag, about)
+    tail = [dim for dim in _TAIL if dim in a.dims]
+    core = [*axes, *tail]
+    sizes = {dim: len(lag) for dim, lag in lags.items()}
+    arrays = xr.apply_ufunc(
+        _products,
+        a.drop_vars(axes),
+        b.drop_vars(axes),
+        kwargs={"wraps": tuple(wraps.values()), "rank": len(tail)},
+        input_core_dims=[core, core],
+        output_core_dims=[list(lags)] * 2 + [[]] * 4,
+        dask="parallelized",
+        output_dtypes=[float] * 6,
+        dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
+    )
+    sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(lags)
+    r, add_by_shell = _shells([lag.values for lag in lags.values()], min(spacing.values()))
+    for kind in ("products", "pairs"):
+        sums[f"radial_{kind}"] = xr.apply_ufunc(
+            add_by_shell,
+            sums[kind],
+            input_core_dims=[list(lags)],
+            output_core_dims=[["r"]],
+            dask="parallelized",
+            output_dtypes=[float],
+            dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
+        )
+    return sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
 
 
 def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> xr.Dataset:
@@ -256,7 +262,7 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
         "correlation_time": (duration, second, "time at which the mean correlation falls to 1/e"),
         "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
-    data = {key: _labelled(*entry) for key, entry in about.items()}
+    data = {key: labelled(*entry) for key, entry in about.items()}
     call = format_call("time_correlation", {"field": field, "max_lag": last})
     return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
 
@@ -266,12 +272,6 @@ def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
         fields = ", ".join(map(str, f.data_vars))
         raise ValueError(f"{purpose}({name!r}): no such field; the result has {fields}")
     return f[name].astype(float)
-
-
-def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
-    labelled = values.copy(deep=False)
-    labelled.attrs = {"units": units, "long_name": long_name}
-    return labelled
 
 
 # --- in space -------------------------------------------------------------------------------------

@@ -156,7 +156,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     require_scene(ds, ("mass",), "displacement")
     require_ids(ds, "displacement")
     call = asked.call("displacement")
-    ds, asked = prepare(with_measures(ds), asked)
+    ds, asked = prepare(with_measures(ds), replace(asked, lag=int(asked.lag)))
     if asked.accumulate:
         refuse_cylindrical(ds, "displacement(accumulate=True)")
         ds = ds.isel(time=slice(None, None, asked.lag))
@@ -231,28 +231,35 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         if value := getattr(asked, name):
             raise ValueError(f"{name}={value!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
+    return _fields(ds, asked.fields, accumulate=asked.accumulate)
+
+
+def _fields(
+    ds: xr.Dataset, fields: str | Sequence[str] | None, *, accumulate: bool
+) -> tuple[str, ...]:
+    """Return the names of the fields that are asked for; raise ValueError for one that is not known."""
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     timed = [name for name in known if "interval" in registry.FIELDS[name].moments]
-    if asked.fields is None:
+    if fields is None:
         names = ["sample_count", *(name for name in known if registry.FIELDS[name].default)]
         if not times_are_known(ds):
             names = [name for name in names if name not in timed]
-    elif isinstance(asked.fields, str):
-        names = [asked.fields]
+    elif isinstance(fields, str):
+        names = [fields]
     else:
-        names = [str(name) for name in asked.fields]
+        names = [str(name) for name in fields]
     if not names:
         raise ValueError(
-            f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements"
+            f"fields={fields!r}: expected at least one; leave it out for all of displacements"
         )
     for name in names:
         if name not in (*known, *BESIDE):
             raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
         if name in timed:
             require_known_times(ds, f"displacement({name!r})")
-    if asked.accumulate:
+    if accumulate:
         total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
-        if asked.fields is None:
+        if fields is None:
             names = total
         wrong = [name for name in names if name not in total]
         if wrong:

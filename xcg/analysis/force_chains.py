@@ -43,53 +43,6 @@ _SHARE = 1e-12
 _DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "normal")
 
 
-@dataclass(frozen=True)
-class SearchRule:
-    """Criteria of a chain.
-
-    Attributes
-    ----------
-    stress : StressRule
-        How the stress of a particle is made.
-    cosine : float
-        Of the largest angle between the major stress and the branch.
-    min_stress : float or "mean" or None
-        Least major stress (Pa).
-    min_length : int
-        Least number of particles.
-    linear : bool
-        Search without branches (Peters et al. 2005).
-    one_sided : bool
-        Go on only along the direction of travel.
-    region : Region or None
-        Where particles must be.
-    """
-
-    stress: StressRule
-    cosine: float
-    min_stress: float | Literal["mean"] | None
-    min_length: int
-    linear: bool
-    one_sided: bool
-    region: Region | None
-
-    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
-        """Return a mask of the particles that may be part of a chain."""
-        chosen = carries(stress)
-        if "frozen" in frame:
-            chosen &= frame["frozen"] != 1
-        if self.min_stress is not None and len(chosen):
-            major = stress["major_stress"]
-            least = self.min_stress
-            if isinstance(least, str):
-                least = major.mean()
-            chosen &= major >= least - _SHARE * abs(least)
-        if self.region is not None:
-            time = float(frame.get("time", 0.0))
-            chosen &= self.region.contains(frame, time, lattice)
-        return chosen
-
-
 @takes_scene
 def force_chains(
     ds: xr.Dataset,
@@ -191,37 +144,59 @@ def force_chains(
     check_region(region, ds)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
-    cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
-    rule = SearchRule(
-        stress,
-        cosine,
-        min_stress,
-        int(min_length),
-        algorithm == "peters2005",
-        bool(one_sided),
-        region,
+    analysis = _ForceChains(
+        stress=stress,
+        alpha=float(alpha),
+        min_stress=min_stress,
+        min_length=int(min_length),
+        algorithm=algorithm,
+        one_sided=one_sided,
+        region=region,
+        lengths=result_sizes(ds.sizes["particle"], ds.sizes["contact"], int(min_length)),
     )
-    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
     return run(ds, analysis, call=call, on_error=on_error)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _ForceChains(FrameAnalysis):
-    """Force chains of each step, with what is copied from the scene."""
+    """Force chains of each step, with what is copied from the scene.
+
+    Attributes
+    ----------
+    stress : StressRule
+        How the stress of a particle is made.
+    alpha : float
+        Largest angle between the major stress and the branch (degrees).
+    min_stress : float or "mean" or None
+        Least major stress (Pa).
+    min_length : int
+        Least number of particles.
+    algorithm : str
+        With branches, or without (Peters et al. 2005).
+    one_sided : bool
+        Go on only along the direction of travel.
+    region : Region or None
+        Where particles must be.
+    lengths : mapping
+        Upper bounds of the numbers of rows.
+    """
 
     name = "force_chains"
     # regions move in time
     optional = ("frozen", "time")
 
-    rule: SearchRule
-    lengths: Mapping[str, int]
+    stress: StressRule
     alpha: float
+    min_stress: float | Literal["mean"] | None
+    min_length: int
     algorithm: Algorithm
+    one_sided: bool
+    region: Region | None
+    lengths: Mapping[str, int]
 
     def reads(self, scene: Description) -> list[str]:
         """Return what stress follows from, and what is copied."""
-        return [*self.rule.stress.variables, *COPIED]
+        return [*self.stress.variables, *COPIED]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the rows of particles, contacts, chains, and statistics."""
@@ -229,7 +204,7 @@ class _ForceChains(FrameAnalysis):
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the lengths that chains can have."""
-        lengths = self.rule.min_length + np.arange(self.lengths["length"])
+        lengths = self.min_length + np.arange(self.lengths["length"])
         about = {"units": "1", "long_name": "particles of a chain"}
         return {"length": xr.Variable("length", lengths, about)}
 
@@ -239,85 +214,94 @@ class _ForceChains(FrameAnalysis):
 
     def attrs(self, scene: Description) -> dict[str, Any]:
         """Return the criteria."""
-        rule = self.rule
-        return {"alpha": self.alpha, "min_length": rule.min_length, "algorithm": self.algorithm}
-
-    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
-        """Find the chains of one step."""
-        chains = find_chains(self.rule, frame, lattice, source, self.threads)
-        lengths = chains["chain_particles"]
-        statistics = statistics_of(lengths, self.rule.min_length, self.lengths["length"])
-        return chains | statistics | {name: frame[name] for name in COPIED}
+        return {name: getattr(self, name) for name in ("alpha", "min_length", "algorithm")}
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Add the box of the scene."""
         return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
+    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
+        """Return a mask of the particles that may be part of a chain."""
+        chosen = carries(stress)
+        if "frozen" in frame:
+            chosen &= frame["frozen"] != 1
+        if self.min_stress is not None and len(chosen):
+            major = stress["major_stress"]
+            least = self.min_stress
+            if isinstance(least, str):
+                least = major.mean()
+            chosen &= major >= least - _SHARE * abs(least)
+        if self.region is not None:
+            chosen &= self.region.contains(frame, float(frame.get("time", 0.0)), lattice)
+        return chosen
 
-def find_chains(
-    rule: SearchRule, frame: Frame, lattice: Lattice, source: str, threads: int = 1
-) -> Frame:
-    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Find the chains of one step, with statistics of their lengths."""
+        chains = self.find_chains(frame, lattice, source)
+        lengths = chains["chain_particles"]
+        statistics = statistics_of(lengths, self.min_length, self.lengths["length"])
+        return chains | statistics | {name: frame[name] for name in COPIED}
 
-    Threads share the stress and the test of contacts; the search itself, of links alone, is one
-    thread's.
-    """
-    contacts = rule.stress.contacts(frame, lattice, source, threads)
-    stress = rule.stress.evaluate(frame, contacts, lattice, source)
-    major = stress["major_stress"]
-    onward = np.nan_to_num(stress["major_direction"])
-    qualifies = rule.qualifies(frame, stress, lattice)
-    i = contacts.i
-    j = contacts.j
-    particles = len(major)
-    branch = contacts.between
+    def find_chains(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Return arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
-    aligned = np.empty(len(i), bool)
+        Threads share the stress and the test of contacts; the search itself, of links alone, is one
+        thread's.
+        """
+        contacts = self.stress.contacts(frame, lattice, source, self.threads)
+        stress = self.stress.evaluate(frame, contacts, lattice, source)
+        major = stress["major_stress"]
+        onward = np.nan_to_num(stress["major_direction"])
+        qualifies = self.qualifies(frame, stress, lattice)
+        i = contacts.i
+        j = contacts.j
+        particles = len(major)
+        branch = contacts.between
+        cosine = max(0.0, float(np.cos(np.deg2rad(self.alpha) + _ANGLE)))
+        aligned = np.empty(len(i), bool)
 
-    def test(first: int, last: int) -> None:
-        some = slice(first, last)
-        loops.aligned_contacts(
-            i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some]
-        )
+        def test(first: int, last: int) -> None:
+            some = slice(first, last)
+            loops.aligned_contacts(
+                i[some], j[some], branch[some], onward, qualifies, cosine, aligned[some]
+            )
 
-    for_parts(len(i), test, contacts.threads)
-    start, contact = loops.rows_of_contacts(i, j, aligned, particles)
-    seeds = np.flatnonzero(qualifies)
-    chain = np.full(particles, loops.UNSEEN)
-    parent = np.full(particles, loops.UNSEEN)
-    members = np.empty(particles, int)
-    first = np.empty(particles + 1, int)
-    place = frame["position"].copy()
-    link = np.full(len(i), loops.UNSEEN)
-    found = (chain, parent, members, first, onward, place, link)
-    if rule.linear:
-        seeds = seeds[np.argsort(-major[seeds], kind="stable")]
-        count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
-    else:
-        count = loops.branching_chains(
-            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
-        )
-    links = np.empty(particles, int)
-    loops.count_links(i, j, start, contact, link, links)
-
-    by_chain = {
-        name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
-        for name, row in CHAINS.items()
-    }
-    loops.describe_chains(
-        members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)
-    )
-    dropped = chain == loops.TOO_SHORT
-    chain[dropped] = parent[dropped] = loops.UNSEEN
-    return by_chain | {
-        "chain_id": chain,
-        "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
-        "links": links,
-        "branching": (links > 2).astype(int),
-        "link_chain": link,
-        **{name: values for name, values in stress.items() if name in RESULTS},
-        "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
-    }
+        for_parts(len(i), test, contacts.threads)
+        start, contact = loops.rows_of_contacts(i, j, aligned, particles)
+        seeds = np.flatnonzero(qualifies)
+        chain = np.full(particles, loops.UNSEEN)
+        parent = np.full(particles, loops.UNSEEN)
+        members = np.empty(particles, int)
+        first = np.empty(particles + 1, int)
+        place = frame["position"].copy()
+        link = np.full(len(i), loops.UNSEEN)
+        links_of = (i, j, branch, start, contact)
+        out = (chain, parent, members, first, onward, place, link)
+        if self.algorithm == "peters2005":
+            seeds = seeds[np.argsort(-major[seeds], kind="stable")]
+            count = loops.linear_chains(*links_of, seeds, self.min_length, *out)
+        else:
+            one_sided = bool(self.one_sided)
+            count = loops.branching_chains(*links_of, seeds, one_sided, self.min_length, *out)
+        links = np.empty(particles, int)
+        loops.count_links(i, j, start, contact, link, links)
+        by_chain = {
+            name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+            for name, row in CHAINS.items()
+        }
+        described = (by_chain[f"chain_{name}"] for name in _DESCRIBED)
+        loops.describe_chains(members, first, place, major, links, *described)
+        dropped = chain == loops.TOO_SHORT
+        chain[dropped] = parent[dropped] = loops.UNSEEN
+        return by_chain | {
+            "chain_id": chain,
+            "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
+            "links": links,
+            "branching": (links > 2).astype(int),
+            "link_chain": link,
+            **{name: values for name, values in stress.items() if name in RESULTS},
+            "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
+        }
 
 
 # --- from step to step ------------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.pairs import cells_of
 from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
+from xcg.analysis.pairs import cells_of
 from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import POSITIVE, check, rising_pair, whole
 from xcg.common.messages import SceneError, plain

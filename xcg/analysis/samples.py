@@ -43,9 +43,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.network import Clusters
 from xcg.analysis.pairs import other_rows
-from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.contacts import Contacts

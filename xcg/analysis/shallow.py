@@ -20,7 +20,7 @@ from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of, format_call, provenance
+from xcg.steps.labels import call_of, format_call, labelled, provenance
 
 
 def free_surface(
@@ -378,9 +378,7 @@ def depth_average(
         }
     data = {}
     for name, (values, units, text) in rows.items():
-        data[name] = values.drop_attrs(deep=False)
-        data[name].attrs["units"] = units_in(units, scene.setup.unit_system)
-        data[name].attrs["long_name"] = text
+        data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
     result = with_time(xr.Dataset(data, attrs=sums.attrs))
     return result.assign_attrs(provenance(ds, call), depth_axis=axis)
 

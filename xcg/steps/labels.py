@@ -75,6 +75,13 @@ def label(
     return mark_skipped(with_phase_labels(result), arrays)
 
 
+def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
+    """Return values with their unit and long name in place of other attributes."""
+    values = values.drop_attrs(deep=False)
+    values.attrs = {"units": units, "long_name": long_name}
+    return values
+
+
 def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
     """Coordinates along time of a scene, which its results have, too."""
     coords = ds.coords
