@@ -106,7 +106,7 @@ def test_moving_region_follows_time():
 
 def test_wrong_regions_and_limits_raise():
     fc = three_chains()
-    with pytest.raises(ValueError, match="how='most': expected 'any' or 'all'"):
+    with pytest.raises(ValueError, match="how='most': expected one of 'any', 'all'"):
         fc.cg.select_chains(EVERYWHERE, how="most")
     with pytest.raises(ValueError, match="nothing to select by"):
         fc.cg.select_chains()

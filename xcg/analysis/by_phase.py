@@ -57,6 +57,12 @@ class PhaseAnalysis(FrameAnalysis):
         """Dimensions of numbers of pairs of phases."""
         return () if self.by is None else ("phase", "other_phase")
 
+    def with_bulk(self, groups: NDArray, axis: int = 0) -> NDArray:
+        """Add the bulk before the groups along an axis; without `by`, the only group is the bulk."""
+        if self.by is None:
+            return groups
+        return with_bulk(groups, axis)
+
     def of_pairs(self, values: NDArray) -> NDArray:
         """Return values by pair of phases (phases, phases, ...), or those of the bulk without `by`."""
         return values[0, 0] if self.by is None else values

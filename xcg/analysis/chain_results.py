@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.analysis.particle_stress import RESULTS as STRESSES
 from xcg.common.checks import check_choice, extra
 from xcg.common.drawing import (
+    add_circles,
     add_colour_bar,
     label_of,
     new_axes,
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Color: TypeAlias = Literal["stress", "chain"]
+# variables that links follow from, besides the ids
+_OF_LINKS = ("link_chain", "contact_j", "contact_force")
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
@@ -261,9 +264,7 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
             "stress": 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]),
         }
 
-    return _table(
-        fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns
-    )
+    return _table(fc, "link_table", [*_OF_LINKS, "major_stress"], columns)
 
 
 def _table(
@@ -330,15 +331,7 @@ def plot_chains(
     check_choice("color", color, Color)
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
-    names = [
-        "position",
-        "diameter",
-        "chain_id",
-        "link_chain",
-        "contact_j",
-        "contact_force",
-        "major_stress",
-    ]
+    names = ["position", "diameter", *_OF_LINKS, "chain_id", "major_stress"]
     (step,) = steps_of(step_at(fc, index), names)
     arrays = step.arrays
     position = arrays["position"][:, plane]
@@ -346,18 +339,7 @@ def plot_chains(
     ax = ax or new_axes(ratio=ratio_of_circles(position, diameter / 2))
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
-        ax.add_collection(
-            collections.EllipseCollection(
-                diameter,
-                diameter,
-                np.zeros(len(diameter)),
-                units="xy",
-                offsets=position,
-                offset_transform=ax.transData,
-                facecolors=shade,
-                edgecolors="none",
-            )
-        )
+        add_circles(ax, position, diameter / 2, facecolors=shade, edgecolors="none")
     contact, i, j, branch = _links(step)
     force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
     ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
@@ -464,7 +446,7 @@ def plot_rose(
             plane = str(fc.attrs.get("plane", "xy"))
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    (step,) = steps_of(step_at(fc, index), ["position", "link_chain", "contact_j", "contact_force"])
+    (step,) = steps_of(step_at(fc, index), ["position", *_OF_LINKS])
     ax = ax or new_axes("polar")
     contact, _, _, branch = _links(step)
     along, up = branch[:, [COMPONENTS.index(axis) for axis in plane]].T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -18,7 +18,7 @@ from xcg.analysis.chain_results import (
     result_sizes,
     statistics_of,
 )
-from xcg.common.checks import FINITE, POSITIVE, check, vector, whole
+from xcg.common.checks import FINITE, POSITIVE, check, check_choice, vector, whole
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import require_known_times
@@ -207,7 +207,8 @@ class Sphere(_Moving):
         return np.asarray((away**2).sum(axis=1) <= self.radius**2)
 
 
-HOW = {"any": np.logical_or, "all": np.logical_and}
+How: TypeAlias = Literal["any", "all"]
+_HOW = {"any": np.logical_or, "all": np.logical_and}
 
 
 @takes_scene
@@ -216,7 +217,7 @@ def select_chains(
     region: Region | None = None,
     *,
     min_stress: float | None = None,
-    how: str = "any",
+    how: How = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -250,8 +251,7 @@ def select_chains(
     """
     call = call_of("select_chains", locals())
     require_chains(fc, "select_chains", whole=("chain", "length"))
-    if how not in HOW:
-        raise ValueError(f"how={how!r}: expected 'any' or 'all' of a chain's particles")
+    check_choice("how", how, How)
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
@@ -273,7 +273,7 @@ class _Selection(FrameAnalysis):
 
     region: Region | None
     min_stress: float | None
-    how: str
+    how: How
     min_length: int
 
     def reads(self, scene: Description) -> list[str]:
@@ -294,7 +294,7 @@ class _Selection(FrameAnalysis):
         chain = frame["chain_id"]
         exists = frame["chain_particles"] > 0
         kept = np.full(len(exists), self.how == "all")
-        HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
+        _HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
         kept &= exists
         out: dict[str, Any] = {name: frame[name].copy() for name in (*MEMBERS, *CHAINS)}
         # everything of the other chains is padding, or no chain

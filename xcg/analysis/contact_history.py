@@ -20,7 +20,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import require_times, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable, units_in
-from xcg.steps.labels import call_of, label
+from xcg.steps.labels import annotated, call_of, label
 from xcg.steps.mapping import each_step
 
 # intervals that are longer than the median by more than this share are gaps
@@ -145,8 +145,8 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
     system = str(ds.attrs.get("unit_system", "SI"))
-    about = {"units": units_in("s", system), "long_name": "lifetime of lost contacts"}
-    lost = xr.Variable("lost", np.concatenate([np.zeros(0), *lifetimes]), about)
+    ages = np.concatenate([np.zeros(0), *lifetimes])
+    lost = annotated("lost", ages, units_in("s", system), "lifetime of lost contacts")
     return result.assign(
         lifetime=lost, **_persistence(survivors, count, times, interval, chosen, system)
     )
@@ -229,14 +229,12 @@ def _persistence(
         ).astype(float)
         values.append(_share(samples.sum("first")).share)
         errors.append(block_errors(samples, "first", _share).share)
-    second = units_in("s", system)
     text = "share of contacts that last a lag"
     at = interval * np.array(lags)
-    of_errors = {"units": "1", "long_name": f"standard error of the {text}"}
     return {
-        "lag": ("lag", at, {"units": second, "long_name": "time between two steps"}),
-        "persistence": ("lag", np.array(values), {"units": "1", "long_name": text}),
-        "persistence_error": ("lag", np.array(errors), of_errors),
+        "lag": annotated("lag", at, units_in("s", system), "time between two steps"),
+        "persistence": annotated("lag", values, "1", text),
+        "persistence_error": annotated("lag", errors, "1", f"standard error of the {text}"),
     }
 
 

@@ -20,7 +20,8 @@ from xcg.scene.frame import (
     with_time,
 )
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.labels import format_call, labelled, provenance
+from xcg.steps.labels import annotated, format_call, labelled, provenance
+from xcg.steps.mapping import apply_along
 
 _TAIL = ("component", "direction")
 _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
@@ -136,35 +137,26 @@ def _sums_over_pairs(
         spacing[axis] = step
         wraps[axis] = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
         lag = step * _lags(a.sizes[axis], wraps[axis])
-        about = {"units": length, "long_name": f"distance along {axis}"}
-        lags[f"lag_{axis}"] = xr.Variable(f"lag_{axis}", lag, about)
+        dim = f"lag_{axis}"
+        lags[dim] = annotated(dim, lag, length, f"distance along {axis}")
     tail = [dim for dim in _TAIL if dim in a.dims]
     core = [*axes, *tail]
-    sizes = {dim: len(lag) for dim, lag in lags.items()}
-    arrays = xr.apply_ufunc(
+    arrays = apply_along(
         _products,
         a.drop_vars(axes),
         b.drop_vars(axes),
+        along=[core, core],
+        to=[[*lags]] * 2 + [[]] * 4,
+        sizes={dim: len(lag) for dim, lag in lags.items()},
         kwargs={"wraps": tuple(wraps.values()), "rank": len(tail)},
-        input_core_dims=[core, core],
-        output_core_dims=[list(lags)] * 2 + [[]] * 4,
-        dask="parallelized",
-        output_dtypes=[float] * 6,
-        dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
     )
     sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(lags)
     r, add_by_shell = _shells([lag.values for lag in lags.values()], min(spacing.values()))
     for kind in ("products", "pairs"):
-        sums[f"radial_{kind}"] = xr.apply_ufunc(
-            add_by_shell,
-            sums[kind],
-            input_core_dims=[list(lags)],
-            output_core_dims=[["r"]],
-            dask="parallelized",
-            output_dtypes=[float],
-            dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
+        sums[f"radial_{kind}"] = apply_along(
+            add_by_shell, sums[kind], along=[[*lags]], to=[["r"]], sizes={"r": len(r)}
         )
-    return sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
+    return sums.assign_coords(r=annotated("r", r, length, "distance"))
 
 
 def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> xr.Dataset:
@@ -236,23 +228,19 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     second = f["time"].attrs.get("units", "s")
     lags = interval * np.arange(last + 1)
     coords = {
-        "lag": ("lag", lags, {"units": second, "long_name": "time between the steps"}),
-        "steps": ("lag", np.arange(last + 1), {"units": "1", "long_name": "steps between"}),
+        "lag": annotated("lag", lags, second, "time between the steps"),
+        "steps": annotated("lag", np.arange(last + 1), "1", "steps between"),
     }
     correlation = _by_lag(xr.concat(at_nodes, "lag"))["correlation"]
     series = xr.concat(by_time, "lag")
-    if series.chunks:
-        series = series.chunk(time=-1, lag=-1)
-    mean, error, duration, duration_error = xr.apply_ufunc(
+    mean, error, duration, duration_error = apply_along(
         _correlation_in_time,
         series["products"],
         series["pairs"],
+        along=[["lag", "time"]] * 2,
+        to=[["lag"], ["lag"], [], []],
         kwargs={"lags": lags},
-        input_core_dims=[["lag", "time"]] * 2,
-        output_core_dims=[["lag"], ["lag"], [], []],
         vectorize=True,
-        dask="parallelized",
-        output_dtypes=[float] * 4,
     )
     what = f"correlation of {field} with itself"
     about = {
@@ -363,14 +351,7 @@ def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
     product = mean("square", "count") * mean("other_square", "other_count")
     scale = np.sqrt(product.where(product > 0))
     by_distance = mean("radial_products", "radial_pairs") / scale
-    length = xr.apply_ufunc(
-        falls_to,
-        by_distance,
-        sums["r"],
-        input_core_dims=[["r"]] * 2,
-        dask="parallelized",
-        output_dtypes=[float],
-    )
+    length = apply_along(falls_to, by_distance, sums["r"], along=[["r"]] * 2, to=[[]])
     return xr.Dataset(
         {
             "correlation": mean("products", "pairs") / scale,

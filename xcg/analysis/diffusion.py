@@ -21,7 +21,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
-from xcg.steps.labels import call_of, phases_of, provenance, with_phase_labels
+from xcg.steps.labels import annotated, call_of, phases_of, provenance, with_phase_labels
 from xcg.steps.mapping import each_step
 
 _TENSOR = ("component", "direction")
@@ -168,12 +168,11 @@ def _label(result: xr.Dataset, lags: Sequence[int]) -> xr.Dataset:
         if name.endswith("_error"):
             long_name = f"standard error of the {long_name}"
         result[name].attrs = {"units": units_in(units, system), "long_name": long_name}
-    second = {"units": units_in("s", system), "long_name": "time between the steps of a pair"}
-    coords: dict[str, Any] = {
-        "lag": ("lag", result["lag"].to_numpy(), second),
-        "steps": ("lag", list(lags), {"units": "1", "long_name": "steps between"}),
-    }
-    return result.assign_coords(coords)
+    second = units_in("s", system)
+    return result.assign_coords(
+        lag=annotated("lag", result["lag"].to_numpy(), second, "time between the steps of a pair"),
+        steps=annotated("lag", lags, "1", "steps between"),
+    )
 
 
 def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:

@@ -31,6 +31,7 @@ from xcg.scene.frame import (
 )
 from xcg.scene.schema import MOTION, Variable
 from xcg.steps.analysis import FrameAnalysis, Step, run
+from xcg.steps.labels import annotated
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
 BESIDE = (
@@ -212,8 +213,7 @@ def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> d
             coords[name] = ("time", ds[name].to_numpy()[1:], ds[name].attrs)
     times = ds["time"].to_numpy()
     long_name = of_interval["long_name"].replace("to the later", "since the first")
-    attrs = {"units": of_interval["units"], "long_name": long_name}
-    coords["interval"] = ("time", times[1:] - times[0], attrs)
+    coords["interval"] = annotated("time", times[1:] - times[0], of_interval["units"], long_name)
     return coords
 
 
@@ -340,8 +340,8 @@ class _Displacements(FrameAnalysis):
         what = "time"
         if not times_are_known(ds):
             what = "steps of the simulation"
-        about = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
-        interval = xr.Variable("time", times[self.lag :] - times[:count], about)
+        apart = times[self.lag :] - times[:count]
+        interval = annotated("time", apart, unit_of_times(ds), f"{what} to the later frame")
         return result.assign_coords(interval=interval).set_coords([*_COUNTS])
 
 

@@ -148,7 +148,22 @@ def fit_law(
                 "or lie on the law without scatter"
             )
         )
-    system = f.attrs.get("unit_system", "SI")
+    data = _parameters(fit, row, len(points.x), f.attrs.get("unit_system", "SI"))
+    of_x = table["law_x"]
+    curve = of_x.copy(data=fit.function(of_x.to_numpy(), *fit.values))
+    curve.attrs = {"long_name": f"{row.y} by the law"}
+    if "units" in f[row.y].attrs:
+        curve.attrs["units"] = f[row.y].attrs["units"]
+    data["fitted"] = curve
+    of_parameters = ("parameter", "other_parameter")
+    result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
+    if not isinstance(law, str):
+        law = "custom"
+    return result.assign_attrs(provenance(f, call), law=law, formula=row.formula)
+
+
+def _parameters(fit: _Fit, row: Law, count: int, system: str) -> dict[str, Any]:
+    """Return the parameters of a fit of `count` points with their errors, and how well it fits."""
     units = dict(zip(fit.names, row.units, strict=False))  # custom laws have none
     data: dict[str, Any] = {}
     for name, value, deviation in zip(fit.names, fit.values, fit.errors, strict=True):
@@ -157,26 +172,17 @@ def fit_law(
             about["units"] = units_in(units[name], system)
         data[name] = ((), value, {"long_name": f"{name} of the law"} | about)
         data[f"{name}_error"] = ((), deviation, {"long_name": f"standard error of {name}"} | about)
-    of_parameters = ("parameter", "other_parameter")
     numbers = {
         "chi_squared": (fit.chi_squared, "squared residuals over squared standard errors"),
-        "degrees_of_freedom": (len(points.x) - len(fit.names), "points less parameters"),
-        "point_count": (len(points.x), "number of points"),
+        "degrees_of_freedom": (count - len(fit.names), "points less parameters"),
+        "point_count": (count, "number of points"),
     }
     for name, (number, text) in numbers.items():
         data[name] = ((), number, {"units": "1", "long_name": text})
     # each of its elements has a unit of its own
-    data["covariance"] = (of_parameters, fit.covariance, {"long_name": "covariance"})
-    of_x = table["law_x"]
-    curve = of_x.copy(data=fit.function(of_x.to_numpy(), *fit.values))
-    curve.attrs = {"long_name": f"{row.y} by the law"}
-    if "units" in f[row.y].attrs:
-        curve.attrs["units"] = f[row.y].attrs["units"]
-    data["fitted"] = curve
-    result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
-    if not isinstance(law, str):
-        law = "custom"
-    return result.assign_attrs(provenance(f, call), law=law, formula=row.formula)
+    about = {"long_name": "covariance"}
+    data["covariance"] = (("parameter", "other_parameter"), fit.covariance, about)
+    return data
 
 
 def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> Law:

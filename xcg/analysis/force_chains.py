@@ -32,7 +32,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of, provenance
+from xcg.steps.labels import annotated, call_of, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
@@ -205,8 +205,7 @@ class _ForceChains(FrameAnalysis):
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the lengths that chains can have."""
         lengths = self.min_length + np.arange(self.lengths["length"])
-        about = {"units": "1", "long_name": "particles of a chain"}
-        return {"length": xr.Variable("length", lengths, about)}
+        return {"length": annotated("length", lengths, "1", "particles of a chain")}
 
     def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
         """Return upper bounds of the numbers of chains."""
@@ -374,19 +373,17 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     end = times[first + seen - 1]
     unit = unit_of_times(fc)
     by_chain = ("time", "chain")
-    table = {
-        "track_id": (by_chain, track, "1", "track of the chain, -1 where there is none"),
-        "births": ("time", births, "1", "chains that continue none of the step before"),
-        "deaths": ("time", deaths, "1", "chains of the step before that none continues"),
-        "survivors": ("time", survivors, "1", "chains that continue one of the step before"),
-        "birth_time": ("track", birth, unit, "first time of the track"),
-        "last_time": ("track", end, unit, "last time of the track"),
-        "lifetime": ("track", end - birth, unit, "time from first to last step"),
-        "steps": ("track", seen, "1", "steps of the track"),
-    }
     data = {
-        name: (dims, values, {"units": units, "long_name": text})
-        for name, (dims, values, units, text) in table.items()
+        "track_id": annotated(by_chain, track, "1", "track of the chain, -1 where there is none"),
+        "births": annotated("time", births, "1", "chains that continue none of the step before"),
+        "deaths": annotated("time", deaths, "1", "chains of the step before that none continues"),
+        "survivors": annotated(
+            "time", survivors, "1", "chains that continue one of the step before"
+        ),
+        "birth_time": annotated("track", birth, unit, "first time of the track"),
+        "last_time": annotated("track", end, unit, "last time of the track"),
+        "lifetime": annotated("track", end - birth, unit, "time from first to last step"),
+        "steps": annotated("track", seen, "1", "steps of the track"),
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))

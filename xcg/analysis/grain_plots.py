@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import extra, is_finite
+from xcg.common.checks import is_finite
 from xcg.common.messages import plain, unknown
 from xcg.scene.conform import conform, require_scene
 from xcg.scene.frame import frame_at, step_at
@@ -74,7 +74,9 @@ def draw_grains(
     offset, radius, rows = _circles(frame, axes, cut, lattice)
     if ax is None:
         ax = drawing.new_axes(ratio=drawing.ratio_of_circles(offset, radius))
-    circles = _collection(offset, radius, ax, options)
+    others = {key: value for key, value in options.items() if key != "norm"}
+    rim = {"linewidth": _RIM, "edgecolor": "black"}
+    circles = drawing.add_circles(ax, offset, radius, **(rim | others))
     if name is None:
         circles.set(**{"facecolor": _PLAIN, **options})
     else:
@@ -155,28 +157,6 @@ def _circles(
         rows = np.flatnonzero(np.abs(away) < radius)
         radius = np.sqrt(radius[rows] ** 2 - away[rows] ** 2)
     return offset[rows], radius, rows
-
-
-def _collection(offset: NDArray, radius: NDArray, ax: Axes, options: Mapping[str, Any]) -> Any:
-    """Add circles in units of the axes, and make room for them."""
-    collections = extra("matplotlib.collections", "plot", "drawing")
-    others = {key: value for key, value in options.items() if key != "norm"}
-    circles = collections.EllipseCollection(
-        2 * radius,
-        2 * radius,
-        np.zeros(len(radius)),
-        units="xy",
-        offsets=offset,
-        offset_transform=ax.transData,
-        **{"linewidth": _RIM, "edgecolor": "black", **others},
-    )
-    ax.add_collection(circles, autolim=False)
-    if len(offset):
-        rim = radius[:, None]
-        ax.update_datalim(np.concatenate([offset - rim, offset + rim]))
-    ax.autoscale_view()
-    ax.set_aspect("equal")
-    return circles
 
 
 def _values(values: NDArray, variable: xr.DataArray, component: str | None) -> NDArray:

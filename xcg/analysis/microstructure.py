@@ -19,7 +19,7 @@ from xcg.scene.frame import require_times, times_are_known
 from xcg.scene.schema import units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of
+from xcg.steps.labels import call_of, labelled
 
 NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)
@@ -265,9 +265,8 @@ def microstructure(
         )
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
-    if axis is not None and axis not in setup.plane:
-        raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
     up = axis or setup.plane[-1]
+    setup.check_axis(up)
     if (
         "segregation_index" in names
         and up in setup.periodic
@@ -433,8 +432,7 @@ def _with_series(
             values = 0.0 - logarithm
             if strain == "engineering":
                 values = 1 - xr.ufuncs.exp(logarithm)
-            attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
-            result[name] = values.drop_attrs(deep=False).assign_attrs(attrs)
+            result[name] = labelled(values, "1", STRAIN[name]).assign_attrs(measure=strain)
         if _is(rate, "box"):
             require_times(ds, "the strain rate of the box")
             if stretch.chunks:  # finite differences reach over chunks; a box is six numbers a step
@@ -444,20 +442,15 @@ def _with_series(
             factor = {2: 2, 3: 2 / 3}[setup.dimension]
             rate = xr.ufuncs.sqrt(factor * (deviator**2).sum("component", skipna=False))
     if isinstance(rate, xr.DataArray):
-        attrs = {
-            "units": units_in("s^-1", setup.unit_system),
-            "long_name": QUANTITIES["strain_rate"].long_name,
-            "formula": QUANTITIES["strain_rate"].formula,
-        }
-        result["strain_rate"] = rate.drop_attrs(deep=False).assign_attrs(attrs)
+        row = QUANTITIES["strain_rate"]
+        rate = labelled(rate, units_in(row.units, setup.unit_system), row.long_name)
+        result["strain_rate"] = rate.assign_attrs(formula=row.formula)
     for name in set(INERTIAL) & set(names):
         pressure = result["mean_stress"]
         root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
         number = xr.ufuncs.fabs(result["strain_rate"]) * result[INERTIAL[name]] * root
-        attrs = {
-            "units": "1",
-            "long_name": f"inertial number with {INERTIAL[name]}",
-            "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
-        }
-        result[name] = number.transpose(*pressure.dims).drop_attrs(deep=False).assign_attrs(attrs)
+        size = INERTIAL[name]
+        number = labelled(number.transpose(*pressure.dims), "1", f"inertial number with {size}")
+        formula = f"strain_rate {size} sqrt(particle_density / mean_stress)"
+        result[name] = number.assign_attrs(formula=formula)
     return result[list(names)]

@@ -13,6 +13,7 @@ from xcg.common.messages import plain, unknown
 from xcg.fields.formulas.registry import OTHER_NAMES
 from xcg.scene.frame import step_at
 from xcg.scene.schema import COMPONENTS
+from xcg.steps.mapping import apply_along
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,18 +55,13 @@ def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
     ('time', 'z', 'principal')
     """
     tensor = _tensor_of(f, field)
-    values, axes = xr.apply_ufunc(
+    values, axes = apply_along(
         _values_and_axes,
         tensor,
-        input_core_dims=[_TENSOR],
-        output_core_dims=[["principal"], ["principal", "component"]],
+        along=[_TENSOR],
+        to=[["principal"], ["principal", "component"]],
+        sizes={"principal": 3, "component": 3},
         exclude_dims={"component"},
-        dask="parallelized",
-        output_dtypes=[float, float],
-        dask_gufunc_kwargs={
-            "output_sizes": {"principal": 3, "component": 3},
-            "allow_rechunk": True,
-        },
     )
     text = tensor.attrs.get("long_name", field)
     values.attrs["units"] = tensor.attrs.get("units", "1")

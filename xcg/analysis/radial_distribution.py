@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.pairs import cells_of
 from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import POSITIVE, check, rising_pair, whole
@@ -24,6 +24,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
+from xcg.steps.labels import annotated
 
 HALF_BOX = 1 + 1e-12  # share of half a period that distances may reach
 
@@ -201,13 +202,11 @@ class RadialDistribution(PhaseAnalysis):
         """Return phases, and the middle of the bins of angle and distance."""
         coords = super().coords(scene)
         theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles
-        about = {"units": "rad", "long_name": f"angle of the pair about {self.axis}"}
-        coords["theta"] = xr.Variable("theta", theta, about)
+        coords["theta"] = annotated("theta", theta, "rad", f"angle of the pair about {self.axis}")
         r = self.r_max * (np.arange(self.bins) + 0.5) / self.bins
-        about = {"units": units_in("m", self.setup.unit_system), "long_name": "distance"}
+        coords["r"] = annotated("r", r, units_in("m", self.setup.unit_system), "distance")
         if self.scaled:
-            about = {"units": "1", "long_name": "distance over mean diameter"}
-        coords["r"] = xr.Variable("r", r, about)
+            coords["r"] = annotated("r", r, "1", "distance over mean diameter")
         return coords
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
@@ -247,7 +246,8 @@ class RadialDistribution(PhaseAnalysis):
         counts = self._counted(position, radius, group, region, source)
         counts = counts + counts.swapaxes(0, 1)
         expected = self._expected(radius, group, region)
-        return with_bulk(with_bulk(counts), axis=1), with_bulk(with_bulk(expected), axis=1)
+        counts = self.with_bulk(self.with_bulk(counts), axis=1)
+        return counts, self.with_bulk(self.with_bulk(expected), axis=1)
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:

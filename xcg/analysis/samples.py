@@ -52,6 +52,7 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable
+from xcg.steps.labels import annotated
 
 Bounds = Mapping[str, Sequence[float]]
 
@@ -131,13 +132,10 @@ class Measure(PhaseAnalysis):
         if bins[0] > 0:
             middle = np.sqrt(bins[1:] * bins[:-1])
         counts = np.arange(self.max_connectivity + 1)
-        of_counts = {"long_name": "number of contact partners", "units": "1"}
-        of_bins = {"long_name": "force over its mean", "units": "1"}
-        of_widths = {"long_name": "width of the bin", "units": "1"}
         return super().coords(scene) | {
-            "partners": xr.Variable("partners", counts, of_counts),
-            "force_ratio": xr.Variable("force_ratio", middle, of_bins),
-            "force_ratio_width": xr.Variable("force_ratio", np.diff(bins), of_widths),
+            "partners": annotated("partners", counts, "1", "number of contact partners"),
+            "force_ratio": annotated("force_ratio", middle, "1", "force over its mean"),
+            "force_ratio_width": annotated("force_ratio", np.diff(bins), "1", "width of the bin"),
             "region": xr.Variable("region", list(self.regions)),
         }
 

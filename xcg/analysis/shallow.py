@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of, format_call, labelled, provenance
+from xcg.steps.mapping import apply_along
 
 
 def free_surface(
@@ -78,15 +78,14 @@ def free_surface(
         values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
-    crossings = xr.apply_ufunc(
-        partial(_crossings, z=values[axis].to_numpy()),
-        in_one_chunk(values, [axis]),
+    crossings = apply_along(
+        _crossings,
+        values,
         share * bulk,
-        input_core_dims=[[axis], []],
-        output_core_dims=[["end"]],
-        dask="parallelized",
-        output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"end": 2}},
+        along=[[axis], []],
+        to=[["end"]],
+        sizes={"end": 2},
+        kwargs={"z": values[axis].to_numpy()},
     )
     attrs = {"units": f[axis].attrs.get("units", "m"), "surface_axis": axis}
     if "cutoff" in f.attrs:
@@ -99,13 +98,6 @@ def free_surface(
     call = format_call("free_surface", {"axis": axis, "share": share, "field": field})
     of_result = f.attrs | provenance(f, call) | {"surface_axis": axis}
     return xr.Dataset(data, attrs=of_result)[["height", "base"]]
-
-
-def in_one_chunk(values: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
-    """Return a field with one chunk along some dimensions, if it is lazy."""
-    if values.chunks is None:
-        return values
-    return values.chunk(dict.fromkeys(dims, -1))
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
@@ -181,14 +173,13 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     places = np.stack([grid.ravel() for grid in grids], axis=1)
     support = 2 * float(np.max(facts.attrs.get("cutoff", 0.0)))
     count = len(axes)
-    fit = xr.apply_ufunc(
-        partial(_fitted, places=places, shared=nodes_a_support(height, axes, support)),
-        in_one_chunk(height, axes),
-        input_core_dims=[axes],
-        output_core_dims=[["number"]],
-        dask="parallelized",
-        output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"number": 2 * count + 3}},
+    fit = apply_along(
+        _fitted,
+        height,
+        along=[axes],
+        to=[["number"]],
+        sizes={"number": 2 * count + 3},
+        kwargs={"places": places, "shared": nodes_a_support(height, axes, support)},
     )
     unit = str(height.attrs.get("units", "m"))
     parts: dict[str, tuple[int | slice, str, str]] = {
@@ -316,8 +307,7 @@ def depth_average(
     require_scene(ds, ("velocity", "mass"), "depth_average")
     scene = describe(ds)
     plane = scene.setup.plane
-    if axis not in plane:
-        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {plane!r}")
+    scene.setup.check_axis(axis)
     if axis in scene.setup.periodic:
         raise SceneError(
             f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth "
@@ -334,9 +324,8 @@ def depth_average(
     shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
 
     # integrals of sums, by the kernel's marginal
-    has_forces = "contact_force" in scene.columns
     names = ["density", "momentum_density", "volume_fraction"]
-    if has_forces:
+    if "contact_force" in scene.columns:
         names += ["stress", "wall_traction"]
     sums = coarse_grain(
         ds, names, axes=axes, spacing=steps or None, extent=lengths | {axis: 1.0}, **shared
@@ -351,8 +340,18 @@ def depth_average(
         extent=lengths or None,
         **shared,
     )
-    transport = _transport(profile).integrate(axis)
+    rows = _of_depth(sums, _transport(profile).integrate(axis), axis)
+    data = {}
+    for name, (values, units, text) in rows.items():
+        data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
+    result = with_time(xr.Dataset(data, attrs=sums.attrs))
+    return result.assign_attrs(provenance(ds, call), depth_axis=axis)
 
+
+def _of_depth(
+    sums: xr.Dataset, transport: xr.DataArray, axis: str
+) -> dict[str, tuple[xr.DataArray, str, str]]:
+    """Return integrals over the depth with units and long names; `transport` is that of rho u u."""
     mass = sums["density"]
     momentum = sums["momentum_density"]
     velocity = momentum / mass.where(mass > 0)
@@ -364,7 +363,7 @@ def depth_average(
         "depth_averaged_velocity": (velocity, "m s^-1", "depth-averaged velocity"),
         "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
-    if has_forces:
+    if "stress" in sums:
         # the kinetic stress of the column is about its mean velocity, that of the flow about u
         stress = sums["stress"] + _transport(sums) - transport
         normal = _diagonal(stress)
@@ -376,11 +375,7 @@ def depth_average(
             "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
             "basal_traction": (traction, "Pa", "force of walls on the grains per area"),
         }
-    data = {}
-    for name, (values, units, text) in rows.items():
-        data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
-    result = with_time(xr.Dataset(data, attrs=sums.attrs))
-    return result.assign_attrs(provenance(ds, call), depth_axis=axis)
+    return rows
 
 
 def _transport(f: xr.Dataset) -> xr.DataArray:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.common.checks import POSITIVE, check, floats, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts
@@ -22,6 +22,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame, Variable, units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
+from xcg.steps.labels import annotated
 
 MOST_NUMBERS = 3e8  # wave vectors that are looked at in a step
 
@@ -161,7 +162,7 @@ class StructureFactor(PhaseAnalysis):
         if self.k_max is not None:
             k = self.k_max * (np.arange(self.bins) + 0.5) / self.bins
             unit = units_in("m^-1", self.setup.unit_system)
-            coords["k"] = xr.Variable("k", k, {"units": unit, "long_name": "wavenumber"})
+            coords["k"] = annotated("k", k, unit, "wavenumber")
         else:
             labels = [" ".join(map(str, numbers)) for numbers in np.asarray(self.vectors).tolist()]
             about = {"long_name": "numbers of reciprocal lattice vectors"}
@@ -188,8 +189,8 @@ class StructureFactor(PhaseAnalysis):
         share = frame["position"][:, axes] @ inverse
         angle = 2 * np.pi * (share - np.floor(share))
         groups = range(self.phase_count)
-        waves = with_bulk(np.array([self._sums(angle[phase == k], numbers) for k in groups]))
-        particles = with_bulk(np.bincount(phase, minlength=self.phase_count))
+        waves = self.with_bulk(np.array([self._sums(angle[phase == k], numbers) for k in groups]))
+        particles = self.with_bulk(np.bincount(phase, minlength=self.phase_count))
         products = (waves[:, None] * waves.conj()[None]).real
         scale = np.sqrt(np.multiply.outer(particles, particles).astype(float))[:, :, None]
         ratio = np.divide(products, scale, out=np.full(products.shape, np.nan), where=scale > 0)

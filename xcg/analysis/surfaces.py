@@ -29,7 +29,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of, provenance
+from xcg.steps.labels import annotated, call_of, provenance
 
 Flow: TypeAlias = Literal["mass", "number", "volume", "momentum", "energy"]
 _UNITS = {"mass": "kg s^-1", "number": "s^-1", "volume": "m^3 s^-1", "momentum": "N", "energy": "W"}
@@ -620,16 +620,15 @@ def _smear(task: _WallStress, point: NDArray, values: NDArray, lattice: Lattice)
 
 def _coordinates(cells: SurfaceCells, system: str) -> dict[str, xr.Variable]:
     """Return places and areas of the cells, and the axes of shear."""
+    metre = units_in("m", system)
     units = {"theta": "rad", "triangle": "1"}
     coords: dict[str, xr.Variable] = {}
     for dim, (values, text) in cells.coords.items():
-        unit = units.get(dim, units_in("m", system))
-        coords[dim] = xr.Variable(dim, values, {"units": unit, "long_name": text})
+        coords[dim] = annotated(dim, values, units.get(dim, metre), text)
     dims = tuple(cells.coords)
-    about = {"units": units_in("m^2", system), "long_name": "area of the cell"}
-    coords["area"] = xr.Variable(dims, cells.area.reshape(cells.shape), about)
-    about = {"units": units_in("m", system), "long_name": "centre of the cell"}
+    area = cells.area.reshape(cells.shape)
+    coords["area"] = annotated(dims, area, units_in("m^2", system), "area of the cell")
     centre = cells.centre.reshape(*cells.shape, 3)
-    coords["centre"] = xr.Variable((*dims, "component"), centre, about)
+    coords["centre"] = annotated((*dims, "component"), centre, metre, "centre of the cell")
     coords["along"] = xr.Variable("along", list(cells.axes))
     return coords

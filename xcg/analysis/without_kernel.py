@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.by_phase import PhaseAnalysis, with_bulk
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.common.checks import POSITIVE, check, check_choice, rising_pair, whole
 from xcg.common.messages import SceneError
 from xcg.compiled.geometry import add_shares
@@ -30,7 +30,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of
+from xcg.steps.labels import annotated, call_of
 
 _SPHERE = 1e-6  # how far volumes may be from those of spheres of their diameters
 _COLUMNS = 6  # number, volume, mass and momentum of each grain
@@ -57,12 +57,9 @@ _WEIGHTS = {"planes": "diameter", "bins": "mass"}
 
 def _along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
     """Return the coordinate of the cells or slices along an axis."""
-    about = {
-        "units": units_in("m", system),
-        "long_name": f"position along {axis}",
-        "axis": axis.upper(),
-    }
-    return xr.Variable(axis, nodes, about)
+    along = annotated(axis, nodes, units_in("m", system), f"position along {axis}")
+    along.attrs["axis"] = axis.upper()
+    return along
 
 
 @takes_scene
@@ -170,7 +167,9 @@ class _CellShares(PhaseAnalysis):
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the fields on the cells, with velocity where the scene has one."""
-        dims = (*self.grid.dims, *self.dims_of_pairs[:1])
+        dims = self.grid.dims
+        if self.by is not None:
+            dims = (*dims, "phase")
         return {
             name: replace(row, dims=(*dims, *row.dims))
             for name, row in _FIELDS.items()
@@ -189,7 +188,8 @@ class _CellShares(PhaseAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the fields of one step."""
-        sums = np.moveaxis(with_bulk(self._sums(frame, lattice, source)), 0, -2)
+        sums = self.with_bulk(self._sums(frame, lattice, source))
+        sums = np.moveaxis(sums, 0, -2)
         if self.by is None:
             sums = sums[..., 0, :]
         sums = sums.reshape(*self.grid.sizes, *sums.shape[3:])
@@ -315,8 +315,7 @@ def slice_temperature(
     require_scene(ds, ("velocity", _WEIGHTS[method]), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup
-    if axis not in [*setup.plane]:
-        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}")
+    setup.check_axis(axis)
     k = COMPONENTS.index(axis)
     fitted = None
     if width is None:

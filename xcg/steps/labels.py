@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Self
@@ -73,6 +73,11 @@ def label(
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
     return mark_skipped(with_phase_labels(result), arrays)
+
+
+def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str) -> xr.Variable:
+    """Return values as a variable with their unit and long name."""
+    return xr.Variable(dims, values, {"units": units, "long_name": long_name})
 
 
 def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
