@@ -110,10 +110,9 @@ class BondOrder(FrameAnalysis):
     def prepare(self, scene: Description) -> Self:
         """Check the options, and fill in defaults."""
         dimension = self.setup.dimension
-        given = self.degrees
-        if given is None:
-            given = DEGREES[dimension]
-        degrees = floats(given)
+        degrees = floats(DEGREES[dimension])
+        if self.degrees is not None:
+            degrees = floats(self.degrees)
         if degrees.ndim != 1 or not degrees.size or not all(is_whole(n, 1, 30) for n in degrees):
             raise ValueError(
                 f"degrees={plain(self.degrees)}: expected whole numbers from 1 to 30, such as [4, 6]"

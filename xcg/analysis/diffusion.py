@@ -146,8 +146,10 @@ def mean_squared_displacement(
         data[name] = values[name]
         data[f"{name}_error"] = errors[name]
     result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
-    given = {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit}
-    call = call_of("mean_squared_displacement", given)
+    call = call_of(
+        "mean_squared_displacement",
+        {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit},
+    )
     result = _label(result.assign_attrs(provenance(ds, call)), chosen)
     if by is not None:
         result = result.assign_coords(phase=phases_of(by, known))

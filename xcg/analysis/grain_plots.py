@@ -118,19 +118,18 @@ def _cut(
     plane: str, at: Mapping[str, float] | None, frame: Frame, lattice: Lattice
 ) -> dict[str, float]:
     """Return the axis and place of the plane that cuts a volume, by default in the middle of its shortest axis."""
-    given = dict(at or {})
+    if at and len(plane) == 2:
+        raise ValueError(
+            f"at={plain(at)}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
+        )
     if len(plane) == 2:
-        if given:
-            raise ValueError(
-                f"at={given!r}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
-            )
         return {}
-    if given:
-        if len(given) != 1 or not {*given} <= {*plane} or not all(map(is_finite, given.values())):
+    if at:
+        if len(at) != 1 or not {*at} <= {*plane} or not all(map(is_finite, at.values())):
             raise ValueError(
-                f"at={plain(given)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
+                f"at={plain(at)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
             )
-        return {axis: float(place) for axis, place in given.items()}
+        return {axis: float(place) for axis, place in at.items()}
     position = frame["position"]
     if not len(position):
         return {plane[1]: 0.0}

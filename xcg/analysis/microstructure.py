@@ -254,15 +254,8 @@ def microstructure(
     check("min_contacts", min_contacts, whole(1))
     check("max_connectivity", max_connectivity, whole(1))
     check("neighbours", neighbours, whole(1), optional=True)
-    edges: Any = cell
-    if not isinstance(cell, Mapping):
-        edges = {setup.plane[0]: cell}
-    is_right = all(a in [*setup.plane] and is_positive(edge) for a, edge in edges.items())
-    if cell is not None and not (edges and is_right):
-        raise ValueError(
-            f"cell={cell!r}: expected the edge of a cell (m), such as three diameters, or edges by axis "
-            f"such as {{{setup.plane[-1]!r}: 0.01}} for layers"
-        )
+    if cell is not None:
+        _check_cell(cell, setup.plane)
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
     up = axis or setup.plane[-1]
@@ -296,6 +289,18 @@ def microstructure(
     return _with_series(ds, result, names, rate, strain, up)
 
 
+def _check_cell(cell: float | Mapping[str, float], plane: str) -> None:
+    edges = cell
+    if not isinstance(edges, Mapping):
+        edges = {plane[0]: edges}
+    fits = all(a in [*plane] and is_positive(edge) for a, edge in edges.items())
+    if not edges or not fits:
+        raise ValueError(
+            f"cell={cell!r}: expected the edge of a cell (m), such as three diameters, or edges by axis "
+            f"such as {{{plane[-1]!r}: 0.01}} for layers"
+        )
+
+
 def _force_bins(edges: ArrayLike | None) -> NDArray:
     if edges is None:
         return FORCE_BINS
@@ -325,30 +330,30 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[s
     return regions
 
 
-def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
+def _rate_source(ds: xr.Dataset, rate: str | float | xr.DataArray | None) -> str | xr.DataArray:
     """Return the source of the strain rate: "box", "velocity", or the rate itself."""
-    if given is None:
+    if rate is None:
         deforms = "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
         if deforms and times_are_known(ds):
             return "box"
         return "velocity"
-    if isinstance(given, str):
-        if given not in get_args(RateSource):
-            raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
-        if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
+    if isinstance(rate, str):
+        if rate not in get_args(RateSource):
+            raise ValueError(f"strain_rate={rate!r}: expected a rate (s-1), 'box' or 'velocity'")
+        if rate == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
             raise ValueError(
                 "strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'"
             )
-        if given == "box" and "lattice" in ds:
+        if rate == "box" and "lattice" in ds:
             raise ValueError(
                 "strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'"
             )
-        return given
-    if isinstance(given, xr.DataArray):
-        return given
+        return rate
+    if isinstance(rate, xr.DataArray):
+        return rate
     hint = ", or a DataArray of one for each time"
-    check("strain_rate", given, FINITE, "s-1", hint=hint)
-    return xr.DataArray(float(given))
+    check("strain_rate", rate, FINITE, "s-1", hint=hint)
+    return xr.DataArray(float(rate))
 
 
 def _choose(

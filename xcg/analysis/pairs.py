@@ -220,7 +220,7 @@ class CellLists:
     def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of some records, only some of more than `max_pairs`, and the distances that took."""
         capacity = 4 * (last - first) + 64
-        left, right, found, tested = loops.find(
+        left, right, count, tested = loops.find(
             first,
             last,
             *self.for_loops,
@@ -229,7 +229,7 @@ class CellLists:
             np.empty(capacity, "int32"),
             *(None,) * 5,
         )
-        return left[:found], right[:found], tested
+        return left[:count], right[:count], tested
 
     def count(self, first: int, last: int, *histogram: Any) -> None:
         """Count pairs of some records in a histogram: the last arguments of the loop."""
@@ -392,15 +392,15 @@ def pairs_of(
         return left, right
 
     # more parts than threads, as large particles take longer than small ones
-    found = for_parts(len(whose), find, workers, each=8)
+    parts = for_parts(len(whose), find, workers, each=8)
     if sum(counts) > max_pairs:
         raise SceneError(
             f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, "
             "or diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= "
             "(max_contacts= of find_contacts)"
         )
-    low = np.concatenate([left for left, _ in found])
-    high = np.concatenate([right for _, right in found])
+    low = np.concatenate([left for left, _ in parts])
+    high = np.concatenate([right for _, right in parts])
     pairs = np.empty((len(low), 2), "int64")
     for_parts(
         len(whose),

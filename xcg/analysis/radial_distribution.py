@@ -362,12 +362,12 @@ class RadialDistribution(PhaseAnalysis):
         sines = inverse[second] * np.diff(1 - np.cos(turn)) / step
         square = np.where(is_late, 1 - sine**2 / 2, sine**2 / 2)
         both = inverse[first] * inverse[second] * np.diff(square) / step
-        one = np.ones(angles)
+        ones = np.ones(angles)
         if self.setup.dimension == 2:
-            return [one, -(cosines + sines), both]
+            return [ones, -(cosines + sines), both]
         along = inverse[axis]
         return [
-            one,
+            ones,
             -(np.pi / 4 * (cosines + sines) + along / 2),
             2 / 3 * both + along / 3 * (cosines + sines),
             -along / 4 * both,
