@@ -64,7 +64,7 @@ class PhaseAnalysis(FrameAnalysis):
         return with_bulk(groups, axis)
 
     def of_pairs(self, values: NDArray) -> NDArray:
-        """Return values by pair of phases (phases, phases, ...), or those of the bulk without `by`."""
+        """Return values by pair of phases (phases, phases, ...); without `by`, of the bulk alone."""
         return values[0, 0] if self.by is None else values
 
     def moving(self, frame: Frame, source: str) -> tuple[Frame, NDArray]:
