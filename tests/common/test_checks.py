@@ -144,7 +144,7 @@ def test_wrong_arguments_of_other_calls_are_named(scene, call, match):
     ],
 )
 def test_wrong_arguments_of_open_scene_are_named(options, match):
-    with pytest.raises(xcg.SceneError, match=match):
+    with pytest.raises(ValueError, match=match):
         xcg.open_scene(DUMP, **options)
 
 

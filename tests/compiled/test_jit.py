@@ -50,9 +50,12 @@ def package(tmp_path):
     return tmp_path
 
 
-def call(package, **env):
+def call(package, argument="1.0", **env):
     """Result of the outer loop in a new process, and how often it was found compiled."""
-    code = "from xcg.compiled.outer import outer; print(outer(1.0), sum(outer.stats.cache_hits.values()))"
+    code = (
+        f"from xcg.compiled.outer import outer; print(outer({argument}), "
+        "sum(outer.stats.cache_hits.values()))"
+    )
     given = {
         "PYTHONPATH": str(package),
         "HOME": str(package / "home"),
@@ -122,6 +125,16 @@ def test_damaged_code_is_made_anew(used, kind, damage):
     path.write_bytes(damage(path.read_bytes()))
     assert call(used) == (4, 0)
     assert call(used) == (4, 1)
+
+
+def test_code_for_other_arguments_is_made_anew(used):
+    # two processes that save at the same time may take one name for the code of both
+    (of_floats,) = used.rglob("outer*.nbc")
+    assert call(used, "1") == (4, 0)
+    (of_integers,) = set(used.rglob("outer*.nbc")) - {of_floats}
+    shutil.copy(of_floats, of_integers)
+    assert call(used, "1") == (4, 0)
+    assert call(used, "1") == (4, 1)
 
 
 def test_code_runs_where_no_cache_folder_can_be_written(package):

@@ -304,7 +304,9 @@ def test_contacts_that_start_later(series, tmp_path):
         scene = open_scene(particles, contacts=contacts, missing="skip")
     np.testing.assert_array_equal(scene.time, [1, 2])
     np.testing.assert_array_equal(scene.contact_i.compute(), [[1], [1]])
-    with pytest.raises(SceneError, match="missing='ignore': expected 'raise', 'skip' or 'empty'"):
+    with pytest.raises(
+        ValueError, match="missing='ignore': expected one of 'raise', 'skip', 'empty'"
+    ):
         open_scene(particles, missing="ignore")
 
 

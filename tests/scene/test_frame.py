@@ -200,3 +200,26 @@ def test_d50_of_many_grains_is_that_of_all_of_them_in_order(count, draw, weights
     share = np.cumsum((diameter**3 if mass is None else mass)[order])
     expected = diameter[order][np.searchsorted(share, 0.5 * share[-1])]
     assert sizes_of(diameter, mass)["d50"] == expected
+
+
+def test_measure_reads_a_step_at_a_time_and_no_velocities(ds):
+    read = []
+
+    def positions(block, block_info=None):
+        read.append(block_info[0]["chunk-location"][0])
+        return block
+
+    def refuse(block):
+        raise AssertionError("velocities are not measured")
+
+    lazy = ds.chunk(time=1)
+    watched = da.map_blocks(positions, lazy.position.data, dtype=float, meta=np.empty((0, 0, 0)))
+    unread = da.map_blocks(refuse, lazy.position.data, dtype=float, meta=np.empty((0, 0, 0)))
+    lazy = lazy.assign(
+        position=(lazy.position.dims, watched), velocity=(lazy.position.dims, unread)
+    )
+    measured = lazy.cg.measure()
+    assert read == [0, 1, 2]
+    for end in ("particle_lower", "particle_upper", "d43", "d50", "species_values"):
+        np.testing.assert_array_equal(measured.attrs[end], ds.cg.measure().attrs[end])
+    np.testing.assert_array_equal(measured.particle_lower, ds.position.min(("time", "particle")))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 _LARGE = 1 << 20  # bytes; smaller ones are reused by the allocator
+_HUGE = 1 << 22  # bytes from which on NumPy, too, asks for pages of 2 MB in place of 4 kB
 
 
 def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[Any]:
@@ -23,7 +25,11 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[A
     if bytes_needed < _LARGE:
         return np.empty(shape, dtype)
     flags = {"flags": mmap.MAP_PRIVATE} if hasattr(mmap, "MAP_PRIVATE") else {}
-    return np.ndarray(shape, dtype, buffer=mmap.mmap(-1, bytes_needed, **flags))
+    pages = mmap.mmap(-1, bytes_needed, **flags)
+    if bytes_needed >= _HUGE and hasattr(mmap, "MADV_HUGEPAGE"):
+        with suppress(OSError):  # a kernel without them
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.ndarray(shape, dtype, buffer=pages)
 
 
 def owns_memory(array: NDArray) -> bool:

@@ -35,6 +35,7 @@ from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
 
 # Threads for a single step in memory (NUMBA_NUM_THREADS, else the processors of this process).
 THREADS = numba.config.NUMBA_NUM_THREADS
@@ -87,12 +88,18 @@ class _Cache(FunctionCache):
         # long as reading 100 MB; compiled code needs memory alone
         rtsys.initialize(target_context)
         try:
-            return self._load_overload(sig, target_context)
+            result = self._load_overload(sig, target_context)
         except Exception:  # a damaged file can make unpickling raise anything
+            result = None
             try:
                 self.flush()
             except OSError:
                 self.disable()
+        # two processes that save at once may take one file for the code of different arguments
+        types, _ = normalize_signature(sig)
+        if result is not None and tuple(result.signature.args) != tuple(types):
+            return None
+        return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, a folder that is gone
@@ -109,7 +116,9 @@ class _Compiling(event.Listener):
     """
 
     def __init__(self) -> None:
-        self._depth, self._was_on, self._announced = 0, False, False
+        self._depth = 0  # compilations under way: one may start others
+        self._was_on = False
+        self._announced = False
 
     def on_start(self, started: event.Event) -> None:
         # None for code from a text
@@ -196,8 +205,11 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
     with ThreadPoolExecutor(threads - 1) as pool:
         others = [pool.submit(do, item) for item in items]
         try:
-            own = {k: do(items[k]) for k in reversed(range(len(items))) if others[k].cancel()}
-            return [own[k] if k in own else other.result() for k, other in enumerate(others)]
+            last = len(items) - 1
+            own = {k: do(items[k]) for k in range(last, -1, -1) if others[k].cancel()}
+            theirs = {k: other.result() for k, other in enumerate(others) if k not in own}
+            results = own | theirs
+            return [results[k] for k in range(len(items))]
         finally:
             for other in others:
                 other.cancel()
@@ -205,6 +217,8 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
 
 def for_parts(count: int, do: Callable[[int, int], R], threads: int, each: int = 1) -> list[R]:
     """Do something with all of `count` rows, ``do(first, last)``, in `each` parts a thread; one part for one thread."""
-    parts = threads * each if threads > 1 else 1
+    parts = 1
+    if threads > 1:
+        parts = threads * each
     cuts = [count * k // parts for k in range(parts + 1)]
     return for_each(list(pairwise(cuts)), lambda part: do(*part), threads)

@@ -103,7 +103,8 @@ def _counted(name, compute):
 
     def of_bits(typingctx, bits):
         def generate(context, builder, signature, args):
-            whole, flag = ir.IntType(64), ir.IntType(1)
+            whole = ir.IntType(64)
+            flag = ir.IntType(1)
             call = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(whole, [whole, flag]), name
             )
@@ -142,7 +143,8 @@ def high_product(a, b):
 # --- decimal numbers ---------------------------------------------------------------------------------------
 
 _U = np.uint64
-_ONE, _EIGHT = _U(1), _U(8)
+_ONE = _U(1)
+_EIGHT = _U(8)
 _MOST = 19  # digits that fit into 64 bits, whichever they are
 _EXACT = _U(1 << 53)  # whole numbers up to here are exact in float64
 _TENS = np.array([10.0**k for k in range(23)])  # all exact
@@ -169,11 +171,10 @@ def _fives():
             bits = 5**q << 128 >> (5**q).bit_length()
         else:
             length = (5**-q - 1).bit_length()
-            bits = (
-                (1 << length + 127) // 5**-q + 1
-                if q >= -27
-                else (1 << 2 * length + 128) // 5**-q + 1
-            )
+            places = length + 127
+            if q < -27:
+                places = 2 * length + 128
+            bits = (1 << places) // 5**-q + 1
             bits >>= max(0, bits.bit_length() - 128)
         table[q - _LEAST] = bits >> 64, bits & (1 << 64) - 1
     return table
@@ -190,7 +191,8 @@ def _nearest(m, power):
     shift = leading_zeros(m)
     m = m << shift
     five = _FIVES[power - _LEAST]
-    upper, lower = high_product(m, five[0]), m * five[0]
+    upper = high_product(m, five[0])
+    lower = m * five[0]
     if upper & _U(0x1FF) == _U(0x1FF):  # bits that lower ones may yet change
         added = high_product(m, five[1])
         lower = lower + added
@@ -277,7 +279,9 @@ def _usual(text, at, end):
             and 0 <= tens <= 9
             and 0 <= ones <= 9
         ):
-            power = 10 * tens + ones if sign == 43 else -10 * tens - ones
+            power = 10 * tens + ones
+            if sign == 45:
+                power = -power
             end -= 4
     if 1 <= end - at <= 8:
         m, shift, known = _short(text, at, end - at)
@@ -287,7 +291,8 @@ def _usual(text, at, end):
     if before + max(after, 0) < 1 or (after >= 0 and before == 8):
         return _U(0), 0, False
     digits = _digits(text, at, before)
-    m, wrong = _whole(digits), _not_digits(digits)
+    m = _whole(digits)
+    wrong = _not_digits(digits)
     at += before + 1
     if after > 0:
         power -= after
@@ -296,16 +301,22 @@ def _usual(text, at, end):
         if m >= _WHOLE_TENS[_MOST - count]:
             return _U(0), 0, False
         digits = _digits(text, at, count)
-        m, wrong = m * _WHOLE_TENS[count] + _whole(digits), wrong | _not_digits(digits)
-        at, after = at + 8, after - count
+        m = m * _WHOLE_TENS[count] + _whole(digits)
+        wrong |= _not_digits(digits)
+        at += 8
+        after -= count
     return m, power, wrong & _TOP == _U(0)
 
 
 @inner
 def _any(text, at, end):
     """Read any decimal number as m 10^power; return whether further digits follow m, and whether it is a number."""
-    m, digits, power = _U(0), 0, np.int64(0)
-    further, point, there = False, False, False
+    m = _U(0)
+    digits = 0
+    power = np.int64(0)
+    further = False
+    point = False
+    there = False
     while at < end:
         digit = np.int64(text[at]) - 48
         if 0 <= digit <= 9:
@@ -391,7 +402,8 @@ def find_words(text, size, separator, edges, lines):
     words, lines : int
         How many there are; what follows them in `edges` and `lines` is beyond the text.
     """
-    edge, line = 0, 0
+    edge = 0
+    line = 0
     before = _ONE  # whether the byte before is white space
     for first in range(0, size, BLOCK):
         blank = white(text, first) | equal(text, first, separator)
@@ -442,7 +454,10 @@ def read_rows(text, size, separator, columns, wanted, out, row, edges, lines, re
     words, count = find_words(text, size, separator, edges, lines)
     for edge in range(2 * words, 2 * (words + columns) + 1):
         edges[edge] = text.size
-    first, word, done, left = row, 0, 0, 0
+    first = row
+    word = 0
+    done = 0
+    left = 0
     for line in range(count):
         end = lines[line]
         if edges[2 * word] < end:
@@ -452,11 +467,15 @@ def read_rows(text, size, separator, columns, wanted, out, row, edges, lines, re
                 break
             for w in range(wanted.size):
                 edge = 2 * (word + wanted[w])
-                start, stop = np.int64(edges[edge]), np.int64(edges[edge + 1])
+                start = np.int64(edges[edge])
+                stop = np.int64(edges[edge + 1])
                 value, known = number(text, start, stop)
                 out[w, row] = value
                 if not known:
-                    rest[left, 0], rest[left, 1], rest[left, 2], rest[left, 3] = row, w, start, stop
+                    rest[left, 0] = row
+                    rest[left, 1] = w
+                    rest[left, 2] = start
+                    rest[left, 3] = stop
                     left += 1
             word += columns
             row += 1

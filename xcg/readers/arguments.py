@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 from numpy.typing import ArrayLike
 
+from xcg.common.checks import check_choice
 from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers.assigned import read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
-from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS
+from xcg.readers.names import ALL_SLOTS
 from xcg.readers.paths import PathLike
 from xcg.readers.recognise import guess_engine
 from xcg.scene.schema import Shape, Sides
@@ -34,7 +35,7 @@ class Arguments:
 
     Raises
     ------
-    SceneError
+    ValueError
         If `missing` or `on_error` is not one of its choices.
     """
 
@@ -68,8 +69,7 @@ class Arguments:
     def __post_init__(self) -> None:
         """Check the choices."""
         check_on_error(self.on_error)
-        if self.missing not in get_args(Missing):
-            raise SceneError(f"missing={self.missing!r}: expected 'raise', 'skip' or 'empty'")
+        check_choice("missing", self.missing, Missing)
 
     @property
     def wall_columns(self) -> dict[str, str | Sequence[str]]:
@@ -136,10 +136,11 @@ class Arguments:
     def _engine_of_names(self, files: Mapping[str, Sequence[str]]) -> str | None:
         """Return the engine that takes `names` in order; None if they are a mapping or absent."""
         kinds = self.names.values() if isinstance(self.names, Mapping) else [self.names]
-        if not any(isinstance(listed, list | tuple) for listed in kinds):
-            return "liggghts" if split_names(self.names)[1] else None
-        is_dump = load_engine("liggghts").recognises(files["particles"][0])
-        return "liggghts" if is_dump else "table"
+        if any(isinstance(listed, list | tuple) for listed in kinds):
+            is_dump = load_engine("liggghts").recognises(files["particles"][0])
+            return "liggghts" if is_dump else "table"
+        _, words = split_names(self.names)
+        return "liggghts" if words else None
 
     def read_options(self, reader: Engine) -> ReadOptions:
         """Return the options that the engine needs.
@@ -165,11 +166,13 @@ class Arguments:
                 f"names={self.names!r}: the engine '{reader.name}' reads the names of columns from the "
                 "files; map them, names={'column': 'variable'}"
             )
-        skips = self.missing == "skip" or self.on_error == "skip"
+        missing = "raise"
+        if "skip" in (self.missing, self.on_error):
+            missing = "skip"
         answered = ("periodic", "lattice", "shape")
         return ReadOptions(
             mapped,
-            extra={**self.engine_options, "missing": "skip" if skips else "raise"},
+            extra={**self.engine_options, "missing": missing},
             walls=self.wall_columns,
             words=words,
             given=frozenset(name for name in answered if getattr(self, name) is not None),
@@ -180,13 +183,11 @@ class Arguments:
 
 def _likely(option: str, reader: Engine) -> str:
     """Return the argument that was meant, as the end of a message; "" if none is near."""
-    if option.lower() in _OF_TIME:
-        return f"; did you mean {'timestep' if 'timestep' in reader.OPTIONS else 'times'}=?"
     if option.lower() in ("radius", "radii"):
         return "; did you mean diameter=, twice the radius? A column is read by names={'its column': 'radius'}"
-    if option.lower() == "format":
-        return "; did you mean 'engine'?"
-    if option in PARTICLE_SLOTS or option in CONTACT_SLOTS:
+    if option in ALL_SLOTS:
         return f"; it is read from a column, names={{'its column': {option!r}}}"
+    of_time = "timestep" if "timestep" in reader.OPTIONS else "times"
+    synonyms = dict.fromkeys(_OF_TIME, of_time) | {"format": "engine"}
     known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]
-    return did_you_mean(option, [*known, *reader.OPTIONS])
+    return did_you_mean(option, [*known, *reader.OPTIONS], synonyms=synonyms)

@@ -6,15 +6,16 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.names import (
+    ALL_SLOTS,
     CLOCK_SLOTS,
     CONTACT_SLOTS,
-    PARTICLE_SLOTS,
     Slots,
     canonical,
     columns_by_name,
@@ -44,7 +45,6 @@ _WORDS_OF_COMPUTES = (
 )
 _KINDS_WITH_WORDS = ("contacts", "walls")
 _KINDS = ("particles", "contacts")
-_ALL_SLOTS = (PARTICLE_SLOTS, CONTACT_SLOTS, CLOCK_SLOTS)
 
 
 def split_names(
@@ -61,11 +61,11 @@ def split_names(
         names = dict.fromkeys(_KINDS_WITH_WORDS, names)
     words = {}
     for kind in _KINDS_WITH_WORDS:
-        given = names.get(kind)
-        if isinstance(given, str) and len(given.split()) > 1:
-            words[kind] = tuple(given.split())
-        elif isinstance(given, list | tuple):
-            words[kind] = tuple(map(str, given))
+        target = names.get(kind)
+        if isinstance(target, str) and len(target.split()) > 1:
+            words[kind] = tuple(target.split())
+        elif isinstance(target, list | tuple):
+            words[kind] = tuple(map(str, target))
     return {name: slot for name, slot in names.items() if name not in words}, words
 
 
@@ -83,7 +83,9 @@ def read_names(
         return {}, {}
     in_order: dict[str, Sequence[str | None]]
     if isinstance(names, Mapping):
-        in_order = {kind: given for kind, given in names.items() if isinstance(given, list | tuple)}
+        in_order = {
+            kind: listed for kind, listed in names.items() if isinstance(listed, list | tuple)
+        }
         if not in_order:
             return dict(names), {}
         if set(names) != set(in_order) or not set(names) <= set(_KINDS):
@@ -95,15 +97,15 @@ def read_names(
         in_order = dict.fromkeys(_KINDS, names)
     else:
         raise SceneError(f"names={names!r}: expected a mapping or a list of names")
-    aliases = {alias for slots in _ALL_SLOTS for found in slots.values() for alias in found}
+    aliases = set(chain(*ALL_SLOTS.values(), *CLOCK_SLOTS.values()))
     mapping: dict[str, str | None] = {}
-    for given in in_order.values():
-        for name, count in Counter(given).items():
+    for listed in in_order.values():
+        for name, count in Counter(listed).items():
             if name is None:
                 continue
             if not isinstance(name, str) or count > 1:
                 raise SceneError(
-                    f"names={list(given)!r}: {name!r} stands there {count} times; expected the name of each column "
+                    f"names={list(listed)!r}: {name!r} stands there {count} times; expected the name of each column "
                     "once, in the order of the file, and None for a column to skip"
                 )
             if canonical(name) not in aliases:  # a slot, or a variable of the caller's own
@@ -149,11 +151,12 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
             "map the others to None"
         )
     for column, slot in mapped.items():
-        if slot is None or slot in PARTICLE_SLOTS or slot in CONTACT_SLOTS:
+        if slot is None or slot in ALL_SLOTS:
             continue
         pair = f"names={{{column!r}: {slot!r}}}"
-        # all slots of contacts begin with one word
-        prefix = "contact_" if slot.startswith("contact_") else ""
+        prefix = ""
+        if slot.startswith("contact_"):  # as all slots of contacts do
+            prefix = "contact_"
         endings = [name.removeprefix(prefix) for name in slots if name.startswith(prefix)]
         close = difflib.get_close_matches(slot.removeprefix(prefix), endings, 3, 0.8)
         if close:
@@ -187,7 +190,7 @@ def axes_of(filled: Iterable[str], slot: str) -> list[str]:
 
 def own_variables(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
     """Columns that `names` maps to variables of the caller's own, of particles or of contacts."""
-    known = {*PARTICLE_SLOTS, *CONTACT_SLOTS, "time", "step"}
+    known = {*ALL_SLOTS, *CLOCK_SLOTS}
     return {
         slot: column
         for column, slot in options.names.items()

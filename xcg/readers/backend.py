@@ -57,11 +57,11 @@ class SceneBackend(BackendEntrypoint):
         """
         scene = open_scene(filename_or_obj, engine=reader, chunks=None, **options)
         for values in scene.variables.values():
-            values.encoding["preferred_chunks"] = {
-                d: 1 if d == "time" else n for d, n in values.sizes.items()
-            }
-        names = [drop_variables] if isinstance(drop_variables, str) else drop_variables or []
-        return scene.drop_vars(names, errors="ignore")
+            chunks = dict(values.sizes)
+            if "time" in chunks:
+                chunks["time"] = 1
+            values.encoding["preferred_chunks"] = chunks
+        return scene.drop_vars(drop_variables or [], errors="ignore")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Return whether an engine recognises a file by its content."""

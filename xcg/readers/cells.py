@@ -51,7 +51,8 @@ def box_of_cell(cell: ArrayLike, origin: ArrayLike, periodic: str, source: str) 
     low = np.where(open_axes, -np.inf, corner)
     high = np.where(open_axes, np.inf, corner + lengths)
     edges = tuple(zip(low.tolist(), high.tolist(), strict=True))
+    lattice = None
     tilts = vectors - np.diag(lengths)
-    if np.abs(tilts).max() <= _ROUNDING * lengths.max():
-        return {"box": edges, "lattice": None, "periodic": periodic}
-    return {"box": edges, "lattice": vectors.tolist(), "periodic": periodic}
+    if np.abs(tilts).max() > _ROUNDING * lengths.max():
+        lattice = vectors.tolist()
+    return {"box": edges, "lattice": lattice, "periodic": periodic}

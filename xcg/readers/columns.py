@@ -32,8 +32,9 @@ from xcg.readers.unread_columns import (
 )
 from xcg.scene.schema import COMPONENTS, Frame
 
-_CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
-_PARTICLE_COMPONENTS = {component for slot in PARTICLE_VECTORS for component in components(slot)}
+_CONTACT_COMPONENTS = {component for slot in CONTACT_VECTORS for component in components(slot)}
+_NOT_IN_FRAMES = {component for slot in PARTICLE_VECTORS for component in components(slot)}
+_NOT_IN_FRAMES |= {"scaled", "unwrapped_scaled"}
 _SIZES = (
     ("diameter", "radius", 2.0),
     *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS),
@@ -57,9 +58,9 @@ class Columnar(Engine):
 
     PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
-    NEEDS_ID: ClassVar[bool] = True
-    ROWS_ARE_IDS: ClassVar[bool] = False
-    MORE_DIGITS: ClassVar[str] = "dump_modify ... format float %.10g"
+    NEEDS_ID = True
+    ROWS_ARE_IDS = False
+    MORE_DIGITS = "dump_modify ... format float %.10g"
 
     @abstractmethod
     def list_steps(
@@ -73,17 +74,22 @@ class Columnar(Engine):
         """Read columns (rows,) of one step by their names in the file; texts of numbers between blanks by default."""
         return read_table(ref, wanted, rows, options)
 
-    def _read_table(
+    def _read_slots(
         self,
         ref: StepRef,
         columns: Mapping[str, str],
         vectors: Iterable[str],
         options: ReadOptions,
-    ) -> Columns:
-        """Read the columns of all slots, and `vectors` under their tuples of columns where the engine can."""
-        whole = [_columns_of(columns, slot) for slot in vectors]
-        options = replace(options, vectors=tuple({group for group in whole if group}))
-        return self.read_columns(ref, columns.values(), ref.rows, options)
+    ) -> Frame:
+        """Read the values of each slot, and vectors (n, 3) under their names where the engine can.
+
+        These are one array, of which the columns are views.
+        """
+        whole = {slot: _columns_of(columns, slot) for slot in vectors}
+        options = replace(options, vectors=tuple({group for group in whole.values() if group}))
+        table: Columns = self.read_columns(ref, columns.values(), ref.rows, options)
+        frame = {slot: table[column] for slot, column in columns.items()}
+        return frame | {slot: table[group] for slot, group in whole.items() if group in table}
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
@@ -123,14 +129,10 @@ class Columnar(Engine):
         turning = axes_of(filled, "angular_velocity")
         # in a plane, grains turn about its normal alone
         if 0 < len(turning) < 3 and turning != ["z"]:
-            axis = next(axis for axis in COMPONENTS if axis not in turning)
             if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
-                raise lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
+                raise _lacks_an_axis(ref, "angular_velocity", turning)
             # the file's column was mapped to something else
-            unwanted = (
-                *unwanted,
-                "angular_velocity",
-            )
+            unwanted = (*unwanted, "angular_velocity")
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | own_variables(ref, options, "particle")
 
@@ -149,26 +151,22 @@ class Columnar(Engine):
         for slot in ("contact_i", "contact_j"):
             if slot not in filled:
                 raise lacks(ref, "ids of both partners", slot)
+        axes = {slot: axes_of(filled, slot) for slot in CONTACT_VECTORS}
+        unused = []
         # a hint: without all of it, images follow from positions
-        if len(axes_of(filled, "contact_branch")) < 3:
-            filled = {
-                slot: column
-                for slot, column in filled.items()
-                if not slot.startswith("contact_branch")
-            }
-        there = {slot: axes_of(filled, slot) for slot in CONTACT_VECTORS}
-        if 0 < len(there["contact_force"]) < len(there["normal_force"]):  # it is something else
-            mapped = [f"contact_force_{axis}" in options.names.values() for axis in COMPONENTS]
-            if not any(mapped):
-                filled = {s: c for s, c in filled.items() if not s.startswith("contact_force")}
-                there["contact_force"] = []
-        for slot, axes in there.items():
-            if 0 < len(axes) < 3:
-                lacking = next(axis for axis in COMPONENTS if axis not in axes)
-                raise lacks(ref, f"{lacking} of the {slot.replace('_', ' ')}", f"{slot}_{lacking}")
-        if not there["contact_force"] and not there["normal_force"]:
+        if len(axes["contact_branch"]) < 3:
+            unused.append("contact_branch")
+        mapped = [f"contact_force_{axis}" in options.names.values() for axis in COMPONENTS]
+        if len(axes["contact_force"]) < len(axes["normal_force"]) and not any(mapped):
+            unused.append("contact_force")  # it is something else
+        for slot in unused:
+            axes[slot] = []
+        for slot, present in axes.items():
+            if 0 < len(present) < 3:
+                raise _lacks_an_axis(ref, slot, present)
+        if not axes["contact_force"] and not axes["normal_force"]:
             raise lacks(ref, "contact force", "contact_force_x")
-        if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
+        if axes["contact_force"] and axes["tangential_force"] and not axes["normal_force"]:
             total = filled["contact_force_x"]
             part = filled["tangential_force_x"]
             raise SceneError(
@@ -176,72 +174,64 @@ class Columnar(Engine):
                 f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
                 f"names={{'{part}': None, ...}} to take the first alone"
             )
-        unused = (
-            ("normal_force", "tangential_force") if there["contact_force"] else ("contact_force",)
-        )
-        read = {slot: column for slot, column in filled.items() if not slot.startswith(unused)}
+        if axes["contact_force"]:
+            unused += ["normal_force", "tangential_force"]
+        read = {
+            slot: column for slot, column in filled.items() if not slot.startswith(tuple(unused))
+        }
         return read | own_variables(ref, options, "contact")
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that follow from what `read_contacts` returns."""
         columns = self.contact_columns(ref, options)
-        scalars = [
-            slot for slot in columns if slot in _CONTACT_SCALARS or slot not in CONTACT_SLOTS
-        ]
-        normal = "contact_normal_x" in columns or "end_i_x" in columns
-        point = ["contact_point"] if "contact_point_x" in columns else []
-        return [*scalars, "contact_force", *point, *(["contact_normal"] if normal else [])]
+        names = [slot for slot in columns if slot not in _CONTACT_COMPONENTS]
+        names.append("contact_force")
+        if "contact_point_x" in columns:
+            names.append("contact_point")
+        if "contact_normal_x" in columns or "end_i_x" in columns:
+            names.append("contact_normal")
+        return names
 
     def ignored_columns(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> list[str]:
         """Columns of a step that are not read."""
-        read = (
-            self.contact_columns(ref, options) if contacts else self.particle_columns(ref, options)
-        )
-        return [column for column in ref.columns if column not in read.values()]
+        columns_read = self.contact_columns if contacts else self.particle_columns
+        read = columns_read(ref, options).values()
+        return [column for column in ref.columns if column not in read]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step from the columns of `particle_columns`."""
         columns = self.particle_columns(ref, options)
-        table = self._read_table(ref, columns, PARTICLE_VECTORS, options)
-        values = {slot: table[column] for slot, column in columns.items()}
+        values = self._read_slots(ref, columns, PARTICLE_VECTORS, options)
         for place, scaled in PLACES:
             _add_unscaled(values, place, scaled, ref)
         for axis in axes_of(values, "position"):  # not periodic where only the others are unwrapped
             if axes_of(values, "unwrapped_position"):
                 values.setdefault(f"unwrapped_position_{axis}", values[f"position_{axis}"])
-        frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-        vectors = ("position", "unwrapped_position", "image", "velocity", "angular_velocity")
-        for slot in vectors:
-            if axes_of(values, slot):
-                whole = table.get(_columns_of(columns, slot))
-                frame[slot] = _stacked(values, slot) if whole is None else whole
+        frame = {slot: array for slot, array in values.items() if slot not in _NOT_IN_FRAMES}
+        for slot in ("position", "unwrapped_position", "image", "velocity", "angular_velocity"):
+            if axes_of(values, slot) and slot not in frame:
+                frame[slot] = _stacked(values, slot)
         unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
-        # copies of single columns, so that the table can go
-        return {
-            name: array if memory.owns_memory(array) else array.copy()
-            for name, array in frame.items()
-        }
+        for name, array in frame.items():
+            if not memory.owns_memory(array):  # a copy of a single column, so that the table can go
+                frame[name] = array.copy()
+        return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step from the columns of `contact_columns`."""
         columns = self.contact_columns(ref, options)
-        table = self._read_table(ref, columns, CONTACT_VECTORS, options)
-        values = {slot: table[column] for slot, column in columns.items()}
-        frame: Frame = {
-            s: v for s, v in values.items() if s in _CONTACT_SCALARS or s not in CONTACT_SLOTS
-        }
+        values = self._read_slots(ref, columns, CONTACT_VECTORS, options)
+        frame = {slot: array for slot, array in values.items() if slot not in _CONTACT_COMPONENTS}
         for slot in CONTACT_VECTORS:
-            if f"{slot}_x" in columns:
-                whole = table.get(_columns_of(columns, slot))
-                frame[slot] = _stacked(values, slot) if whole is None else whole
+            if f"{slot}_x" in columns and slot not in frame:
+                frame[slot] = _stacked(values, slot)
         if "contact_force" not in frame:
-            frame["contact_force"] = frame.pop("normal_force") + frame.pop(
-                "tangential_force", np.zeros(3)
-            )
+            tangential = frame.pop("tangential_force", np.zeros(3))
+            frame["contact_force"] = frame.pop("normal_force") + tangential
         # wrapped positions: the nearest image is taken where the periods are known
         if "end_i" in frame:
             frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
@@ -284,14 +274,14 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
         if other not in frame:
             continue
         values = factor * frame.pop(other)
-        there = frame.setdefault(name, values)
-        if (
-            there is not values
-            and not (same := np.isclose(there, values, _ROUNDED, 0, equal_nan=True)).all()
-        ):
+        if name not in frame:
+            frame[name] = values
+            continue
+        same = np.isclose(frame[name], values, _ROUNDED, 0, equal_nan=True)
+        if not same.all():
             row = int(np.argmin(same))
             raise SceneError(
-                f"{source_of(ref)}: {name} {there[row]:.6g} of row {row} is not {factor:g} times {other} "
+                f"{source_of(ref)}: {name} {frame[name][row]:.6g} of row {row} is not {factor:g} times {other} "
                 f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
             )
 
@@ -328,7 +318,15 @@ def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: Step
 def _columns_of(columns: Mapping[str, str], slot: str) -> tuple[str, ...]:
     """Return the columns of the three components of a vector; empty unless all are there."""
     slots = components(slot)
-    return tuple(columns[name] for name in slots) if columns.keys() >= {*slots} else ()
+    if not columns.keys() >= slots.keys():
+        return ()
+    return tuple(columns[name] for name in slots)
+
+
+def _lacks_an_axis(ref: StepRef, vector: str, present: Sequence[str]) -> SceneError:
+    """Make the error of a file with some components of a vector."""
+    axis = next(axis for axis in COMPONENTS if axis not in present)
+    return lacks(ref, f"{axis} of the {vector.replace('_', ' ')}", f"{vector}_{axis}")
 
 
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:

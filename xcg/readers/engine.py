@@ -16,7 +16,9 @@ from xcg.scene.schema import Frame, Shape
 
 
 def _tuples(values: Any) -> Any:
-    return tuple(_tuples(v) for v in values) if isinstance(values, list) else values
+    if isinstance(values, list):
+        return tuple(map(_tuples, values))
+    return values
 
 
 @dataclass(frozen=True)
@@ -327,15 +329,15 @@ _OWN = {
 @cache  # a file of each installed package is read to find them
 def engine_table() -> dict[str, EntryPoint]:
     """List the engines by name; engines of this package come first, and first when files are recognised."""
-    found = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
+    table = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
     for entry in entry_points(group=GROUP):
-        taken = found.setdefault(entry.name, entry)
+        taken = table.setdefault(entry.name, entry)
         if taken.value != entry.value:
             warn_user(
                 f"two engines are called {entry.name!r}: {taken.value} is taken; hand over the other one, "
                 f"{entry.value}, as engine="
             )
-    return found
+    return table
 
 
 def all_engines() -> Iterator[Engine]:
@@ -355,26 +357,26 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
     SceneError
         If no engine has this name, it cannot be imported, or it is not an `Engine`.
     """
-    given: object = engine
+    loaded: object = engine
     if isinstance(engine, str):
         table = engine_table()
         if engine not in table:
             raise SceneError(unknown("engine", engine, table))
         try:
-            given = table[engine].load()
+            loaded = table[engine].load()
         except (ImportError, AttributeError) as error:
             raise SceneError(
                 f"the engine {engine!r} ({table[engine].value}) cannot be imported: {error}"
             ) from error
-    if isinstance(given, type) and issubclass(given, Engine):
+    if isinstance(loaded, type) and issubclass(loaded, Engine):
         try:
-            return given()
+            return loaded()
         except TypeError as error:
             raise SceneError(
                 f"engine={engine!r}: no object can be made of it without arguments ({error})"
             ) from None
-    if not isinstance(given, Engine):
+    if not isinstance(loaded, Engine):
         raise SceneError(
             f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
         )
-    return given
+    return loaded

@@ -74,6 +74,11 @@ def sort_by_numbers(paths: Iterable[str]) -> list[str]:
     return sorted(listed, key=keys.__getitem__)
 
 
+def suffix_of(path: str) -> str:
+    """Return the suffix of a file in lower case, before that of its compression."""
+    return os.path.splitext(plain_name(path))[1].lower()
+
+
 def _natural_key(path: str, row: Sequence[_Number]) -> list[str | float]:
     """Return texts and the numbers between them in turn, numbers by value."""
     key: list[str | float] = []
@@ -95,27 +100,32 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
         return usual
     folders = [os.path.join(os.path.dirname(path), "") for path in paths]
     names = [_ENDING.sub("", plain_name(path)) for path in paths]
+    texts = names
     columns: list[list[_Number]] | list[list[_Number | None]]
     columns, problem = _varying(names)
-    in_folders = False
     if not columns and not problem:
         columns, problem = _varying(folders)
-        in_folders = bool(columns)
+        if columns:
+            texts = folders
     if not columns:
         columns = [_last_numbers(names)]
     for numbers in columns:
-        problem = problem or _doubt_about(folders if in_folders else names, numbers)
+        problem = problem or _doubt_about(texts, numbers)
     steps: list[int | None] = [None] * len(paths)
     times: list[float | None] = [None] * len(paths)
-    for numbers in [] if problem else columns:
+    for numbers in columns:
+        if problem:
+            break
         if all(number is None or number.is_whole for number in numbers):
-            steps = [None if number is None else int(number.text) for number in numbers]
+            steps = [number and int(number.text) for number in numbers]
         else:
-            times = [None if number is None else float(number.text) for number in numbers]
-    runs = []
-    for folder, name, number in zip(folders, names, columns[-1], strict=True):
-        without = _without(folder if in_folders else name, number)
-        runs.append(without + name if in_folders else folder + without)
+            times = [number and float(number.text) for number in numbers]
+    without = [_without(text, number) for text, number in zip(texts, columns[-1], strict=True)]
+    if texts is folders:
+        folders = without
+    else:
+        names = without
+    runs = [folder + name for folder, name in zip(folders, names, strict=True)]
     return FileNumbers(steps, times, runs, problem)
 
 
@@ -129,7 +139,7 @@ def _doubt_about(texts: Sequence[str], numbers: Sequence[_Number | None]) -> str
         if _SIGN.search(text[: number.start]):
             return f"'-{number.text}' in the names may be negative"
         unit = _OTHER_UNIT.match(text[end:])
-        units.add(unit[1] if unit else "")
+        units.add(unit and unit[1])
         if unit and (not number.is_whole or len(units) > 1):
             return f"times in the names have a unit ({text[number.start : end]}{unit[0]})"
     return ""
@@ -172,10 +182,9 @@ def _last_numbers(names: Sequence[str]) -> list[_Number | None]:
     rows, _ = _numbers_of(names)
     last: list[_Number | None] = []
     for name, row in zip(names, rows, strict=True):
-        number = row[-1] if row else None
-        if number and not number.is_whole and not _OF_TIME.search(name[: number.start]):
-            number = None
-        last.append(number)
+        last.append(None)
+        if row and (row[-1].is_whole or _OF_TIME.search(name[: row[-1].start])):
+            last[-1] = row[-1]
     return last
 
 
@@ -188,8 +197,11 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     if len(counts) > 1:
         few, many = min(counts), max(counts)
         return [], f"{counts[few]!r} holds {few} numbers, and {counts[many]!r} {many}"
-    columns = [list(numbers) for numbers in zip(*rows, strict=True)]
-    columns = [numbers for numbers in columns if not _are_equal(numbers)]
+    columns = [
+        list(numbers)
+        for numbers in zip(*rows, strict=True)
+        if len({number.value for number in numbers}) > 1
+    ]
     if not all(_rise_together(column, columns[-1]) for column in columns[:-1]):
         ranges = " and ".join(_range(column) for column in columns)
         columns = _without_ranks(columns)
@@ -201,20 +213,15 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     return columns, ""
 
 
-def _are_equal(numbers: Sequence[_Number]) -> bool:
-    texts = {number.text for number in numbers}
-    return len(texts) < 2 or len({float(text) for text in texts}) < 2
-
-
 def _range(column: Sequence[_Number]) -> str:
     least = min(column, key=lambda number: number.value)
     most = max(column, key=lambda number: number.value)
     return f"{least.text} to {most.text}"
 
 
-def _rise_together(one: Sequence[_Number], other: Sequence[_Number]) -> bool:
+def _rise_together(numbers: Sequence[_Number], others: Sequence[_Number]) -> bool:
     """Return whether two numbers that vary put the files into the same order."""
-    pairs = sorted((b.value, a.value) for a, b in zip(one, other, strict=True))
+    pairs = sorted((b.value, a.value) for a, b in zip(numbers, others, strict=True))
     return all(before[1] <= after[1] for before, after in pairwise(pairs))
 
 
@@ -226,12 +233,12 @@ def _without_ranks(columns: Sequence[list[_Number]]) -> list[list[_Number]]:
     pairs = {(int(a.text), int(b.text)) for a, b in zip(*columns, strict=True)}
     if len(pairs) != len(columns[0]) or len(pairs) != len(values[0]) * len(values[1]):
         return []
-    are_ranks = [numbers == set(range(len(numbers))) for numbers in values]
-    if are_ranks == [True, False]:
-        return [columns[1]]
-    if are_ranks == [False, True]:
-        return [columns[0]]
-    return []
+    steps = [
+        column
+        for column, numbers in zip(columns, values, strict=True)
+        if numbers != set(range(len(numbers)))
+    ]
+    return steps if len(steps) == 1 else []
 
 
 # --- decimals --------------------------------------------------------------------------------------------
@@ -291,7 +298,9 @@ def _are_decimals(texts: Sequence[str], before: Sequence[str]) -> bool | None:
     if from_zero and all(re.search(r"(^|[^\w.]|_)$", text) for text in before):
         return True
     in_parts = sorted(texts, key=lambda text: tuple(map(int, text.split("."))))
-    return False if in_parts == sorted(texts, key=float) else None
+    if in_parts == sorted(texts, key=float):
+        return False
+    return None
 
 
 def _are_whole(texts: Sequence[str]) -> bool:

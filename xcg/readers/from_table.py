@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers import unread_columns
 from xcg.readers.assigned import assign
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.tabular import Table, clock_of, runs_of, warn_of_unread_clock
+from xcg.readers.engines.tabular import Table, check_clock, clock_of, warn_of_unread_clock
 from xcg.readers.pairs import ignored_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
@@ -80,68 +80,88 @@ def scene_from_table(
         raise TypeError(
             f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
         )
-    said = ReadOptions(dict(names or {}))
-    tables = {"particles": _table(particles)}
-    grains = _frames(tables["particles"], "particles", said, contacts=False)
+    read_options = ReadOptions(dict(names or {}))
+    table = _table(particles)
+    refs = {"particles": [_ref_of(table, "particles")]}
+    grains = _frames(table, "particles", read_options, contacts=False)
     steps = sorted(grains)
-    given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
-    given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
-    nameless = "particle_id" not in given and options.get("particle_id") is None
+    clock, _ = grains[steps[0]]
+    arrays: dict[str, Any] = _stacked([grains[key][1] for key in steps])
+    arrays |= {what: [grains[key][0][what] for key in steps] for what in clock}
+    nameless = "particle_id" not in arrays and options.get("particle_id") is None
     if nameless:
-        ref = StepRef("particles", 0, columns=tuple(tables["particles"].columns))
-        unread_columns.report_missing_ids(ref, len(steps), contacts=contacts is not None)
+        has_contacts = contacts is not None
+        unread_columns.report_missing_ids(refs["particles"][0], len(steps), contacts=has_contacts)
     if contacts is not None:
-        periodic = periodic_axes(options.get("periodic"), options.get("plane"))
-        lattices = [Lattice.of({}, "")] * len(steps)
-        if periodic and options.get("box") is not None:
-            boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
-            lattices = [
-                Lattice.of({name: v[t] for name, v in boxes.items()}, periodic)
-                for t in range(len(steps))
-            ]
-        tables["contacts"] = rows = _with_vectors(
-            _table(contacts), grains, said, dict(zip(steps, lattices, strict=True))
-        )
-        touching = _frames(rows, "contacts", said, contacts=True)
-        unknown = sorted(set(touching) - set(steps)) if len(rows) else []
-        if unknown:
-            raise SceneError(
-                f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
-            )
-        lacking = [key for key in steps if key not in touching] if len(rows) else []
-        if lacking:
-            warn_user(
-                f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles, such as {lacking[0]:g}, "
-                "and nothing touches in them; if their contacts are unknown, leave these steps out of both tables"
-            )
-        empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
-        given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
-    twice = [
-        name
-        for name, value in options.items()
-        if name in given and value is not None and name != "density"
-    ]
-    if twice:
+        lattices = _lattices(steps, options)
+        table = _with_vectors(_table(contacts), grains, read_options, lattices)
+        refs["contacts"] = [_ref_of(table, "contacts")]
+        arrays |= _contacts(table, steps, read_options)
+    _check_arguments(options, arrays)
+    for (ref,) in refs.values():
+        _warn_of_columns(ref, read_options, options)
+    scene = scene_from_arrays(**(options | arrays))
+    ignored = printable(ignored_columns(Table(), refs, read_options))
+    if ignored:
+        scene = scene.assign_attrs(ignored_columns=ignored)
+    if nameless:
+        scene["particle_id"].attrs |= ROW_NUMBERS
+    return scene
+
+
+def _ref_of(table: pd.DataFrame, what: str) -> StepRef:
+    return StepRef(what, len(table), columns=tuple(table.columns))
+
+
+def _lattices(steps: Sequence[float], options: Mapping[str, Any]) -> dict[float, Lattice]:
+    """Return the lattice of each step, from the arguments of the caller."""
+    box = options.get("box")
+    periodic = periodic_axes(options.get("periodic"), options.get("plane"))
+    if box is None or not periodic:
+        return dict.fromkeys(steps, Lattice.of({}, ""))
+    boxes = domain_of(box, options.get("lattice"), {}, periodic, len(steps))
+    return {
+        key: Lattice.of({name: values[t] for name, values in boxes.items()}, periodic)
+        for t, key in enumerate(steps)
+    }
+
+
+def _contacts(
+    table: pd.DataFrame, steps: Sequence[float], options: ReadOptions
+) -> dict[str, list[NDArray]]:
+    """Return the variables of the contacts at each step; nothing touches in a step without rows."""
+    frames = {
+        key: frame for key, (_, frame) in _frames(table, "contacts", options, contacts=True).items()
+    }
+    empty = {name: values[:0] for name, values in next(iter(frames.values())).items()}
+    unknown = sorted(set(frames) - set(steps))
+    lacking = [key for key in steps if key not in frames]
+    if len(table) and unknown:
         raise SceneError(
-            f"{twice[0]}= is given, and the tables hold {twice[0]!r}, too; leave the argument out, or drop the column, "
-            "names={'column': None}"
+            f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
         )
-    if options.get("density") is not None and "density" in given:
+    if len(table) and lacking:
+        warn_user(
+            f"contacts: no rows for {len(lacking)} of {len(steps)} steps of the particles, such as {lacking[0]:g}, "
+            "and nothing touches in them; if their contacts are unknown, leave these steps out of both tables"
+        )
+    return _stacked([frames.get(key, empty) for key in steps])
+
+
+def _check_arguments(options: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    """Raise SceneError for a variable that is an argument and a column; warn of an unused density."""
+    twice = [name for name, value in options.items() if value is not None and name in arrays]
+    for name in twice:
+        if name != "density":
+            raise SceneError(
+                f"{name}= is given, and the tables hold {name!r}, too; leave the argument out, or drop the column, "
+                "names={'column': None}"
+            )
+    if twice:
         warn_user(
             f"density={options['density']!r} is not used, as the tables hold 'density': leave the argument out, or "
             "drop the column, names={'density': None}"
         )
-    refs = {
-        what: [StepRef(what, len(table), columns=tuple(table.columns))]
-        for what, table in tables.items()
-    }
-    for (ref,) in refs.values():
-        _warn_of_columns(ref, said, options)
-    ignored = printable(ignored_columns(Table(), refs, said))
-    scene = scene_from_arrays(**(options | given))
-    if nameless:
-        scene["particle_id"].attrs |= ROW_NUMBERS
-    return scene.assign_attrs(ignored_columns=ignored) if ignored else scene
 
 
 def _with_vectors(
@@ -158,10 +178,8 @@ def _with_vectors(
     table = contacts.rename(
         columns={column: name for column, name in options.names.items() if name in magnitudes}
     )
-    ref = StepRef("contacts", len(table), columns=tuple(table.columns))
-    ends = assign(
-        ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options
-    )
+    slots = {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}
+    ends = assign(_ref_of(table, "contacts"), slots, options)
     if "normal_force" not in table or len(ends) < 2:
         return contacts
     walls = _numbers(table, ends["contact_j"], "contacts") < 0
@@ -171,11 +189,12 @@ def _with_vectors(
             "as normal_force_x, ... and contact_point_x, ... to keep them"
         )
         table = table[~walls]
-    ids_i, ids_j = (_numbers(table, ends[end], "contacts") for end in ("contact_i", "contact_j"))
-    clock = clock_of(tuple(table.columns), options.names)
-    keys = (
-        _numbers(table, next(iter(clock.values())), "contacts") if clock else np.zeros(len(table))
-    )
+    ids_i = _numbers(table, ends["contact_i"], "contacts")
+    ids_j = _numbers(table, ends["contact_j"], "contacts")
+    keys = np.zeros(len(table))
+    clock = [*clock_of(tuple(table.columns), options.names).values()]
+    if clock:
+        keys = _numbers(table, clock[0], "contacts")
     apart = np.zeros((len(table), 3))
     for key, (_, frame) in grains.items():
         rows = np.flatnonzero(keys == key)
@@ -187,21 +206,25 @@ def _with_vectors(
                 f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it"
             )
         order = np.argsort(ids)
-        i, j = (
-            order[rows_of(ids[order].astype(int), end[rows].astype(int))] for end in (ids_i, ids_j)
-        )
+        sorted_ids = ids[order].astype(int)
+        i = order[rows_of(sorted_ids, ids_i[rows].astype(int))]
+        j = order[rows_of(sorted_ids, ids_j[rows].astype(int))]
         apart[rows, :2] = lattices[key].shortest(position[i] - position[j])[:, :2]
     x, y, _ = unit_vectors(apart).T
     along = _numbers(table, "normal_force", "contacts")
-    across = _numbers(table, "tangential_force", "contacts") if "tangential_force" in table else 0.0
+    across = np.zeros(len(table))
+    if "tangential_force" in table:
+        across = _numbers(table, "tangential_force", "contacts")
     forces = {"contact_force_x": along * x - across * y, "contact_force_y": along * y + across * x}
     return table.drop(columns=[*magnitudes], errors="ignore").assign(**forces, contact_force_z=0.0)
 
 
 def _table(rows: Any) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
-    data = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(rows)
-    return (data.reset_index() if any(data.index.names) else data).rename(columns=str)
+    table = pd.DataFrame(rows)
+    if any(table.index.names):
+        table = table.reset_index()
+    return table.rename(columns=str)
 
 
 def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
@@ -212,36 +235,36 @@ def _frames(
     data: pd.DataFrame, what: str, options: ReadOptions, *, contacts: bool
 ) -> dict[float, tuple[dict[str, float], Frame]]:
     """Time and number of each step, and its frame, by the first of both."""
-    found = {}
+    if not len(data.columns):
+        raise SceneError(f"{what}: the table has no columns")
+    if not len(data) and not contacts:
+        raise SceneError(f"{what}: the table has no rows")
     clock = clock_of(tuple(data.columns), options.names)
-    rows = {word: _numbers(data, name, what) for word, name in clock.items()}
-    runs = [np.arange(len(data))]
-    if not len(data.columns) or not (len(data) or contacts):
-        raise SceneError(f"{what}: the table has no {'rows' if len(data.columns) else 'columns'}")
-    if rows and len(data):
-        key = next(iter(rows.values()))
-        order = np.argsort(key, kind="stable")
-        runs_of({word: values[order] for word, values in rows.items()}, len(data), what)
-        runs = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
-    for k, chosen in enumerate(runs):
-        told = (
-            {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
-        )
-        ref = StepRef(what, len(chosen), step=int(told.get("step", k)), columns=tuple(data.columns))
-        engine = _InMemory(data.iloc[chosen])
-        frame = (
-            engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
-        )
-        found[next(iter(told.values()), 0.0)] = told, frame
-    return found
+    clocks = {word: _numbers(data, name, what) for word, name in clock.items()}
+    check_clock(clocks, what)
+    runs: list[Any] = [np.arange(len(data))]
+    if clocks and len(data):
+        key = next(iter(clocks.values()))
+        runs = [*data.groupby(key).indices.values()]
+    frames = {}
+    for k, rows in enumerate(runs):
+        clock_of_step = {
+            word: float(values[rows[0]]) for word, values in clocks.items() if len(rows)
+        }
+        step = int(clock_of_step.get("step", k))
+        ref = StepRef(what, len(rows), step=step, columns=tuple(data.columns))
+        engine = _InMemory(data.iloc[rows])
+        read = engine.read_contacts if contacts else engine.read_particles
+        frames[next(iter(clock_of_step.values()), 0.0)] = clock_of_step, read(ref, options)
+    return frames
 
 
 def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str, Any]) -> None:
     """Warn of columns that are probably not ignored on purpose, as for files."""
     contacts = ref.path == "contacts"
-    table = Table()
-    read = (table.contact_columns if contacts else table.particle_columns)(ref, options)
-    read = {name: "" for name, value in arguments.items() if value is not None} | read
+    columns_read = Table().contact_columns if contacts else Table().particle_columns
+    read = {name: "" for name, value in arguments.items() if value is not None}
+    read |= columns_read(ref, options)
     unread_columns.warn_of_unread(ref, read, options, contacts=contacts)
     warn_of_unread_clock(ref, options)
     if arguments.get("units") is None:

@@ -67,7 +67,8 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
         if any(dim != "time" and size not in (None, -1) for dim, size in chunks.items()):
             raise SceneError(msg)
         chunks = chunks.get("time")
-        chunks = 1 if chunks is None else chunks
+        if chunks is None:
+            chunks = 1
     if isinstance(chunks, str) and chunks == "auto":
         chunks = sensible()
     sizes = np.atleast_1d(np.asarray(chunks))
@@ -79,7 +80,9 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
                 f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps"
             )
         return tuple(sizes.tolist())
-    size = max(1, count) if sizes[0] == -1 else int(sizes[0])
+    size = int(sizes[0])
+    if size == -1:
+        size = max(1, count)
     if size < 1:
         raise SceneError(msg)
     return tuple(min(size, count - start) for start in range(0, count, size))
@@ -119,30 +122,31 @@ def read_step(
     """Parse one body, or its pieces one after the other, in the file's units."""
     if ref.pieces:
         frames = [read_step(engine, options, piece, contacts=contacts) for piece in ref.pieces]
-        return {
-            name: np.concatenate([frame[name] for frame in frames]) if np.ndim(values) else values
-            for name, values in frames[0].items()
-        }
+        joined = dict(frames[0])  # of hints, one for all pieces
+        for name, values in joined.items():
+            if np.ndim(values):
+                joined[name] = np.concatenate([frame[name] for frame in frames])
+        return joined
+    kind = "contacts" if contacts else "particles"
+    read = engine.read_contacts if contacts else engine.read_particles
     try:
-        found = (
-            engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
-        )
+        variables = read(ref, options)
     except SceneError:
         raise
     except ValueError as error:  # of engines of users, such as NumPy's for texts
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} cannot read it: {error}"
         ) from error
-    if not isinstance(found, Mapping):
+    if not isinstance(variables, Mapping):
         raise SceneError(
-            f"{source_of(ref)}: the engine {engine.name!r} gives {'contacts' if contacts else 'particles'} as "
-            f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
+            f"{source_of(ref)}: the engine {engine.name!r} gives {kind} as {type(variables).__name__}; "
+            "expected a dict of arrays by the names of variables, such as 'position'"
         )
+    frame: dict[str, Any] = {str(name): values for name, values in variables.items()}
     try:  # engines of users give lists and tables, too; masked arrays stay so, to be refused
-        frame = {
-            str(name): found[name] if name in HINTS else np.asanyarray(found[name])
-            for name in found
-        }
+        for name, values in frame.items():
+            if name not in HINTS:
+                frame[name] = np.asanyarray(values)
     except ValueError as error:
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
@@ -151,17 +155,18 @@ def read_step(
         raise SceneError(
             f"{source_of(ref)}: no positions; expected a variable 'position' with three components"
         )
-    wide = [
-        name
-        for name, values in frame.items()
-        if name not in {*VARIABLES, *HINTS} and values.ndim > 1
-    ]
-    if wide:  # lazy arrays of own variables have the shape of one number a row
-        raise SceneError(
-            f"{source_of(ref)}: {wide[0]!r} has shape {frame[wide[0]].shape}, expected one number a row; leave it out "
-            "of names=, and add vectors and tensors of your own with ds.assign"
-        )
+    _check_own_variables(frame, ref)
     return frame
+
+
+def _check_own_variables(frame: Frame, ref: StepRef) -> None:
+    """Raise SceneError for own variables that are not one number a row: lazy arrays have that shape."""
+    for name, values in frame.items():
+        if name not in {*VARIABLES, *HINTS} and values.ndim > 1:
+            raise SceneError(
+                f"{source_of(ref)}: {name!r} has shape {values.shape}, expected one number a row; leave it out "
+                "of names=, and add vectors and tensors of your own with ds.assign"
+            )
 
 
 def _check_unchanged(ref: StepRef) -> None:
@@ -180,11 +185,9 @@ def _check_unchanged(ref: StepRef) -> None:
     else:
         if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
             return
-        now = (
-            f"has {state.st_size} bytes, but had {ref.size}"
-            if state.st_size != ref.size
-            else "was written again"
-        )
+        now = "was written again"
+        if state.st_size != ref.size:
+            now = f"has {state.st_size} bytes, but had {ref.size}"
     raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
@@ -211,8 +214,8 @@ class Opened:
 
     def keep(self, ref: StepRef, frame: Frame, *, beside: bool) -> None:
         """Keep the completed particles of a step, only of a small one `beside` another that follows."""
-        held = sum(array.nbytes for array in frame.values())
-        if held <= (_MOST_BESIDE if beside else _MOST_OPENED):
+        most = _MOST_BESIDE if beside else _MOST_OPENED
+        if sum(array.nbytes for array in frame.values()) <= most:
             self._frames[ref] = dict(frame)
 
     def take(self, ref: StepRef, names: Iterable[str]) -> Frame | None:
@@ -281,7 +284,9 @@ class Source:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
             _check_unchanged(ref)
             raw = read_step(self.engine, self.options, ref, contacts=True)
-            columns = self.engine.contact_columns(ref, self.options) if "overlap" in raw else {}
+            columns: Mapping[str, str] = {}
+            if "overlap" in raw:
+                columns = self.engine.contact_columns(ref, self.options)
             with self.once.active():
                 if "wrapped_branch" in raw:
                     scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
@@ -454,7 +459,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         tasks = dict[Any, Any]()
         types = {name: particle_types[name] for name in wanted}
         others = [name for name in seldom if name in particle_types and name not in wanted]
-        reader = source.reading(unwanted=tuple(others)) if others else source
+        reader = source.reading(unwanted=tuple(others))
         for k, part in enumerate(parts):
             edges = {name: values[part] for name, values in boxes.items()}
             task = partial(read_particle_chunk, reader, steps[part], types, rows, edges)
@@ -521,11 +526,10 @@ class _Variable(BackendArray):
         parts = [self._step(int(t))[key[1:]] for t in np.atleast_1d(wanted)]
         if wanted.ndim == 0:
             return parts[0].copy()
-        return (
-            np.stack(parts)
-            if parts
-            else np.empty((0, *np.empty(self.shape[1:], self.dtype)[key[1:]].shape))
-        )
+        if parts:
+            return np.stack(parts)
+        nothing = np.empty((0, *self.shape[1:]), self.dtype)
+        return nothing[(slice(None), *key[1:])]
 
     def _step(self, t: int) -> NDArray:
         series = self.series

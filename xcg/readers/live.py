@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -16,21 +17,23 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.paths import units_of_system
-from xcg.readers.wall_columns import WALL_CONTACTS
+from xcg.readers.wall_columns import WALL_ARRAY, WALL_CONTACTS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS
 
-_ATOM, _LOCAL = 1, 2  # styles, and
-_ARRAY = (
-    2  # type of data, as the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY
-)
-_PAIR, _IDS = "xcg_pair", "xcg_ids"
-_BRANCH, _NORMAL, _TANGENTIAL = ("dx", "dy", "dz"), ("fx", "fy", "fz"), ("p1", "p2", "p3")
+# the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY
+_ATOM = 1
+_LOCAL = 2
+_ARRAY = 2
+_PAIR = "xcg_pair"
+_IDS = "xcg_ids"
 _PARTNERS = ("patom1", "patom2")
-_WALL_COLUMNS = 8  # touches, force (3), point (3), radius
+_BRANCH = ("dx", "dy", "dz")
+_NORMAL = ("fx", "fy", "fz")
+_TANGENTIAL = ("p1", "p2", "p3")
 
 
 def scene_from_lammps(
@@ -103,19 +106,22 @@ def scene_from_lammps(
             "property/local patom1 patom2 cutoff radius' and 'compute pl all pair/local dx dy dz fx fy fz p1 p2 p3 "
             "cutoff radius', and pass contacts={'ids': 'patom1 patom2', 'pl': 'dx dy dz fx fy fz p1 p2 p3'}"
         )
+    if isinstance(walls, str):
+        walls = [walls]
     if not isinstance(walls, Mapping):
-        walls = {wall: wall for wall in ([walls] if isinstance(walls, str) else walls)}
+        walls = dict(zip(walls, walls, strict=True))
+    if units is None:
+        units = units_of_system(str(lmp.extract_global("units")), "LAMMPS has")
     with _computes(lmp) if contacts is True else nullcontext(contacts or {}) as columns:
         arrays = _atoms(lmp)
-        parts = [_pairs(lmp, columns, arrays)] if columns else []
-        parts += [
-            _wall(lmp, fix, number, arrays["particle_id"])
-            for number, fix in enumerate(walls.values())
-        ]
+        parts = []
+        if columns:
+            parts.append(_pairs(lmp, columns, arrays))
+        for number, fix in enumerate(walls.values()):
+            parts.append(_wall(lmp, fix, number, arrays["particle_id"]))
         if parts:
-            arrays |= {
-                name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS
-            }
+            for name in WALL_CONTACTS:
+                arrays[name] = np.concatenate([part[name] for part in parts])
         if frozen is not None:
             arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
         low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
@@ -129,29 +135,28 @@ def scene_from_lammps(
             box=np.stack([low, high], axis=1),
             lattice={"xy": xy, "xz": xz, "yz": yz},
             shear_rate=shear_rate,
-            periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
+            periodic="".join(compress(COMPONENTS, periodic)),
             gravity=gravity,
             dimension=int(lmp.extract_setting("dimension")),
-            units=units_of_system(str(lmp.extract_global("units")), "LAMMPS has")
-            if units is None
-            else units,
+            units=units,
         )
-    return scene.assign_attrs(engine="lammps", **(named_walls(walls) if walls else {}))
+    scene.attrs["engine"] = "lammps"
+    if walls:
+        scene.attrs |= named_walls(walls)
+    return scene
 
 
 @contextmanager
 def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
     """Define computes of touching pairs, and remove them in the end; they are ready after ``run 0``."""
-    granular = "gran" in str(lmp.extract_global("pair_style"))
-    columns = {
-        _IDS: " ".join(_PARTNERS),
-        _PAIR: " ".join((*_BRANCH, *_NORMAL, *(_TANGENTIAL if granular else ()))),
-    }
+    columns = {_IDS: " ".join(_PARTNERS), _PAIR: " ".join(_BRANCH + _NORMAL)}
+    if "gran" in str(lmp.extract_global("pair_style")):
+        columns[_PAIR] += " " + " ".join(_TANGENTIAL)
     styles = {_IDS: "property/local", _PAIR: "pair/local"}
-    there = [name for name in columns if lmp.has_id("compute", name)]
-    if there:
+    taken = [name for name in columns if lmp.has_id("compute", name)]
+    if taken:
         raise SceneError(
-            f"LAMMPS has a compute {there[0]!r} already: give it another ID, or name its columns with contacts="
+            f"LAMMPS has a compute {taken[0]!r} already: give it another ID, or name its columns with contacts="
         )
     try:
         for name, words in columns.items():
@@ -167,24 +172,26 @@ def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
 def _atoms(lmp: Any) -> dict[str, NDArray]:
     """Atoms of this process as variables of the scene."""
     count = int(lmp.extract_global("nlocal"))
-
     words = {
         "particle_id": "id",
         "species": "type",
         "position": "x",
         "velocity": "v",
         "angular_velocity": "omega",
+        "mass": "rmass",
+        "diameter": "radius",
     }
-    words |= {"mass": "rmass", "radius": "radius"}
-    there = {name: lmp.numpy.extract_atom(word) for name, word in words.items()}
-    # ghosts follow; copies, as LAMMPS moves on
-    found = {name: np.array(values[:count]) for name, values in there.items() if values is not None}
-    if "radius" not in found:
+    arrays = {}
+    for name, word in words.items():
+        values = lmp.numpy.extract_atom(word)
+        if values is not None:
+            arrays[name] = np.array(values[:count])  # ghosts follow; a copy, as LAMMPS moves on
+    if "diameter" not in arrays:
         raise SceneError(
             "the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'"
         )
-    found["diameter"] = 2 * found.pop("radius")
-    return found
+    arrays["diameter"] = 2 * arrays["diameter"]
+    return arrays
 
 
 def _pairs(
@@ -195,30 +202,27 @@ def _pairs(
     for compute, words in columns.items():
         if not lmp.has_id("compute", compute):
             raise SceneError(f"contacts={dict(columns)!r}: LAMMPS has no compute {compute!r}")
-        values = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY))
         names = words.split()
-        if values.size and values.shape[1] != len(names):
+        values = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY), len(names))
+        if values.shape[1] != len(names):
             raise SceneError(
                 f"contacts={dict(columns)!r}: compute {compute!r} has {values.shape[1]} columns, {len(names)} are named"
             )
-        table |= {
-            name: values[:, k] if values.size else np.zeros(0) for k, name in enumerate(names)
-        }
+        table |= dict(zip(names, values.T, strict=True))
     needed = (*_PARTNERS, *_BRANCH, *_NORMAL)
     lacking = [name for name in needed if name not in table]
     if lacking:
         raise SceneError(
             f"contacts={dict(columns)!r} lacks {lacking}: expected {' '.join(needed)}, and of granular styles p1 p2 p3"
         )
-    if len({len(values) for values in table.values()}) > 1:
-        rows = {name: len(values) for name, values in table.items()}
+    rows = {name: len(values) for name, values in table.items()}
+    if len(set(rows.values())) > 1:
         raise SceneError(
             f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'"
         )
     i, j = (table[name].astype("int64") for name in _PARTNERS)
-    branch, force = (
-        np.stack([table[name] for name in three], axis=1) for three in (_BRANCH, _NORMAL)
-    )
+    branch = np.stack([table[name] for name in _BRANCH], axis=1)
+    force = np.stack([table[name] for name in _NORMAL], axis=1)
     if all(name in table for name in _TANGENTIAL):
         force = force + np.stack([table[name] for name in _TANGENTIAL], axis=1)
     # a partner may be on another process: the point follows from the sizes of both
@@ -234,26 +238,25 @@ def _wall(lmp: Any, fix: str, number: int, ids: NDArray) -> dict[str, NDArray]:
     """Contacts of this process with a wall."""
     if not lmp.has_id("fix", fix):
         raise SceneError(f"walls: LAMMPS has no fix {fix!r}")
-    values = _array(lmp.numpy.extract_fix(fix, _ATOM, _ARRAY))
-    if values.size and values.shape[1] != _WALL_COLUMNS:
+    values = _array(lmp.numpy.extract_fix(fix, _ATOM, _ARRAY), WALL_ARRAY)
+    if values.shape[1] != WALL_ARRAY:
         raise SceneError(
             f"walls: fix {fix!r} does not tell its contacts; define it as 'fix {fix} ... wall/gran ... contacts'"
         )
-    values = values[: len(ids)] if values.size else np.zeros((0, _WALL_COLUMNS))
-    rows = np.flatnonzero(values[:, 0] > 0)
-    partner = np.full(len(rows), FIRST_WALL - number)
-    return dict(
-        zip(
-            WALL_CONTACTS,
-            (ids[rows].astype("int64"), partner, values[rows, 1:4], values[rows, 4:7]),
-            strict=True,
-        )
-    )
+    rows = np.flatnonzero(values[: len(ids), 0] > 0)
+    return {
+        "contact_i": ids[rows].astype("int64"),
+        "contact_j": np.full(len(rows), FIRST_WALL - number),
+        "contact_force": values[rows, 1:4],
+        "contact_point": values[rows, 4:7],
+    }
 
 
-def _array(values: Any) -> NDArray:
-    """Copy what LAMMPS holds; no rows where it gives nothing."""
-    return np.zeros((0, 0)) if values is None else np.atleast_2d(np.array(values))
+def _array(values: Any, columns: int) -> NDArray:
+    """Copy what LAMMPS holds (n, columns); no rows where it gives nothing."""
+    if values is None or not np.size(values):
+        return np.zeros((0, columns))
+    return np.atleast_2d(np.array(values))
 
 
 def _gathered(lmp: Any, values: NDArray) -> NDArray:

@@ -9,9 +9,10 @@ Components are called by letters, or numbered: ``v_x``, ``Velocity X``, ``Veloci
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import chain
 from typing import TypeAlias
 
 from xcg.scene.schema import COMPONENTS
@@ -160,6 +161,13 @@ def components(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
     return slots
 
 
+def vector_columns(name: str, width: int) -> list[str]:
+    """Return the names of the columns of a vector: v_x v_y v_z, or v[1] v[2] ... of more than three."""
+    if width <= len(COMPONENTS):
+        return [f"{name}_{axis}" for axis in COMPONENTS[:width]]
+    return [f"{name}[{k}]" for k in range(1, width + 1)]
+
+
 def _slots(
     scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
 ) -> dict[str, tuple[str, ...]]:
@@ -182,6 +190,9 @@ PARTICLE_SLOTS: Slots = {
     "exponent_2": ("exponent2", "block2", "blockiness2"),
 }
 CONTACT_SLOTS: Slots = _slots(_CONTACT_SCALARS, _CONTACT_VECTORS)
+
+
+ALL_SLOTS: Slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
 CLOCK_SLOTS: Slots = {
     "time": ("time", "t", "simulationtime", "simtime", "physicaltime"),
     "step": ("step", "timestep", "frame", "iteration", "snapshot"),
@@ -228,22 +239,23 @@ def _columns_by_name(
 ) -> dict[str, str]:
     named = canonical_columns(columns)
     by_alias = {
-        slot: [named.get(canonical(alias), [""])[0] for alias in aliases] for slot, aliases in slots
+        slot: {
+            place: named[canonical(alias)][0]
+            for place, alias in enumerate(aliases)
+            if canonical(alias) in named
+        }
+        for slot, aliases in slots
     }
     filled = {}
-    for slot, found in by_alias.items():
+    for slot, candidates in by_alias.items():
+        places = list(candidates)
         vector, _, axis = slot.rpartition("_")
-        siblings = [by_alias.get(f"{vector}_{other}", []) for other in COMPONENTS]
-        places = [place for place, column in enumerate(found) if column]
         if axis in COMPONENTS:
-            counts = [
-                sum(bool(place < len(other) and other[place]) for other in siblings)
-                for place in range(max(map(len, siblings), default=0))
-            ]
-            best = max(counts, default=0)
-            places = [place for place in places if place == counts.index(best)]
+            siblings = [by_alias.get(f"{vector}_{other}", {}) for other in COMPONENTS]
+            counts = Counter(sorted(chain(*siblings)))
+            places = [place for place, _ in counts.most_common(1) if place in candidates]
         if places:
-            filled[slot] = found[places[0]]
+            filled[slot] = candidates[places[0]]
     return filled
 
 

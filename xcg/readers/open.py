@@ -283,8 +283,9 @@ def open_scene(
     numbered = lacks_ids(listing, ends)
     setup = setup_of(arguments, listing, ends)
     series, measured = make_series(arguments, listing, ends, setup)
+    arrays: Any = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
     scene = to_dataset(
-        indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks),
+        arrays,
         time=series.times,
         step=[step.particles.step for step in series.steps],
         box=series.boxes,

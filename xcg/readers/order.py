@@ -64,12 +64,14 @@ def order_steps(steps: Sequence[Step], kind: str, read: Read, *, timed: bool) ->
         _check_runs(steps, kind)
     repeated = [same for same in groups.values() if len(same) > 1]
     if repeated:
-        old, new = source_of(repeated[0][-2].particles), source_of(repeated[0][-1].particles)
-        others = len(steps) - len(groups) - 1
-        more = f"; so are {others} further steps that occur again" if others else ""
-        warn_user(
-            f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=){more}"
+        old, new = (source_of(step.particles) for step in repeated[0][-2:])
+        message = (
+            f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=)"
         )
+        others = len(steps) - len(groups) - 1
+        if others:
+            message += f"; so are {others} further steps that occur again"
+        warn_user(message)
     return [groups[key][-1] for key in sorted(groups)]
 
 
@@ -92,8 +94,8 @@ def _check_names(steps: Sequence[Step], kind: str) -> None:
     """Raise SceneError if only the names of files could number the steps, and they do not."""
     unnumbered = [step for step in steps if step.time is None and step.particles.step < 0]
     paths = list(dict.fromkeys(step.particles.path for step in unnumbered))
-    problem = read_file_numbers(paths).problem if len(paths) > 1 else ""
-    if problem:
+    problem = read_file_numbers(paths).problem
+    if problem and len(paths) > 1:
         raise SceneError(
             f"{kind}: {problem}, so the steps of {paths[0]}, {paths[1]}, ... are not known; open the files of one run "
             f"alone, with one number that varies, or {_way_out(steps, kind)} (pieces of a step have the same time)"
@@ -124,22 +126,27 @@ def _check_runs(steps: Sequence[Step], kind: str) -> None:
     runs: dict[str, list[Step]] = {}
     for step, name in zip(steps, names, strict=True):
         runs.setdefault(name, []).append(step)
-    keys = {name: {_key(step) for step in run} for name, run in runs.items()}
-    latest = ""  # the run that ends last
-    for name in sorted(runs, key=lambda name: min(keys[name])):
-        if latest and min(keys[name]) < max(keys[latest]):
-            low, high = min(keys[name]), min(max(keys[name]), max(keys[latest]))
-            one, other = ({k for k in keys[run] if low <= k <= high} for run in (latest, name))
-            begins_with = min(keys[latest]) == low and len(keys[name]) > 1
-            if one != other or begins_with:
-                last, first = max(runs[latest], key=_key), min(runs[name], key=_key)
-                raise SceneError(
-                    f"{kind}: steps of two runs would be mixed, as {first.particles.path} ({_said(first)}) begins one "
-                    f"before {last.particles.path} ({_said(last)}) ends the other; open the runs one by one, leave out "
-                    f"the files of steps that were computed again, or {_way_out(steps, kind)}"
-                )
-        if not latest or max(keys[name]) > max(keys[latest]):
-            latest = name
+    ordered = sorted(runs.values(), key=lambda run: min(map(_key, run)))
+    latest = ordered[0]  # the run that ends last
+    for run in ordered[1:]:
+        keys = set(map(_key, run))
+        earlier = set(map(_key, latest))
+        low = min(keys)
+        high = min(max(keys), max(earlier))
+        shared = {key for key in keys if low <= key <= high}
+        shared_earlier = {key for key in earlier if low <= key <= high}
+        begin_together = min(earlier) == low and len(keys) > 1
+        repeats_the_end = shared == shared_earlier and not begin_together
+        if low < max(earlier) and not repeats_the_end:
+            last = max(latest, key=_key)
+            first = min(run, key=_key)
+            raise SceneError(
+                f"{kind}: steps of two runs would be mixed, as {first.particles.path} ({_said(first)}) begins one "
+                f"before {last.particles.path} ({_said(last)}) ends the other; open the runs one by one, leave out "
+                f"the files of steps that were computed again, or {_way_out(steps, kind)}"
+            )
+        if max(keys) > max(earlier):
+            latest = run
 
 
 def run_names(paths: Sequence[str]) -> list[str]:
@@ -166,7 +173,7 @@ def _are_pieces(groups: Sequence[Sequence[Step]], kind: str, read: Read) -> bool
             continue
         rows = [_identities(frame, refs, kind) for frame in frames]
         different = len(np.unique(np.concatenate(rows), axis=0))
-        return different == sum(len(np.unique(own, axis=0)) for own in rows)
+        return different == sum(len(np.unique(ids, axis=0)) for ids in rows)
     return False
 
 

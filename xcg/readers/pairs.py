@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -37,9 +38,8 @@ def index_files(
     for kind, paths in files.items():
         refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
         if not refs:
-            shown = f"{', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(
-                f"{kind}: no step in {shown}; are these files empty, or of another code?"
+                f"{kind}: no step in {_some(paths)}; are these files empty, or of another code?"
             )
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
@@ -101,24 +101,7 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []
     for ref in refs:
-        problems = [
-            f"column '{name}' is in the first only"
-            for name in pattern.columns
-            if name not in ref.columns
-        ]
-        problems += [
-            f"column '{name}' is in the second only"
-            for name in ref.columns
-            if name not in pattern.columns
-        ]
-        for name in same:
-            one, other = getattr(pattern, name), getattr(ref, name)
-            if (one is None) != (other is None):
-                problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
-            elif name in ("periodic", "units") and one != other:
-                problems.append(
-                    f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)"
-                )
+        problems = _differences(pattern, ref, same)
         if not problems:
             kept.append(ref)
             continue
@@ -127,6 +110,25 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
         if not errors.record_fault(source_of(ref), error):
             raise error
     return kept
+
+
+def _differences(first: StepRef, second: StepRef, same: Sequence[str]) -> list[str]:
+    """Describe why two steps do not make one series; see `one_series`."""
+    problems = []
+    for held, other, which in ((first, second, "first"), (second, first, "second")):
+        lacking = [f"column '{name}'" for name in held.columns if name not in other.columns]
+        for name in same:
+            if getattr(other, name) is None and getattr(held, name) is not None:
+                lacking.append(f"the {name}")
+        problems += [f"{what} is in the {which} only" for what in lacking]
+    for name in same:
+        before = getattr(first, name)
+        after = getattr(second, name)
+        if name in ("periodic", "units") and None not in (before, after) and before != after:
+            problems.append(
+                f"{name}: {before!r} became {after!r} (the argument {name}= overrides both)"
+            )
+    return problems
 
 
 def pair_steps(
@@ -146,12 +148,12 @@ def pair_steps(
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
-        given = floats(times)
-        if given.shape != (len(refs),) or not np.isfinite(given).all():
+        numbers = floats(times)
+        if numbers.shape != (len(refs),) or not np.isfinite(numbers).all():
             raise SceneError(
-                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step"
+                f"times has shape {numbers.shape}: expected {len(refs)} finite numbers, one a step"
             )
-        known = given.tolist()
+        known = numbers.tolist()
     steps = [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)]
     read = partial(read_step, reader, options)
     steps = order_steps(steps, "particles", read, timed=times is not None)
@@ -180,34 +182,30 @@ def _join(
 ) -> list[Step]:
     """Match contacts to steps: by time where both have one, else by number; one by one where they are listed alike."""
     timed = others[0].time is not None and steps[0].particles.time is not None
-    one = (
-        together
-        and len(steps) == len(others) == 1
-        and (steps[0].particles.named or others[0].named)
-    )
-    if alike and len(steps) == len(others):
+    same = "time" if timed else "step number"
+    named = steps[0].particles.named or others[0].named
+    is_one_pair = together and named and len(steps) == len(others) == 1
+    unnumbered = others[-1].step < 0  # files that tell neither, in their order
+    in_order = alike or (not timed and (is_one_pair or unnumbered))
+    rows = {ref.step: row for row, ref in enumerate(others)}
+    if in_order and len(steps) == len(others):
         partner = list(range(len(others)))
     elif timed:
         partner = _same_time(steps, others)
-    # files that tell neither, in their order
-    elif one or (others[-1].step < 0 and len(others) == len(steps)):
-        partner = list(range(len(others)))
     else:
-        rows = {ref.step: row for row, ref in enumerate(others)}
         partner = [rows.get(step.particles.step, -1) for step in steps]
-    paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
-    lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
-    unused = [ref for row, ref in enumerate(others) if row not in partner]
-    if lacking and (missing == "raise" or not paired):
-        same = "time" if timed else "step number"
+    paired = list(zip(steps, partner, strict=True))
+    matched = set(partner)
+    lacking = [source_of(step.particles) for step, row in paired if row < 0]
+    unused = [source_of(ref) for row, ref in enumerate(others) if row not in matched]
+    if lacking and (missing == "raise" or len(lacking) == len(steps)):
         raise SceneError(
             f"{kind}: no step with the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
-            f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
-            "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
+            f"({_some(lacking)}); there are {_some([*map(source_of, others)])}. Give the files that are missing, or "
+            "leave such steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
         )
-    if missing == "empty":
-        paired = list(zip(steps, partner, strict=True))
-    elif lacking:
+    if lacking and missing == "skip":
+        paired = [(step, row) for step, row in paired if row >= 0]
         warn_user(
             f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}"
         )
@@ -216,76 +214,81 @@ def _join(
             f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}"
         )
     _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
-    return [
-        replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else [])))
-        for step, row in paired
-    ]
+    joined = []
+    for step, row in paired:
+        if row >= 0:
+            step = replace(step, contacts=(*step.contacts, others[row]))
+        joined.append(step)
+    return joined
 
 
 def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
     """Warn of contacts in files with another box than that of the particles, along axes that may be periodic."""
     for step, ref in pairs:
-        own, other = step.particles.box, ref.box
-        if own is None or other is None:
+        box = step.particles.box
+        if box is None or ref.box is None:
             continue
-        for k, a in enumerate(COMPONENTS):
-            period = own[k][1] - own[k][0]
-            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(
-                own[k], other[k], 0, 1e-4 * period
-            ):
+        for axis, edges, others in zip(COMPONENTS, box, ref.box, strict=True):
+            if axis not in (step.particles.periodic or COMPONENTS):
+                continue
+            if not np.allclose(edges, others, 0, 1e-4 * (edges[1] - edges[0])):
                 warn_user(
-                    f"{kind}: the box of {source_of(ref)} is {list(other[k])} along {a!r}, and that of the particles "
-                    f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
+                    f"{kind}: the box of {source_of(ref)} is {list(others)} along {axis!r}, and that of the particles "
+                    f"({source_of(step.particles)}) is {list(edges)}, which is taken: are both of one run?"
                 )
                 return
 
 
 def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
     """Find the contacts nearest in time, -1 beyond 1e-3 of the shortest interval (one step: 1e-6 of its time)."""
-    wanted = np.array([step.particles.time for step in steps], float)
-    there = np.array([ref.time for ref in others], float)
-    far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])
-    nearest = [int(np.argmin(np.abs(there - time))) for time in wanted]
-    return [
-        row if abs(there[row] - time) <= far else -1
-        for row, time in zip(nearest, wanted, strict=True)
-    ]
+    times = np.array([step.particles.time for step in steps], float)
+    times_of_contacts = np.array([ref.time for ref in others], float)
+    most = 1e-6 * abs(times[0])
+    if len(times) > 1:
+        most = 1e-3 * np.diff(np.sort(times)).min()
+    nearest = [int(np.argmin(np.abs(times_of_contacts - time))) for time in times]
+    near = np.abs(times_of_contacts[nearest] - times) <= most
+    return np.where(near, nearest, -1).tolist()
 
 
-def _some(refs: Sequence[StepRef]) -> str:
-    return ", ".join([*(source_of(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
+def _some(names: Sequence[str]) -> str:
+    """List the first three names."""
+    shown = list(names[:3])
+    if len(names) > 3:
+        shown.append("...")
+    return ", ".join(shown)
 
 
 def origin_of(
     engine: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, steps: Sequence[Step]
 ) -> dict[str, str]:
     """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
-    named = {
-        kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)"
-        for kind, p in files.items()
-    }
+    lines = []
+    for kind, paths in files.items():
+        line = f"{kind}: {paths[0]}"
+        if len(paths) > 1:
+            line += f" to {paths[-1]} ({len(paths)} files)"
+        lines.append(line)
     contacts = next((step.contacts for step in steps if step.contacts), ())
     refs = {"particles": [step.particles for step in steps[:1]], "contacts": contacts}
-    said = {
+    attrs = {
         "engine": engine.name,
-        "files": "\n".join(f"{kind}: {text}" for kind, text in named.items()),
+        "files": "\n".join(lines),
         "ignored_columns": ignored_columns(engine, refs, options),
     }
-    return {name: printable(text) for name, text in said.items() if text}
+    return {name: printable(text) for name, text in attrs.items() if text}
 
 
 def ignored_columns(
     engine: Engine, refs: Mapping[str, Iterable[StepRef]], options: ReadOptions
 ) -> str:
     """List the columns that are not read, a line a kind of file."""
-    left = {
-        kind: [
-            name
-            for ref in listed
-            for name in engine.ignored_columns(ref, options, contacts=kind == "contacts")
+    lines = []
+    for kind, listed in refs.items():
+        ignored = [
+            engine.ignored_columns(ref, options, contacts=kind == "contacts") for ref in listed
         ]
-        for kind, listed in refs.items()
-    }
-    return "\n".join(
-        f"{kind}: {', '.join(dict.fromkeys(names))}" for kind, names in left.items() if names
-    )
+        names = dict.fromkeys(chain(*ignored))
+        if names:
+            lines.append(f"{kind}: {', '.join(names)}")
+    return "\n".join(lines)

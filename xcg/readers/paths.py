@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 
-from xcg.common.checks import is_positive
+from xcg.common.checks import POSITIVE, check
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import StepRef
 from xcg.readers.filenames import read_file_numbers, sort_by_numbers
@@ -44,21 +44,21 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
         If a path does not exist or a glob matches nothing; the message names similar files.
     """
     single = isinstance(paths, (str, os.PathLike))
-    found: list[str] = []
-    for given in cast(Iterable[PathLike], [paths] if single else paths):
-        path = os.path.expanduser(os.fspath(given))
+    all_files: list[str] = []
+    for listed in cast(Iterable[PathLike], [paths] if single else paths):
+        path = os.path.expanduser(os.fspath(listed))
         files = [path]
         if not os.path.isfile(path):
             files = sort_by_numbers(filter(os.path.isfile, glob.glob(path, recursive=True)))
         if not files:
             error = FileNotFoundError(f"{argument}={path!r}{_why_none(path)}")
-            if single or not errors.record_fault(os.fspath(given), error):
+            if single or not errors.record_fault(os.fspath(listed), error):
                 raise error
-        found += files
-    if not found:
+        all_files += files
+    if not all_files:
         errors.raise_recorded()
         raise FileNotFoundError(f"{argument}=[]: expected at least one file")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(all_files))
 
 
 def _why_none(path: str) -> str:
@@ -69,16 +69,18 @@ def _why_none(path: str) -> str:
         return f" is a folder; give the files in it, for example {os.path.join(path, '*.dump')!r}"
     folder, name = os.path.split(path)
     folder = folder or "."
-    problem = ": no file matches this pattern" if glob.has_magic(path) else ": no such file"
+    problem = ": no such file"
+    if glob.has_magic(path):
+        problem = ": no file matches this pattern"
     if glob.has_magic(folder):
         return problem
     if not os.path.isdir(folder):
         return f"{problem}; the folder {folder!r} does not exist"
-    there = sort_by_numbers(entry.name for entry in Path(folder).iterdir() if entry.is_file())
-    if not there:
+    files = sort_by_numbers(entry.name for entry in Path(folder).iterdir() if entry.is_file())
+    if not files:
         return f"{problem}; the folder {folder!r} holds no files"
-    similar = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or there[:3]
-    return f"{problem}; the folder {folder!r} holds {len(there)} files, among them {', '.join(map(repr, similar))}"
+    similar = difflib.get_close_matches(name, files, n=3, cutoff=0.4) or files[:3]
+    return f"{problem}; the folder {folder!r} holds {len(files)} files, among them {', '.join(map(repr, similar))}"
 
 
 def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
@@ -87,14 +89,13 @@ def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, f
         refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None
     }
     if len(named) > 1:
-        found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
+        listed = ", ".join(f"{system!r} in {name}" for system, name in named.items())
         raise SceneError(
-            f"headers name different unit systems ({found}); give the factors to SI with units="
+            f"headers name different unit systems ({listed}); give the factors to SI with units="
         )
-    return next(
-        (units_of_system(system, f"{name}: the header names") for system, name in named.items()),
-        None,
-    )
+    for system, name in named.items():
+        return units_of_system(system, f"{name}: the header names")
+    return None
 
 
 def not_against_headers(
@@ -104,23 +105,24 @@ def not_against_headers(
 
     Allowed all the same: factors where headers say lj, and "reduced" where they say si.
     """
-    given = Setup.make(units=units)
+    setup = Setup.make(units=units)
     for refs in indexed.values():
         system = refs[0].units
-        scaled = (system == "lj" and isinstance(units, Mapping)) or (
-            system == "si" and given.unit_system == "reduced"
-        )
-        if system not in UNIT_SYSTEMS or scaled:
+        if system not in UNIT_SYSTEMS:
             continue
         named = Setup.make(units=UNIT_SYSTEMS[system])
-        if given.unit_system != named.unit_system or not np.allclose(
-            given.scales, named.scales, rtol=1e-12, atol=0
-        ):
+        agrees = setup.unit_system == named.unit_system and np.allclose(
+            setup.scales, named.scales, rtol=1e-12, atol=0
+        )
+        way_out = "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
+        if system == "lj":
+            agrees = agrees or isinstance(units, Mapping)
             way_out = (
                 "give factors to SI, for example units={'length': 1.0, 'mass': 1.0, 'time': 1.0}"
-                if system == "lj"
-                else "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
             )
+        if system == "si":
+            agrees = agrees or setup.unit_system == "reduced"
+        if not agrees:
             raise SceneError(
                 f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
             )
@@ -155,84 +157,101 @@ def remembered(
     scan : callable
         Reads the headers of one file. What it returns may depend on the file and on `kind` only.
     """
-    found: list[list[StepRef]] = []
-    known: dict[str, tuple[Path | None, dict[str, Any]]] = {}
-    learnt: dict[str, dict[str, Any]] = {}
+    listed: list[list[StepRef]] = []
+    indexes: dict[str, _Index] = {}
     for path in paths:
-        folder, name = os.path.split(os.path.abspath(path))
-        if folder not in known:
-            known[folder] = _load(folder, kind)
+        folder = os.path.dirname(os.path.abspath(path))
+        if folder not in indexes:
+            indexes[folder] = _Index(folder, kind)
         steps: list[StepRef] = []
-        found.append(steps)
+        listed.append(steps)
         try:
-            state = os.stat(path)
-            stamp: dict[str, Any] = {"size": state.st_size, "modified": state.st_mtime_ns}
-            entry = known[folder][1].get(name, {})
-            if entry.items() >= stamp.items():
-                steps += [StepRef(path, **stamp, **step) for step in entry["steps"]]
-                continue
-            earlier = len(errors.recorded() or ())
-            for ref in scan(path):  # where faults are tolerated, the steps before one stay
-                if len(steps) == _MOST_STEPS:  # more cannot be kept in memory and in a graph
-                    raise SceneError(
-                        f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out"
-                    )
-                steps.append(replace(ref, **stamp))
-            after = os.stat(path)
-            same = (after.st_size, after.st_mtime_ns) == (state.st_size, state.st_mtime_ns)
-            if (
-                same
-                and time.time_ns() - after.st_mtime_ns > _SETTLED
-                and len(errors.recorded() or ()) == earlier
-            ):
-                learnt.setdefault(folder, {})[name] = stamp | {
-                    "steps": [_entry(ref) for ref in steps]
-                }
+            indexes[folder].add_steps(path, scan, steps)
         except errors.FAULTS as error:
             if steps and isinstance(error, SceneError):
-                first, last = steps[0].step, steps[-1].step
-                way = "" if errors.recorded() is not None else " with on_error='skip'"
-                error = SceneError(
-                    f"{error}; {len(steps)} whole steps before it (step {first} to {last}) are kept{way}"
-                )
+                first = steps[0].step
+                last = steps[-1].step
+                kept = f"{len(steps)} whole steps before it (step {first} to {last}) are kept"
+                if errors.recorded() is None:
+                    kept += " with on_error='skip'"
+                error = SceneError(f"{error}; {kept}")
             if not errors.record_fault(path, error):
                 raise error from None
-    for folder, entries in learnt.items():
-        place, before = known[folder]
-        if place is not None:
-            there = {
-                name: entry
-                for name, entry in before.items()
-                if os.path.exists(os.path.join(folder, name))
-            }
-            _save(place, there | entries)
-    return found
+    for index in indexes.values():
+        index.save()
+    return listed
+
+
+class _Index:
+    """Headers of the files of one folder, as they were when these were read."""
+
+    def __init__(self, folder: str, kind: str) -> None:
+        self._folder = folder
+        self._place, self._entries = _load(folder, kind)
+        self._is_new = False
+
+    def add_steps(
+        self, path: str, scan: Callable[[str], Iterable[StepRef]], steps: list[StepRef]
+    ) -> None:
+        """Append the steps of a file; where it is damaged, those before the fault stay."""
+        stamp = _stamp(path)
+        name = os.path.basename(path)
+        entry = self._entries.get(name, {})
+        if entry.items() >= stamp.items():
+            steps += [StepRef(path, **stamp, **step) for step in entry["steps"]]
+            return
+        earlier = len(errors.recorded() or ())
+        for ref in scan(path):
+            if len(steps) == _MOST_STEPS:  # more cannot be kept in memory and in a graph
+                raise SceneError(
+                    f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out"
+                )
+            steps.append(replace(ref, **stamp))
+        is_settled = _stamp(path) == stamp and time.time_ns() - stamp["modified"] > _SETTLED
+        if is_settled and len(errors.recorded() or ()) == earlier:
+            self._entries[name] = stamp | {"steps": [_entry(ref) for ref in steps]}
+            self._is_new = True
+
+    def save(self) -> None:
+        """Write the entries of files that exist, if one is new."""
+        if self._place is None or not self._is_new:
+            return
+        entries = {
+            name: entry
+            for name, entry in self._entries.items()
+            if os.path.exists(os.path.join(self._folder, name))
+        }
+        _save(self._place, entries)
+
+
+def _stamp(path: str) -> dict[str, Any]:
+    """Return size and time of modification of a file."""
+    state = os.stat(path)
+    return {"size": state.st_size, "modified": state.st_mtime_ns}
 
 
 def _entry(ref: StepRef) -> dict[str, Any]:
     """Return the items of a step that differ from the usual ones."""
     usual = {f.name: f.default for f in fields(StepRef) if f.name not in _LEFT_OUT}
-    return {
-        name: getattr(ref, name) for name, default in usual.items() if getattr(ref, name) != default
-    }
+    return {name: getattr(ref, name) for name in usual if getattr(ref, name) != usual[name]}
 
 
 def index_steps(
     paths: Sequence[str],
     kind: str,
     scan: Callable[[str], Iterable[StepRef]],
-    timestep: object = None,
+    timestep: Any = None,
 ) -> list[StepRef]:
     """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
 
     Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time
     get one.
     """
-    found = remembered(paths, kind, scan)
-    for path, steps in zip(paths, found, strict=True):
+    steps_of_files = remembered(paths, kind, scan)
+    for path, steps in zip(paths, steps_of_files, strict=True):
         if not steps:
             errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
-    refs = number_steps(paths, found)
+    refs = number_steps(paths, steps_of_files)
     if not refs:
         errors.raise_recorded()
     return timed_steps(refs, timestep)
@@ -242,51 +261,56 @@ def index_steps(
 _SAME_DURATION = 1e-3
 
 
-def timed_steps(refs: Sequence[StepRef], timestep: object) -> list[StepRef]:
-    """Return the steps, those without time with the number of the step times a `timestep`, unless that is None.
+def timed_steps(refs: Sequence[StepRef], timestep: Any) -> list[StepRef]:
+    """Return the steps; with a `timestep`, its product with the number of the step is the time where files hold none.
 
     Warn if the files hold other times.
     """
     if timestep is None or not refs:
         return list(refs)
-    if not is_positive(timestep):
-        raise SceneError(
-            f"timestep={timestep!r}: expected a positive number, the time between two steps"
-        )
+    check("timestep", timestep, POSITIVE, hint=", the time between two steps")
+    step_length = float(timestep)
     if refs[0].time is not None and refs[-1].time is not None:
         duration = refs[-1].time - refs[0].time
-        by_timestep = (refs[-1].step - refs[0].step) * float(timestep)
+        by_timestep = (refs[-1].step - refs[0].step) * step_length
         if abs(duration - by_timestep) > _SAME_DURATION * max(abs(duration), abs(by_timestep)):
             warn_user(
-                f"timestep={float(timestep):g} is not used, as the files hold times ({refs[0].time:g} to "
+                f"timestep={step_length:g} is not used, as the files hold times ({refs[0].time:g} to "
                 f"{refs[-1].time:g}): leave it out, or give times="
             )
     first = min(refs[0].step, 0)
-    return [
-        replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref
-        for ref in refs
-    ]
+    timed = []
+    for ref in refs:
+        if ref.time is None:
+            ref = replace(ref, time=(ref.step - first) * step_length)
+        timed.append(ref)
+    return timed
 
 
-def number_steps(paths: Sequence[str], found: Sequence[Sequence[StepRef]]) -> list[StepRef]:
+def number_steps(
+    paths: Sequence[str], steps_of_files: Sequence[Sequence[StepRef]]
+) -> list[StepRef]:
     """Return the steps of all files, each with a number.
 
     A step without a number (-1) gets the number or the time in the name of its file if it is the
     only one there, see `read_file_numbers`; else a negative number, in the order of the files.
     """
     by_name = read_file_numbers(paths)
+    count = sum(map(len, steps_of_files))
     refs: list[StepRef] = []
-    for steps, number, time_in_name in zip(found, by_name.steps, by_name.times, strict=True):
+    for steps, number, time_in_name in zip(
+        steps_of_files, by_name.steps, by_name.times, strict=True
+    ):
         for ref in steps:
             of_name = ref.step < 0 and len(steps) == 1
             if of_name and ref.time is None and time_in_name is not None:
                 ref = replace(ref, time=time_in_name, named=True)
             if of_name and number is not None:
                 ref = replace(ref, step=number, named=True)
+            if ref.step < 0:
+                ref = replace(ref, step=len(refs) - count)
             refs.append(ref)
-    return [
-        ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)
-    ]
+    return refs
 
 
 # --- the files of the index ------------------------------------------------------------------------------

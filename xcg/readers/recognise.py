@@ -20,7 +20,8 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     for engine in all_engines():
         if all(engine.recognises(path) for path in firsts):
             return engine
-    if empty := [path for path in firsts if not os.path.getsize(path)]:
+    empty = [path for path in firsts if not os.path.getsize(path)]
+    if empty:
         raise SceneError(
             f"{empty[0]}: the file is empty; write it again, or leave it out (on_error='skip')"
         )

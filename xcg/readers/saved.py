@@ -36,20 +36,17 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
         If there are more files beside it.
     """
     paths = [particles] if isinstance(particles, (str, os.PathLike)) else particles
-    if (
-        not isinstance(paths, Sequence)
-        or not paths
-        or Path(paths[0]).suffix.lower() not in _SUFFIXES
-    ):
+    if not isinstance(paths, Sequence) or not paths:
         return None
-    given = [os.path.expanduser(os.fspath(path)) for path in paths]
-    found = [
-        path for one in given for path in ([one] if os.path.exists(one) else sorted(glob.glob(one)))
-    ]
-    saved = [path for path in found if _may_be_saved(Path(path))]
-    if saved and len(found) > 1:
+    if Path(paths[0]).suffix.lower() not in _SUFFIXES:
+        return None
+    files = []
+    for path in map(os.path.expanduser, map(os.fspath, paths)):
+        files += [path] if os.path.exists(path) else sorted(glob.glob(path))
+    saved = [path for path in files if _may_be_saved(Path(path))]
+    if saved and len(files) > 1:
         raise SceneError(
-            f"{saved[0]} is a scene that xcg saved, which is opened alone; open the {len(found)} files one by one, and "
+            f"{saved[0]} is a scene that xcg saved, which is opened alone; open the {len(files)} files one by one, and "
             "join their scenes by xarray.concat(scenes, 'time')"
         )
     return saved[0] if saved else None
@@ -58,7 +55,7 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
 def _may_be_saved(path: Path) -> bool:
     """Return whether this is a Zarr folder, a NetCDF 4 file, or an HDF5 file with a scene as xarray writes it."""
     suffix = path.suffix.lower()
-    if suffix == ".zarr" or not path.is_file():
+    if not path.is_file():
         return suffix == ".zarr" and path.is_dir()
     with path.open("rb") as file:
         if file.read(len(_HDF5)) != _HDF5:
@@ -84,10 +81,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     try:
         ds = xr.open_dataset(path, engine=engine, cache=chunks is None)
         # numbers of steps and boxes, by which faults are told
-        for name in {
-            *ds.coords,
-            *(BOX.keys() & ds.keys()),
-        }:
+        for name in {*ds.coords} | (BOX.keys() & ds.keys()):
             ds.variables[name].load()
     except DAMAGED as error:
         raise SceneError(
@@ -105,7 +99,9 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     of_time = next(iter(ds["time"].dims), None)
     # there may be no step
     sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (0,)
-    whole: dict[Hashable, Any] = {dim: sizes if dim == of_time else -1 for dim in ds.dims}
+    whole: dict[Hashable, Any] = dict.fromkeys(ds.dims, -1)
+    if of_time is not None:
+        whole[of_time] = sizes
     token = tokenize(path, os.stat(path).st_mtime_ns)
     lazy = {
         name: _lazy(values.variable, f"{path}: '{name}'", whole, f"{name}-{token}")
@@ -140,9 +136,11 @@ class _Read:
         try:
             return self.values[key].to_numpy()
         except DAMAGED as error:
-            steps = key[0] if "time" in self.values.dims[:1] else slice(None)
+            first, stop = 0, self.shape[0]
+            if "time" in self.values.dims[:1]:
+                first, stop, _ = key[0].indices(stop)
             raise SceneError(
-                f"{self.named} cannot be read at the steps {steps.start or 0} to {(steps.stop or self.shape[0]) - 1} "
+                f"{self.named} cannot be read at the steps {first} to {stop - 1} "
                 f"({type(error).__name__}: {error}); it is damaged, or gone: save the scene again"
             ) from error
 

@@ -77,8 +77,9 @@ class Listing:
         causes = []
         for place, cause in self.left_out.items():
             # most causes name the file; of one with many steps, the place goes on " from byte ..."
-            named = place.partition(" from byte ")[0] in cause
-            causes.append(cause if named else f"{place}: {cause}")
+            if place.partition(" from byte ")[0] not in cause:
+                cause = f"{place}: {cause}"
+            causes.append(cause)
         return causes
 
 
@@ -220,10 +221,12 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
     """Return what holds for all steps: from the arguments, else the headers, else the ends."""
     first = next(iter(ends))
     flat = _flat_plane(list(ends.values()))
-    plane, dimension = arguments.plane, arguments.dimension
+    plane = arguments.plane
+    dimension = arguments.dimension
     if dimension is None:
-        of_files = listing.steps[0].particles.dimension
-        dimension = len(plane) if plane else of_files or len(flat or COMPONENTS)
+        dimension = listing.steps[0].particles.dimension or len(flat or COMPONENTS)
+        if plane:
+            dimension = len(plane)
     if dimension == 2:
         plane = plane or flat or "xy"
     periodic = _within(plane, first.periodic or "")
@@ -257,7 +260,9 @@ def _check_periodic(given: str, named: str, source: str) -> None:
     """Warn if axes are given as periodic that are not so in the header; others may be left out on purpose."""
     added = "".join(axis for axis in given if axis not in named)
     if added:
-        names = f"names {named!r}" if named else "names no periodic axis"
+        names = "names no periodic axis"
+        if named:
+            names = f"names {named!r}"
         warn_user(
             f"periodic={given!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
             "neighbours; leave periodic= out, unless the header is wrong"
@@ -292,9 +297,13 @@ def make_series(
     """
     steps = listing.steps
     clock = [step.time for step in steps if step.time is not None]
-    times = np.array(clock) * setup.scales[2] if clock else None
+    times = None
+    if clock:
+        times = np.array(clock) * setup.scales[2]
     boxes = _boxes(arguments, listing, ends, setup, times)
-    frozen = None if arguments.frozen is None else _frozen_species(arguments.frozen, ends)
+    frozen = None
+    if arguments.frozen is not None:
+        frozen = _frozen_species(arguments.frozen, ends)
     source = Source(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
@@ -483,7 +492,9 @@ def _flat_plane(frames: Sequence[Frame]) -> str | None:
     if any(len(position) < 3 for position in positions):
         return None
     extended = [k for k in range(3) if any(np.ptp(position[:, k]) > 0 for position in positions)]
-    return "".join(COMPONENTS[k] for k in extended) if len(extended) == 2 else None
+    if len(extended) != 2:
+        return None
+    return "".join(COMPONENTS[k] for k in extended)
 
 
 def _within(plane: str | None, periodic: str) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 from xcg.common.messages import SceneError
-from xcg.readers.files.text import plain_name, scanned
+from xcg.readers.filenames import suffix_of
+from xcg.readers.files.text import scanned
 
 _HEAD = 1 << 12  # bytes that are looked at
 _ARRAYS = "xcg.scene_from_arrays"
@@ -193,8 +193,7 @@ def unread_format(path: str) -> UnreadFormat | None:
     """Return the format of a file if it is known and not read."""
     with scanned(path) as scanner:
         head = scanner.sample(_HEAD)
-    suffix = Path(plain_name(path)).suffix.lower()
-    return next((form for form in _FORMATS if form.fits(head, suffix)), None)
+    return next((form for form in _FORMATS if form.fits(head, suffix_of(path))), None)
 
 
 def refuse_unread(path: str) -> None:

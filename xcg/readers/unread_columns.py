@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import CONTACT_VECTORS, PARTICLE_VECTORS, RAW
@@ -35,18 +35,19 @@ def warn_of_unread(
     """
     expected = {*filled.values(), *options.names}
     expected.update(*columns_of_walls(options).values())
+    slots = CONTACT_SLOTS
     if not contacts:
+        slots = PARTICLE_SLOTS
         expected |= _warn_of_wall_arrays(ref, expected)
     unread = [column for column in ref.columns if column not in expected]
-    slots = CONTACT_SLOTS if contacts else PARTICLE_SLOTS
     aliases = {alias: slot for slot, names in slots.items() for alias in names}
     spare = {column: aliases.get(canonical(column), "") for column in unread}
     slots_of_file = {aliases.get(canonical(column)) for column in ref.columns}
-    suspects = [
-        column
-        for column in unread
-        if _SUSPECT.search(column) and not _is_whole(spare[column], slots_of_file)
-    ]
+    suspects = []
+    for column in filter(_SUSPECT.search, unread):
+        of_vector = {f"{spare[column][:-2]}_{axis}" for axis in COMPONENTS}
+        if not of_vector <= slots_of_file:
+            suspects.append(column)
     if suspects:
         target = "contact_force_x"
         if not contacts:
@@ -104,11 +105,6 @@ def warn_of_other_units(ref: StepRef, options: ReadOptions) -> None:
             f"{source_of(ref)}: columns {', '.join(map(repr, columns))} name a unit, and SI is "
             "taken; give the factors to SI, such as units={'length': 1e-3} for mm, or units='SI'"
         )
-
-
-def _is_whole(slot: str, slots: Container[str | None]) -> bool:
-    """Return whether all components of the vector of a slot are among these slots."""
-    return all(f"{slot[:-2]}_{axis}" in slots for axis in COMPONENTS)
 
 
 def _warn_of_wall_arrays(ref: StepRef, expected: set[str]) -> set[str]:

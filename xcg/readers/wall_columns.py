@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,13 @@ WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 def columns_of_walls(options: ReadOptions) -> dict[str, list[str]]:
     """Columns that the contacts with each wall have among those of particles: the whole array, or the six given."""
-    return {
-        wall: [given.replace("*", str(k + 1)) for k in range(WALL_ARRAY)]
-        if isinstance(given, str)
-        else list(given)
-        for wall, given in options.walls.items()
-    }
+    columns = {}
+    for wall, names in options.walls.items():
+        if isinstance(names, str):
+            columns[wall] = [names.replace("*", str(k + 1)) for k in range(WALL_ARRAY)]
+        else:
+            columns[wall] = list(names)
+    return columns
 
 
 def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
@@ -40,19 +42,23 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
     SceneError
         If a step of particles does not hold them.
     """
-    found = columns_of_walls(options)
-    for wall, given in options.walls.items():
-        found[wall] = found[wall][_FORCE_AND_POINT] if isinstance(given, str) else found[wall]
-        lacking = [column for column in found[wall] if column not in ref.columns]
-        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != 6 or lacking:
-            there = (
-                f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
-            )
-            raise SceneError(
-                f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
-                f"contacts', such as 'f_{wall}[*]', or names of six columns, force and point{there}"
-            )
-    return found
+    columns = columns_of_walls(options)
+    for wall, names in options.walls.items():
+        fits = len(names) == 6
+        if isinstance(names, str):
+            fits = "*" in names
+            columns[wall] = columns[wall][_FORCE_AND_POINT]
+        lacking = [column for column in columns[wall] if column not in ref.columns]
+        if fits and not lacking:
+            continue
+        message = (
+            f"{source_of(ref)}: walls={{{wall!r}: {names!r}}}: expected the columns of a 'fix wall/gran ... "
+            f"contacts', such as 'f_{wall}[*]', or names of six columns, force and point"
+        )
+        if lacking:
+            message += f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}"
+        raise SceneError(message)
+    return columns
 
 
 def wall_contacts_from(
@@ -62,20 +68,16 @@ def wall_contacts_from(
 
     `read_columns` is that of the engine, see `xcg.readers.columns.Columnar`.
     """
-    name = assign(ref, PARTICLE_SLOTS, options)["particle_id"]
+    of_ids = assign(ref, PARTICLE_SLOTS, options)["particle_id"]
     walls = wall_columns(ref, options)
-    wanted = {name, *(column for six in walls.values() for column in six)}
+    wanted = {of_ids, *chain(*walls.values())}
     table = read_columns(ref, wanted, ref.rows // len(walls), options)
-    parts = []
-    for number, six in enumerate(walls.values()):
-        values = np.stack([table[column] for column in six], axis=1)
+    parts: dict[str, list[NDArray]] = {name: [] for name in WALL_CONTACTS}
+    for number, columns in enumerate(walls.values()):
+        values = np.stack([table[column] for column in columns], axis=1)
         row = np.flatnonzero((values != 0).any(axis=1))
-        parts.append(
-            (
-                table[name][row],
-                np.full(len(row), FIRST_WALL - number),
-                values[row, :3],
-                values[row, 3:],
-            )
-        )
-    return dict(zip(WALL_CONTACTS, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+        parts["contact_i"].append(table[of_ids][row])
+        parts["contact_j"].append(np.full(len(row), FIRST_WALL - number))
+        parts["contact_force"].append(values[row, :3])
+        parts["contact_point"].append(values[row, 3:])
+    return {name: np.concatenate(arrays) for name, arrays in parts.items()}

@@ -54,12 +54,10 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
-        repair = (
-            ". Every row must hold finite numbers: repair or drop it."
-            if "not finite" in str(problems)
-            else ""
-        )
-        raise SceneError(f"{source}: {'; '.join(problems)}{repair}")
+        message = f"{source}: {'; '.join(problems)}"
+        if "not finite" in message:
+            message += ". Every row must hold finite numbers: repair or drop it."
+        raise SceneError(message)
 
 
 def _all_finite(values: NDArray) -> bool:
@@ -152,32 +150,25 @@ def complete_particles(
     count = len(given["position"])
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
     _check_rows(given, "particle", source)
-    if count:
-        order = _order_of(ids, source)
-        if order is not None:
-            for name in given:  # one after the other, as each is there twice for a while
-                target = memory.empty(given[name].shape, given[name].dtype)
-                given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
-            ids = given["particle_id"]
-        if ids[0] < 0:
-            row = 0 if order is None else order[0]
-            raise SceneError(
-                f"{source}: particle id {ids[0]} in row {row} is negative; negative ids are kept for "
-                "walls and padding"
-            )
+    if (ids < 0).any():
+        row = int(ids.argmin())
+        raise SceneError(
+            f"{source}: particle id {ids[row]} in row {row} is negative; negative ids are kept for "
+            "walls and padding"
+        )
+    order = _order_of(ids, source)
+    if order is not None:
+        for name in given:  # one after the other, as each is there twice for a while
+            target = memory.empty(given[name].shape, given[name].dtype)
+            given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
+        ids = given["particle_id"]
         del order
-    for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
-        may_be_zero = name in ("mass", "moment_of_inertia")
-        if (
-            name in given
-            and (given[name] <= 0).any()
-            and not (may_be_zero and (given[name] >= 0).all())
-        ):
-            bad = int(np.flatnonzero(given[name] < 0 if may_be_zero else given[name] <= 0)[0])
-            raise SceneError(
-                f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected "
-                f"{'0 or more' if may_be_zero else 'a positive number'}"
-            )
+    for name in ("diameter", "density", "volume"):
+        if name in given:
+            _require(given[name] > 0, name, "a positive number", given, source)
+    for name in ("mass", "moment_of_inertia"):
+        if name in given:
+            _require(given[name] >= 0, name, "0 or more", given, source)
     unwrapped = given.pop("unwrapped_position", None)
     if unwrapped is not None and lattice is not None:
         given["image"] = _images(given["position"], unwrapped, lattice, ids, source)
@@ -185,13 +176,30 @@ def complete_particles(
     if "body_id" in given:
         given["body_id"] = _without_default_body(given["body_id"], source)
     if "diameter" in given:
-        beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
-        if beyond.size:
-            raise SceneError(
-                f"{source}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
-                f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
-            )
+        _check_diameters(given["diameter"], ids, source)
     return given
+
+
+def _check_diameters(diameter: NDArray, ids: NDArray, source: str) -> None:
+    """Raise SceneError for lengths that no particle has."""
+    beyond = np.flatnonzero(~((diameter >= SHORTEST) & (diameter <= LONGEST)))
+    if beyond.size:
+        row = beyond[0]
+        raise SceneError(
+            f"{source}: 'diameter' of particle {ids[row]} is {diameter[row]:.3g} m, expected {SHORTEST:g} to "
+            f"{LONGEST:g} m; check the units, and the volume or mass that it follows from"
+        )
+
+
+def _require(fits: NDArray, name: str, expected: str, frame: Frame, source: str) -> None:
+    """Raise SceneError for the first particle whose variable is not as expected."""
+    if fits.all():
+        return
+    row = int(np.argmin(fits))
+    raise SceneError(
+        f"{source}: '{name}' of particle {frame['particle_id'][row]} is {frame[name][row]}; "
+        f"expected {expected}"
+    )
 
 
 def _order_of(ids: NDArray, source: str) -> NDArray | None:
@@ -204,7 +212,8 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
     """
     if (ids[1:] > ids[:-1]).all():
         return None
-    lowest, highest = int(ids.min()), int(ids.max())
+    lowest = int(ids.min())
+    highest = int(ids.max())
     if highest - lowest + 1 == len(ids):  # without gaps, each id has its place: nothing to sort
         places = ids - lowest
         taken = np.zeros(len(ids), bool)
@@ -269,7 +278,9 @@ def _images(
     periods = lattice.given
     whole = np.rint(away @ np.linalg.pinv(periods))
     rest = np.abs(away - whole @ periods).max(axis=1)
-    shortest = np.linalg.norm(periods, axis=1).min() if len(periods) else np.ptp(position)
+    shortest = np.ptp(position)
+    if len(periods):
+        shortest = np.linalg.norm(periods, axis=1).min()
     off = np.flatnonzero(rest > _DIGITS * shortest)
     if off.size:
         row = off[0]
@@ -282,22 +293,31 @@ def _images(
     return images
 
 
+def _volume_of(diameter: NDArray, setup: Setup) -> NDArray:
+    if setup.shape == "disc":
+        return np.pi / 4 * (setup.thickness or 0.0) * diameter**2
+    return np.pi / 6 * diameter**3
+
+
+def _diameter_of(volume: NDArray, setup: Setup) -> NDArray:
+    if setup.shape == "disc":
+        return np.sqrt(volume / (np.pi / 4 * (setup.thickness or 0.0)))
+    return np.cbrt(6 / np.pi * volume)
+
+
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     count = len(frame["position"])
-    disc = np.pi / 4 * (setup.thickness or 0.0)
     if setup.diameter is not None and not {"diameter", "volume"} & set(frame):
         frame["diameter"] = np.full(count, float(setup.diameter))
     if setup.mass is not None and "mass" not in frame:
         frame["mass"] = np.full(count, float(setup.mass))
     if "volume" not in frame:
         if "diameter" in frame:
-            d = frame["diameter"]
-            frame["volume"] = disc * d**2 if setup.shape == "disc" else np.pi / 6 * d**3
+            frame["volume"] = _volume_of(frame["diameter"], setup)
         elif {"mass", "density"} <= set(frame):
             frame["volume"] = frame["mass"] / frame["density"]
     if "diameter" not in frame and "volume" in frame:
-        v = frame["volume"]
-        frame["diameter"] = np.sqrt(v / disc) if setup.shape == "disc" else np.cbrt(6 / np.pi * v)
+        frame["diameter"] = _diameter_of(frame["volume"], setup)
     if "density" not in frame and "mass" not in frame and setup.density is not None:
         frame["density"] = np.full(count, float(setup.density))
     if "volume" in frame:
@@ -306,9 +326,8 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
         elif "mass" not in frame and "density" in frame:
             frame["mass"] = frame["density"] * frame["volume"]
     if {"angular_velocity", "mass", "diameter"} <= set(frame) and "moment_of_inertia" not in frame:
-        frame["moment_of_inertia"] = (
-            frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
-        )
+        share = {"disc": 8, "sphere": 10}[setup.shape]
+        frame["moment_of_inertia"] = frame["mass"] * frame["diameter"] ** 2 / share
 
 
 def complete_contacts(
@@ -391,9 +410,9 @@ def complete_contacts(
     unknown |= row_i < 0
     if unknown.any() and not allow_unknown:
         row = int(np.flatnonzero(unknown)[0])
-        name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
+        name = "contact_i" if row_i[row] < 0 else "contact_j"
         raise SceneError(
-            f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id "
+            f"{source}: contact row {number[row]} has {name}={given[name][row]}, and no particle has this id "
             f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
             "allow_unknown=True to treat unknown partners as walls"
         )
@@ -446,11 +465,9 @@ def _derive_points(
     source: str,
 ) -> NDArray:
     """Contact points (n, 3), derived from the spheres for `derived` contacts (n,); by blocks that stay in the cache."""
-    points = (
-        contacts["contact_point"].copy()
-        if "contact_point" in contacts
-        else np.empty((len(row_i), 3))
-    )
+    points = np.empty((len(row_i), 3))
+    if "contact_point" in contacts:
+        points[:] = contacts["contact_point"]
     wanted = np.flatnonzero(derived)
     for first in range(0, len(wanted), _BLOCK):
         some = wanted[first : first + _BLOCK]

@@ -44,13 +44,11 @@ def check_times(time: NDArray, purpose: str, way_out: str) -> None:
     _require_numbers(time, purpose)
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
-        found = (
-            f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}"
-            if late.size
-            else f"{time}"
-        )
+        times = f"{time}"
+        if late.size:
+            times = f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}"
         raise SceneError(
-            f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
+            f"{purpose} needs finite times that rise from step to step, and {times}; {way_out}"
         )
 
 
@@ -81,8 +79,9 @@ def times_are_known(ds: xr.Dataset) -> bool:
 
 def unit_of_times(ds: xr.Dataset) -> str:
     """Return the unit of differences of times: "1" where the times are not known."""
-    second = units_in("s", str(ds.attrs.get("unit_system", "SI")))
-    return second if times_are_known(ds) else "1"
+    if not times_are_known(ds):
+        return "1"
+    return units_in("s", str(ds.attrs.get("unit_system", "SI")))
 
 
 def require_known_times(ds: xr.Dataset, purpose: str) -> None:
@@ -115,13 +114,16 @@ def with_rising(f: T, dims: Iterable[str]) -> T:
     """Sort data along dimensions whose coordinates do not rise, as after ``isel(x=slice(None, None, -1))``."""
     indexes = {dim: f.indexes[dim] for dim in dims if dim in f.indexes}
     others = [dim for dim, index in indexes.items() if not index.is_monotonic_increasing]
-    return f.sortby(others) if others else f
+    if not others:
+        return f
+    return f.sortby(others)
 
 
 def with_time(ds: xr.Dataset) -> xr.Dataset:
     """Name the dimension of the steps "time" where it goes by their numbers (``swap_dims(time="step")``)."""
-    numbered = "step" in ds.sizes and "time" not in ds.sizes and "time" in ds.coords
-    return ds.swap_dims(step="time") if numbered else ds
+    if "step" in ds.sizes and "time" not in ds.sizes and "time" in ds.coords:
+        ds = ds.swap_dims(step="time")
+    return ds
 
 
 def require_steps(ds: xr.Dataset, purpose: str) -> None:
@@ -146,7 +148,9 @@ def step_at(ds: xr.Dataset, index: int) -> xr.Dataset:
             f"index={plain(index)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
             "select a time by .sel(time=...)"
         )
-    return ds.isel(time=int(index)) if "time" in ds.sizes else ds
+    if "time" in ds.sizes:
+        ds = ds.isel(time=int(index))
+    return ds
 
 
 def frame_at(ds: xr.Dataset, index: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
@@ -244,8 +248,10 @@ def check_finite(name: str, frame: Frame, source: str) -> None:
     if frame[name].dtype.kind != "f" or np.isfinite(frame[name]).all():
         return
     row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
-    at_contacts = variable(name).dims[0] == "contact"
-    whose = f"contact row {row}" if at_contacts else f"particle {frame['particle_id'][row]}"
+    if variable(name).dims[0] == "contact":
+        whose = f"contact row {row}"
+    else:
+        whose = f"particle {frame['particle_id'][row]}"
     raise SceneError(
         f"{source}: {name!r} of {whose} is {frame[name][row]}; every row must hold finite numbers: repair it, or leave "
         "the row out of the scene"
@@ -288,7 +294,9 @@ def steps_in(
     """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`."""
     rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, "time")}
     for t in range(len(next(iter(rows.values())))):
-        source = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
+        source = f"frame {t} of its chunk"
+        if "step" in arrays:
+            source = f"step {arrays['step'][t]}"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
         yield frame_of(rows, t, source, dims), Lattice.of(box, periodic, source), source
 
@@ -319,8 +327,10 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     squares, cubes, fourths = [(d**k).sum() for k in (2, 3, 4)]
     # powers of zero: NaN, which no width may be
     with np.errstate(invalid="ignore", divide="ignore"):
-        d32, d43 = float(cubes / squares), float(fourths / cubes)
-    smallest, largest = float(d[0]), float(d[-1])
+        d32 = float(cubes / squares)
+        d43 = float(fourths / cubes)
+    smallest = float(d[0])
+    largest = float(d[-1])
     del d
     return {
         "d43": d43,
@@ -350,7 +360,8 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
         total = sums[-1]
         middle = int(np.searchsorted(sums, 0.5 * total))
         near = np.flatnonzero(place == middle)
-        below = sums[middle - 1] if middle else 0.0
+        if middle:
+            below = sums[middle - 1]
     near = near[np.argsort(values[near])]
     up_to = below + np.cumsum(weights[near])
     # the last one where rounding keeps the sum below its half
@@ -358,38 +369,47 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
 
 
 def measured_variables(frame: Frame) -> Frame:
-    """Return the variables that `measure_frames` looks at; the memory of others can go before."""
-    return {
-        name: values
-        for name, values in frame.items()
-        if name in ("position", "diameter", "mass")
-        or (values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id")
-    }
+    """Return what `measure_frames` looks at; all other memory of the frame can go before.
+
+    Of positions these are the lowest and highest ones (2, 3), of integer variables the values that
+    they take.
+    """
+    measured: Frame = {name: frame[name] for name in ("diameter", "mass") if name in frame}
+    if "position" in frame and len(frame["position"]):
+        # axis by axis: along the first axis of an array (n, 3) NumPy takes many times as long
+        axes = frame["position"].T
+        measured["position"] = np.array([[x.min() for x in axes], [x.max() for x in axes]])
+    for name, values in frame.items():
+        if values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id":
+            measured[name] = _different(values)
+    return measured
 
 
-def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
+def measure_frames(frames: Iterable[Frame]) -> dict[str, Any]:
     """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
 
     The sizes of `sizes_of`, the lowest and highest coordinates of the centres, and the values that
-    integer variables take (``species_values``), over all the frames given.
+    integer variables take (``species_values``), over all the frames given, one of which is held
+    whole at a time. Frames may be such as `measured_variables` returns.
     """
     measured: dict[str, Any] = {}
-    positions = [f["position"] for f in frames if "position" in f and len(f["position"])]
-    if positions:
-        # axis by axis: along the first axis of an array (n, 3) NumPy takes many times as long
-        measured["particle_lower"] = np.min([[x.min() for x in p.T] for p in positions], axis=0)
-        measured["particle_upper"] = np.max([[x.max() for x in p.T] for p in positions], axis=0)
-    diameters = [f["diameter"] for f in frames if "diameter" in f]
+    parts = [measured_variables(frame) for frame in frames]
+    corners = [part["position"] for part in parts if "position" in part]
+    if corners:
+        measured["particle_lower"] = np.min(corners, axis=(0, 1))
+        measured["particle_upper"] = np.max(corners, axis=(0, 1))
+    diameters = [part["diameter"] for part in parts if "diameter" in part]
     if diameters and sum(map(len, diameters)):
-        masses = [f["mass"] for f in frames if "mass" in f]
-        whole = len(masses) == len(diameters)
-        measured |= sizes_of(_joined(diameters), _joined(masses) if whole else None)
-    for name in frames[0] if frames else ():
-        values = [f[name] for f in frames if f[name].dtype.kind == "i" and f[name].ndim == 1]
-        if values and name != "particle_id":
-            unique = np.unique(np.concatenate([_different(rows) for rows in values]))
-            if 0 < len(unique) <= MAX_GROUPS:
-                measured[f"{name}_values"] = unique
+        masses = [part["mass"] for part in parts if "mass" in part]
+        mass = None
+        if len(masses) == len(diameters):
+            mass = _joined(masses)
+        measured |= sizes_of(_joined(diameters), mass)
+    for name in dict.fromkeys(name for part in parts for name in part):
+        values = [part[name] for part in parts if name in part and part[name].dtype.kind == "i"]
+        unique = np.unique(np.concatenate(values or [np.empty(0)]))
+        if 0 < len(unique) <= MAX_GROUPS:
+            measured[f"{name}_values"] = unique
     return measured
 
 
@@ -402,7 +422,8 @@ def _different(values: NDArray) -> NDArray:
     """Return the different values of whole numbers, sorted; by counting where they are few."""
     if not len(values):
         return values
-    lowest, highest = int(values.min()), int(values.max())
+    lowest = int(values.min())
+    highest = int(values.max())
     if highest - lowest < len(values):
         return np.flatnonzero(np.bincount(values - lowest)) + lowest
     return np.unique(values)
@@ -492,12 +513,20 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
 
 @takes_scene
 def _measure(ds: xr.Dataset) -> xr.Dataset:
-    names = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
-    frames = []
-    for t in range(ds.sizes["time"]):
-        arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
-        frames.append(frame_of(arrays, 0, f"step {t}"))
-    return mark_measured(ds.assign_attrs(measure_frames(frames)))
+    names = [
+        str(name)
+        for name, values in ds.data_vars.items()
+        if "particle" in values.dims
+        and (name in ("position", "diameter", "mass") or values.dtype.kind == "i")
+    ]
+
+    def frame(t: int) -> Frame:
+        step = ds[names].isel(time=[t]).compute()
+        arrays = {name: step[name].transpose("time", ...).to_numpy() for name in names}
+        return frame_of(arrays, 0, f"step {t}")
+
+    measured = measure_frames(frame(t) for t in range(ds.sizes["time"]))
+    return mark_measured(ds.assign_attrs(measured))
 
 
 @takes_scene

@@ -120,7 +120,7 @@ def test_times_follow_from_step_numbers(tmp_path):
     path = str(write(tmp_path / "p.dump", dump_text(step=50)))
     (ref,) = lammps.index_particles([path], ReadOptions(extra={"timestep": 0.02}))
     assert ref.time == pytest.approx(1.0)
-    with pytest.raises(SceneError, match="timestep='fast'"):
+    with pytest.raises(ValueError, match="timestep='fast'"):
         lammps.index_particles([path], ReadOptions(extra={"timestep": "fast"}))
 
 

@@ -185,8 +185,6 @@ def test_a_collection_names_or_skips_all_missing_files(tmp_path):
     (tmp_path / "P_0001.vtp").unlink()
     with pytest.raises(SceneError, match="3 of 3 files"):
         mfix.index_particles([str(pvd)], skip)
-    with pytest.raises(SceneError, match="missing='ignore'"):
-        mfix.index_particles([str(pvd)], ReadOptions(extra={"missing": "ignore"}))
 
 
 def test_times_of_a_list_have_fewer_digits_than_those_of_the_files(tmp_path):

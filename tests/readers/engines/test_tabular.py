@@ -221,6 +221,12 @@ def test_arguments_do_not_repeat_columns(name):
     assert (ds.velocity[:, :, 0] == 1).all()
 
 
+def test_a_wrong_step_is_named_by_its_row_in_the_table():
+    table = pd.DataFrame({"step": [3.0, 2.0, 1.5], "id": 1, "x": 0.0, "y": 0.0, "radius": 0.5})
+    with pytest.raises(xcg.SceneError, match=r"particles: the step of row 2 is 1\.5"):
+        xcg.scene_from_table(table, density=1.0)
+
+
 def test_columns_that_are_not_read_are_listed_whatever_the_table(tmp_path):
     table = pd.DataFrame(
         {

@@ -80,7 +80,7 @@ def test_walls_may_be_the_first_or_second_body(tmp_path):
     ("old", "new", "message"),
     [
         ("cell 10 0", "cell 10 x", "nine numbers"),
-        ("cell 10 0", "cell 0 0", "expected positive lengths"),
+        ("cell 10 0", "cell 0 0", "no positive component along x"),
         ("time 0.0", "time inf", "expected '# time"),
         ("# id x", "# id id", "names each column once"),
         ("\n1 2.4", "\n# 2\n1 2.4", "a comment between rows"),

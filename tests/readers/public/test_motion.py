@@ -336,7 +336,7 @@ def test_other_names_of_the_time_step_are_answered(tmp_path, word):
 
 def test_engines_without_a_time_step_are_told_of_times(tmp_path):
     path = write(tmp_path / "p.data", "1 0 0 0 0 1 1 1\n")
-    with pytest.raises(SceneError, match="did you mean times="):
+    with pytest.raises(SceneError, match="did you mean 'times'"):
         xcg.open_scene(path, engine="mercury", dt=1e-5)
 
 

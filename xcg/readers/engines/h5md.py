@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.readers.cells import box_of_cell
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.hdf5data import dataset, is_hdf5, opened
+from xcg.readers.files.hdf5data import dataset, is_hdf5, opened, text_of
 from xcg.readers.files.text import source_of
+from xcg.readers.names import vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -132,10 +134,10 @@ class _H5mdElement:
 
     def row(self, k: int, position: _H5mdElement) -> int | None:
         """Return the row of the values at a step of the positions, None if it is absent."""
-        if self.steps is None or position.steps is None:
-            return 0 if self.count == 1 else None
-        rows = np.flatnonzero(self.steps == position.steps[k])
-        return int(rows[0]) if rows.size else None
+        if self.steps is not None and position.steps is not None:
+            rows = np.flatnonzero(self.steps == position.steps[k])
+            return int(rows[0]) if rows.size else None
+        return 0 if self.count == 1 else None
 
     def covers(self, position: _H5mdElement) -> bool:
         """Return whether there are values at each step of the positions."""
@@ -143,10 +145,10 @@ class _H5mdElement:
             return self.count == 1
         return bool(np.isin(position.steps, self.steps).all())
 
-    def at(self, row: int, *component: int) -> NDArray:
+    def at(self, row: int, component: tuple[int, ...] = ()) -> NDArray:
         """Read the values of a step, or one of their components."""
-        selection = (..., *component) if self.steps is None else (row, ..., *component)
-        return np.asarray(self.values[selection], float)
+        steps = () if self.steps is None else (row,)
+        return np.asarray(self.values[(*steps, ..., *component)], float)
 
 
 def _element(file: h5py.File, path: str) -> _H5mdElement | None:
@@ -218,22 +220,19 @@ class _Group:
         return self.position.shape[0]
 
     @property
-    def columns(self) -> dict[str, tuple[str, int | None]]:
+    def columns(self) -> dict[str, tuple[str, tuple[int, ...]]]:
         """Name of the element and the component of each column."""
-        columns: dict[str, tuple[str, int | None]] = {}
+        columns: dict[str, tuple[str, tuple[int, ...]]] = {}
         for name, element in self.elements.items():
-            if element.shape == (self.rows,):
-                columns[name] = name, None
+            if element.shape[:1] != (self.rows,):
                 continue
-            if len(element.shape) != 2 or element.shape[0] != self.rows:
-                continue
-            width = element.shape[1]
-            ends = [f"_{axis}" for axis in COMPONENTS[:width]]
-            if width > len(COMPONENTS):
-                ends = [f"[{k}]" for k in range(1, min(width, _MOST_COMPONENTS) + 1)]
-            columns |= {f"{name}{end}": (name, k) for k, end in enumerate(ends)}
+            if len(element.shape) == 1:
+                columns[name] = name, ()
+            if len(element.shape) == 2:
+                names = vector_columns(name, min(element.shape[1], _MOST_COMPONENTS))
+                columns |= {column: (name, (k,)) for k, column in enumerate(names)}
         # without ids the place in the datasets is the identity
-        columns.setdefault("id", ("id", None))
+        columns.setdefault("id", ("id", ()))
         return columns
 
     def exists(self, k: int) -> NDArray:
@@ -257,7 +256,7 @@ class _Group:
         element = self.elements[name]
         dataset(self.file, element.values.name)  # checks that it holds numbers
         row = element.row(ref.offset, self.position)
-        values = element.at(row or 0, *(() if component is None else (component,)))
+        values = element.at(row or 0, component)
         if row is None or values.shape != (ref.rows,):
             raise SceneError(f"{source_of(ref)}: {name!r} lacks the {ref.rows} rows of this step")
         return values
@@ -284,28 +283,28 @@ def _group_of(file: h5py.File, wanted: object) -> _Group:
             f"group={names[0]!r}, or each of them, and join their scenes by "
             "xarray.concat(scenes, 'particle', data_vars='minimal')"
         )
-    name = names[0] if wanted is None else str(wanted)
+    name = str(wanted or names[0])
     if name not in names:
         raise SceneError(f"{file.filename}: {unknown('group', name, names)}")
     path = f"/particles/{name}"
-    position = _element(file, f"{path}/position")
+    elements = {}
+    for member in ("position", *parent[name]):
+        element = None
+        if member != "box":
+            element = _element(file, f"{path}/{member}")
+        if element is not None:
+            elements[member] = element
+    position = elements.get("position")
     if position is None or len(position.shape) != 2 or position.shape[1] not in (2, 3):
-        shape = None if position is None else position.values.shape
+        shape = position and position.values.shape
         raise SceneError(
             f"{file.filename}: '{path}/position' has the shape {shape}, expected (n, 2) or (n, 3), or "
             "(steps, n, 2) or (steps, n, 3) with 'value' and 'step'"
         )
     dataset(file, position.values.name)
-    elements = {"position": position}
-    unread = []
-    for member in parent[name]:
-        element = None if member == "box" else _element(file, f"{path}/{member}")
-        if element is None:
-            continue
-        if element.covers(position):
-            elements[member] = element
-        else:
-            unread.append(member)
+    unread = [member for member, element in elements.items() if not element.covers(position)]
+    for member in unread:
+        del elements[member]
     return _Group(path, file, elements, unread)
 
 
@@ -317,32 +316,32 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
     path = f"{group.name}/box"
     if path not in file:
         return {}
-    words = [
-        word.decode("ascii", "replace") if isinstance(word, bytes) else str(word)
-        for word in np.ravel(file[path].attrs.get("boundary", ()))
-    ]
+    words = [text_of(word) for word in np.ravel(file[path].attrs.get("boundary", ()))]
     count = group.position.shape[1]
     if len(words) != count or not set(words) <= set(_BOUNDARIES):
         raise SceneError(
             f"{source}: the box has the boundary {words}, expected {count} of 'none' and 'periodic'"
         )
-    periodic = "".join(
-        axis for axis, word in zip(COMPONENTS, words, strict=False) if word == "periodic"
-    )
+    periodic = "".join(compress(COMPONENTS, [word == "periodic" for word in words]))
     if not periodic:
         return {"periodic": ""}
-    edges = _element(file, f"{path}/edges") if "edges" in file[path] else None
-    row = None if edges is None else edges.row(k, group.position)
+    edges = None
+    row = None
+    if "edges" in file[path]:
+        edges = _element(file, f"{path}/edges")
+    if edges is not None:
+        row = edges.row(k, group.position)
     if edges is None or row is None or edges.shape not in ((count,), (count, count)):
-        shape = None if edges is None else edges.shape
         raise SceneError(
-            f"{source}: the edges of the box have the shape {shape} at this step, expected "
+            f"{source}: the edges of the box have the shape {edges and edges.shape} at this step, expected "
             f"{(count,)} or {(count, count)}, as its boundary is periodic along {periodic}"
         )
     dataset(file, edges.values.name)
     values = edges.at(row)
+    if values.ndim == 1:
+        values = np.diag(values)
     cell = np.zeros((3, 3))
-    cell[:count, :count] = np.diag(values) if values.ndim == 1 else values
+    cell[:count, :count] = values
     for axis in range(3):
         if COMPONENTS[axis] not in periodic:  # there the edges mean nothing
             cell[axis] = 0
@@ -351,16 +350,16 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
 
 def _units(group: _Group) -> str | None:
     """Return the units that the file names: "si", None, or a list of those that are not of SI."""
-    named = {name: group.elements[name].values for name in _SI if name in group.elements}
+    named: dict[str, Any] = {name: element.values for name, element in group.elements.items()}
     time = f"{group.name}/position/time"
     if time in group.file:
         named["time"] = group.file[time]
-    units = {name: values.attrs["unit"] for name, values in named.items() if "unit" in values.attrs}
-    texts = {
-        name: unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
-        for name, unit in units.items()
+    units = {
+        name: text_of(named[name].attrs["unit"])
+        for name in _SI
+        if name in named and "unit" in named[name].attrs
     }
-    others = [f"{text} of {name}" for name, text in texts.items() if text.strip() not in _SI[name]]
-    if others:
-        return ", ".join(others)
-    return "si" if texts else None
+    others = [f"{unit} of {name}" for name, unit in units.items() if unit.strip() not in _SI[name]]
+    if units and not others:
+        return "si"
+    return ", ".join(others) or None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import sort_by_numbers
 from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened
 from xcg.readers.files.text import source_of
-from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS, Slots
+from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -71,14 +72,17 @@ class Hdf5(Columnar):
     ) -> dict[str, NDArray]:
         """Read the datasets of the wanted columns."""
         places = _mapping(options)
+        first = _filled(places[_first_of(places)], ref)
         table: dict[str, NDArray] = {}
         with opened(ref.path) as file:
             for column in sorted(set(wanted)):
-                name = column if column in places else column[: -len("_x")]
-                part = None if column in places else COMPONENTS.index(column[-1])
+                name = column
+                part = None
+                if column not in places:
+                    name, _, axis = column.rpartition("_")
+                    part = COMPONENTS.index(axis)
                 path = _filled(places[name], ref)
                 if path.endswith("/*"):
-                    first = _filled(places[_first_of(places)], ref)
                     table[column] = _numbers_of_members(file, path, first, ref)
                 else:
                     table[column] = _values(file, path, ref, part)
@@ -88,9 +92,7 @@ class Hdf5(Columnar):
         """Find the columns that particles are read from: all of them."""
         return super().particle_columns(ref, _by_themselves(ref, options))
 
-    def contact_columns(
-        self, ref: StepRef, options: ReadOptions, slots: Slots | None = None
-    ) -> dict[str, str]:
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
 
@@ -103,27 +105,26 @@ def _by_themselves(ref: StepRef, options: ReadOptions) -> ReadOptions:
 
 
 def _of_contacts(name: str) -> bool:
-    return name.startswith("contact_") or (name in CONTACT_SLOTS or f"{name}_x" in CONTACT_SLOTS)
+    return name.startswith("contact_") or name in CONTACT_SLOTS or f"{name}_x" in CONTACT_SLOTS
 
 
 def _mapping(options: ReadOptions) -> dict[str, str]:
     """Paths of datasets by variable, checked."""
-    given = options.extra.get("mapping")
-    if not isinstance(given, Mapping) or not given:
+    mapping = options.extra.get("mapping")
+    if not isinstance(mapping, Mapping) or not mapping:
         raise SceneError(_NO_MAPPING)
-    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
-    known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
-    for name, path in given.items():
+    known = {*ALL_SLOTS, *(slot[:-2] for slot in ALL_SLOTS if slot.endswith("_x")), "time"}
+    for name, path in mapping.items():
         if not isinstance(path, str) or sum(path.count(place) for place in _PLACES) > 1:
             raise SceneError(
                 f"mapping={{{name!r}: {path!r}}}: expected a path with at most one '{{time}}' or '{{step}}'"
             )
-        likely = "" if name in known else did_you_mean(name, known, 0.85)
-        if likely:
+        likely = did_you_mean(name, known, 0.85)
+        if likely and name not in known:
             raise SceneError(
                 f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}"
             )
-    return dict(given)
+    return dict(mapping)
 
 
 def _filled(path: str, ref: StepRef) -> str:
@@ -138,11 +139,13 @@ def _filled(path: str, ref: StepRef) -> str:
 def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
     with opened(path) as file:
         first = _first_of(mine)
-        place = next((place for place in _PLACES if place in mine[first]), None)
-        if place is not None:
+        for place in _PLACES:
+            if place not in mine[first]:
+                continue
             for text, number in _numbers_of_groups(file, mine[first], place):
-                ref = StepRef(path, 0, kind=text, step=int(text) if place == "{step}" else -1)
-                ref = replace(ref, time=number if place == "{time}" else _time(file, time, ref))
+                ref = StepRef(path, 0, number, kind=text, step=-1)
+                if place == "{step}":
+                    ref = replace(ref, step=int(text), time=_time(file, time, ref))
                 yield _with_columns(file, ref, mine)
             return
         data = dataset(file, _members(file, mine[first])[0])
@@ -164,22 +167,19 @@ def _first_of(mine: Mapping[str, str]) -> str:
 
 def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str, float]]:
     """List the values of the placeholder in the names of a group's members, by number."""
-    parts = path.split("/")
-    at = next(k for k, part in enumerate(parts) if place in part)
-    parent = file["/".join(parts[:at]) or "/"]
-    before, after = parts[at].split(place)
+    before, after = path.split(place)
+    parent_path, _, before = before.rpartition("/")
+    after = after.partition("/")[0]
+    parent = file[parent_path or "/"]
     pattern = re.compile(re.escape(before) + _PLACES[place] + re.escape(after))
-    found = [match[1] for match in map(pattern.fullmatch, parent) if match]
     numbers = []
-    for text in found:
-        try:
-            numbers.append((text, float(text)))
-        except ValueError:
-            continue
+    for match in filter(None, map(pattern.fullmatch, parent)):
+        with suppress(ValueError):
+            numbers.append((match[1], float(match[1])))
     if not numbers:
-        there = ", ".join(list(parent)[:5]) or "nothing"
+        members = ", ".join(list(parent)[:5]) or "nothing"
         raise SceneError(
-            f"{file.filename}: no name like {parts[at]!r} in {parent.name!r}, which holds {there}"
+            f"{file.filename}: no name like {before + place + after!r} in {parent.name!r}, which holds {members}"
         )
     return sorted(numbers, key=lambda entry: entry[1])
 
@@ -206,8 +206,8 @@ def _with_columns(
         if len(row_shapes) > 1:
             raise SceneError(f"{source_of(ref)}: {filled!r} has the shapes {shapes}, of two kinds")
         width, by_step = row_shapes.pop()
-        names += [f"{name}_{axis}" for axis in COMPONENTS[:width]] if width else [name]
-        rows[filled] = [shape[1 if by_step else 0] for shape in shapes]
+        names += vector_columns(name, width) or [name]
+        rows[filled] = [shape[int(by_step)] for shape in shapes]
     if any(counts != rows[first] for counts in rows.values()):
         raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
     return replace(ref, columns=tuple(names), rows=sum(rows[first]))
@@ -220,18 +220,18 @@ def _shape_of_row(
 
     What does not begin with steps and rows of the positions (`stacks`) does not change in time.
     """
-    slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
     by_step = shape[:2] in stacks
-    of_row = shape[2:] if by_step else shape[1:]
-    if by_step and f"{name}_x" in slots and len(shape) == 2:  # as many rows as steps
+    if f"{name}_x" in ALL_SLOTS and len(shape) == 2:  # as many rows as steps
         by_step = False
-        of_row = shape[1:]
+    of_row = shape[1 + int(by_step) :]
     if shape and not of_row:
         return 0, by_step
-    if len(of_row) == 1 and of_row[0] in (2, 3) and name not in slots:
+    if of_row in ((2,), (3,)) and name not in ALL_SLOTS:
         return of_row[0], by_step
     n = "(steps, n" if stacks else "(n"
-    expected = f"{n})" if name in slots else f"{n}), {n}, 2) or {n}, 3)"
+    expected = f"{n})"
+    if name not in ALL_SLOTS:
+        expected += f", {n}, 2) or {n}, 3)"
     raise SceneError(
         f"{source_of(ref)}: {path!r} has the shape {shape}, expected {expected} for {name!r}"
     )
@@ -260,17 +260,18 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
     """Time of a step, from a dataset or an attribute ("group@name")."""
     if path is None:
         return None
-    filled, _, attribute = _filled(path, ref).partition("@")
-    value = np.ravel(
-        file[filled or "/"].attrs[attribute] if attribute else dataset(file, filled)[()]
-    )
-    place = ref.offset if ref.kind == _STACKED and len(value) > 1 else 0
-    number = float(value[place]) if place < len(value) and value.dtype.kind in "fiu" else np.nan
-    if not np.isfinite(number):
-        raise SceneError(
-            f"{source_of(ref)}: {_filled(path, ref)!r} does not hold the time of this step"
-        )
-    return number
+    filled = _filled(path, ref)
+    group, _, attribute = filled.partition("@")
+    stored = file[group or "/"].attrs[attribute] if attribute else dataset(file, group)[()]
+    values = np.ravel(stored)
+    if ref.kind == _STACKED and len(values) > 1:
+        values = values[ref.offset :]
+    time = np.nan
+    if len(values) and values.dtype.kind in "fiu":
+        time = float(values[0])
+    if not np.isfinite(time):
+        raise SceneError(f"{source_of(ref)}: {filled!r} does not hold the time of this step")
+    return time
 
 
 # --- the rows of a step ----------------------------------------------------------------------------------

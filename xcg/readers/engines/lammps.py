@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
+from itertools import chain, compress
 from types import ModuleType
 from typing import Any
 
@@ -51,15 +51,8 @@ class Dumps(Columnar):
         number of its first step and its size is that of one step.
         """
         atoms = not contacts
-        return index_steps(
-            paths, f"dump {atoms=}", partial(_steps, atoms=atoms), options.extra.get("timestep")
-        )
-
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
-        if ref.kind == _WALLS:
-            return ""
-        return unread_by_number(ref, self.contact_columns(ref, options), options)
+        scan = partial(_steps, atoms=atoms)
+        return index_steps(paths, f"dump {atoms=}", scan, options.extra.get("timestep"))
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -93,8 +86,11 @@ class Dumps(Columnar):
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> list[str]:
         """Columns of a step that are not read, each name once."""
+        if ref.kind == _WALLS:
+            return []
         ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [name for name in ignored if _TWIN not in name]
+        of_walls = {*chain(*wall_columns.columns_of_walls(options).values())}
+        return [name for name in ignored if _TWIN not in name and name not in of_walls]
 
 
 class Lammps(Dumps):
@@ -104,38 +100,42 @@ class Lammps(Dumps):
 
     def recognises(self, path: str) -> bool:
         """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
-        found = body_columns(path)
-        return bool(form_of(path)) or (
-            found is not None
-            and ".liggghts" not in path
-            and not (is_numbered(found[1]) and len(found[1]) >= _FEWEST_NUMBERED)
-            and not is_twice(found[1])
-        )
+        if form_of(path):
+            return True
+        columns = body_columns(path)
+        if columns is None or ".liggghts" in path:
+            return False
+        if len(set(columns)) < len(columns):  # as in what LIGGGHTS's tutorials write
+            return False
+        return not is_numbered(columns) or len(columns) < _FEWEST_NUMBERED
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``dump local`` files."""
         refs = super().index_contacts(paths, options)
-        found = self.contact_columns(refs[0], options)
-        if "normal_force_x" in found and "tangential_force_x" not in found:
+        columns = self.contact_columns(refs[0], options)
+        if "normal_force_x" in columns and "tangential_force_x" not in columns:
             warn_user(
-                f"{source_of(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
+                f"{source_of(refs[0])}: only normal forces ({columns['normal_force_x']}, ...) were found, and they are "
                 "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
             )
         return refs
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls of a step; each grain may touch each wall once."""
-        return replace(
-            ref, kind=_WALLS, rows=ref.rows * len(wall_columns.wall_columns(ref, options))
-        )
+        walls = wall_columns.wall_columns(ref, options)
+        return replace(ref, kind=_WALLS, rows=ref.rows * len(walls))
+
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
+        if ref.kind == _WALLS:
+            return ""
+        return unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
-        return (
-            list(wall_columns.WALL_CONTACTS)
-            if ref.kind == _WALLS
-            else super().contact_variables(ref, options)
-        )
+        if ref.kind == _WALLS:
+            return list(wall_columns.WALL_CONTACTS)
+        return super().contact_variables(ref, options)
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
@@ -143,31 +143,12 @@ class Lammps(Dumps):
             return wall_columns.wall_contacts_from(ref, options, self.read_columns)
         return super().read_contacts(ref, options)
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Columns of a step that are not read."""
-        if ref.kind == _WALLS:
-            return []
-        walls = set() if contacts else {*chain(*wall_columns.columns_of_walls(options).values())}
-        return [
-            name
-            for name in super().ignored_columns(ref, options, contacts=contacts)
-            if name not in walls
-        ]
-
 
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------
 
 _FORMS = (lammps_binary, lammps_netcdf)
 # how the other items of a header begin
-_NO_BODY = (
-    "UNITS",
-    "TIME",
-    "TIMESTEP",
-    "NUMBER OF",
-    "BOX BOUNDS",
-)
+_NO_BODY = ("UNITS", "TIME", "TIMESTEP", "NUMBER OF", "BOX BOUNDS")
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
@@ -185,14 +166,15 @@ def form_of(path: str) -> ModuleType | None:
     return next((form for form in _FORMS if head.startswith(tuple(form.MARKS))), None)
 
 
-def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
-    """Label and columns of the first body of a dump ("ATOMS", ("id", ...)), None where it is not a dump."""
+def body_columns(path: str) -> list[str] | None:
+    """Return the columns of the first body of a dump; None where it is not a dump."""
     lines = first_lines(path)
-    for line in lines if lines and lines[0].startswith("ITEM:") else ():
+    if not lines or not lines[0].startswith("ITEM:"):
+        return None
+    for line in lines:
         item = line.removeprefix("ITEM:").strip()
         if line.startswith("ITEM:") and item and not item.startswith(_NO_BODY):
-            label, *names = item.split()
-            return label, tuple(names)
+            return item.split()[1:]
     return None
 
 
@@ -200,11 +182,6 @@ def is_numbered(names: Sequence[str]) -> bool:
     """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
     compute = names[0].removesuffix("[1]") if names else ""
     return list(names) == [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
-
-
-def is_twice(names: Sequence[str]) -> bool:
-    """Return whether columns occur twice, as in what LIGGGHTS's tutorials write."""
-    return len(set(names)) < len(names)
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
@@ -251,23 +228,23 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
     if compression(ref.path):
-        first = scanner.sample(_SAMPLE)
-        lines = first.count(b"\n")
-        return lines > 0 and rest < 1.5 * ref.rows * (first.rindex(b"\n") + 1) / lines
-    lines = length = 0
+        sample = scanner.sample(_SAMPLE)
+        lines = sample.count(b"\n")
+        return lines > 0 and rest < 1.5 * ref.rows * (sample.rindex(b"\n") + 1) / lines
+    samples = b""
     with open(ref.path, "rb") as file:
         for place in (0, rest // 2, max(0, rest - _SAMPLE)):
             file.seek(ref.offset + place)
             block = file.read(_SAMPLE)
-            begin, end = (block.find(b"\n") + 1 if place else 0), block.rfind(b"\n") + 1
-            lines = lines + block.count(b"\n", begin, end)
-            length = length + end - begin
+            begin = 0
+            if place:  # within a line
+                begin = block.find(b"\n") + 1
+            samples += block[begin : block.rfind(b"\n") + 1]
+        lines = samples.count(b"\n")
+        if not lines or rest >= 1.03 * ref.rows * len(samples) / lines + _SAMPLE:
+            return False
         file.seek(ref.offset + max(0, rest - max(_TAIL, rest // 32)))
-        return (
-            lines > 0
-            and rest < 1.03 * ref.rows * length / lines + _SAMPLE
-            and b"\nITEM:" not in file.read()
-        )
+        return b"\nITEM:" not in file.read()
 
 
 def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
@@ -290,11 +267,8 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
         if not item.startswith(_NO_BODY):
             _check_header(ref, item.split(), atoms=atoms)
             return replace(ref, columns=_apart(item.split()[1:]), offset=scanner.offset)
-        ref = (
-            _box(ref, scanner, item)
-            if item.startswith("BOX BOUNDS")
-            else _value(ref, scanner, item)
-        )
+        read = _box if item.startswith("BOX BOUNDS") else _value
+        ref = read(ref, scanner, item)
     if ref is empty:
         return None
     raise SceneError(
@@ -320,27 +294,28 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     label = words[0] if words else ""
-    names = words[1:]
+    columns = len(words) - 1
+    kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
     if (label == "ATOMS") is not atoms:
-        kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
-        msg = f"{source_of(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
+        msg = f"found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
     elif ref.rows < 0:
-        msg = f"{source_of(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
-    elif not names:
-        msg = f"{source_of(ref)}: 'ITEM: {label}' names no columns"
-    elif len(names) > _MOST_COLUMNS:
-        msg = f"{source_of(ref)}: 'ITEM: {label}' names {len(names)} columns, expected {_MOST_COLUMNS} at most"
+        msg = "the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
+    elif columns < 1:
+        msg = f"'ITEM: {label}' names no columns"
+    elif columns > _MOST_COLUMNS:
+        msg = f"'ITEM: {label}' names {columns} columns, expected {_MOST_COLUMNS} at most"
     else:
         return
-    raise SceneError(msg)
+    raise SceneError(f"{source_of(ref)}: {msg}")
 
 
 def _apart(names: Sequence[str]) -> tuple[str, ...]:
     """Return unique names of columns: repeated ones get the number of their column."""
-    return tuple(
-        f"{name}{_TWIN}{place + 1})" if name in names[:place] else name
-        for place, name in enumerate(names)
-    )
+    unique = list(names)
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            unique[place] = f"{name}{_TWIN}{place + 1})"
+    return tuple(unique)
 
 
 def _twins(ref: StepRef, name: str, options: ReadOptions) -> list[str]:
@@ -360,19 +335,22 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
             f"{ref.path}: the box is written by vectors in any direction ('{item}'); write it by tilts, which LAMMPS "
             "does after 'dump_modify ... triclinic/general no'"
         )
-    tilted = flags[:3] == ["xy", "xz", "yz"]
-    flags = [flag for flag in flags if flag not in ("xy", "xz", "yz")]
+    expected = "two numbers, the lower first"
+    numbers_a_line = 2
+    if flags[:3] == ["xy", "xz", "yz"]:
+        expected = "three numbers, the bounds and a tilt"
+        numbers_a_line = 3
+        flags = flags[3:]
     try:
-        low, high, *tilts = numbers = np.array([[float(word) for word in line] for line in lines]).T
-        if len(tilts) != tilted or not np.isfinite(numbers).all():
+        numbers = np.array([[float(word) for word in line] for line in lines])
+        if numbers.shape != (3, numbers_a_line) or not np.isfinite(numbers).all():
             raise ValueError
-        ref = with_bounds(ref, low, high, tilts[0].tolist() if tilted else None)
+        low, high, *tilts = numbers.T
+        ref = with_bounds(ref, low, high, *tilts)
     except ValueError:
-        what = "three lines of " + (
-            "three numbers, the bounds and a tilt" if tilted else "two numbers, the lower first"
-        )
-        raise SceneError(f"{ref.path}: {lines} follow 'ITEM: {item}', expected {what}") from None
+        raise SceneError(
+            f"{ref.path}: {lines} follow 'ITEM: {item}', expected three lines of {expected}"
+        ) from None
     if len(flags) != len(COMPONENTS):
         return ref  # old files do not say what is periodic
-    periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")
-    return replace(ref, periodic=periodic)
+    return replace(ref, periodic="".join(compress(COMPONENTS, [flag == "pp" for flag in flags])))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import BinaryIO, NoReturn
 
 import numpy as np
@@ -19,7 +20,7 @@ from xcg.scene.schema import COMPONENTS
 
 
 def with_bounds(
-    ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None
+    ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: ArrayLike | None = None
 ) -> StepRef:
     """Add the box of a step from lower and upper bounds (3,), which bound the tilted box, and xy, xz, yz.
 
@@ -28,17 +29,19 @@ def with_bounds(
     ValueError
         If a lower edge is not below the upper one.
     """
-    low, high = np.asarray(low, float), np.asarray(high, float)
+    lower = np.array(low, float)
+    upper = np.array(high, float)
     lattice = None
     if tilts is not None:
-        xy, xz, yz = tilts
-        low = low - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
-        high = high - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
-        x, y, z = (high - low).tolist()
+        xy, xz, yz = np.asarray(tilts, float).tolist()
+        lower -= [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
+        upper -= [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
+        x, y, z = (upper - lower).tolist()
         lattice = ((x, 0.0, 0.0), (xy, y, 0.0), (xz, yz, z))
-    if not (low < high).all():
+    if not (lower < upper).all():
         raise ValueError
-    return replace(ref, box=tuple(zip(low.tolist(), high.tolist(), strict=True)), lattice=lattice)
+    box = tuple(zip(lower.tolist(), upper.tolist(), strict=True))
+    return replace(ref, box=box, lattice=lattice)
 
 
 # how a file begins, and its order of bytes
@@ -55,11 +58,11 @@ _NEWEST = 2  # revision
 class _Header:
     """Numbers of a header, one after the other."""
 
-    def __init__(self, file: BinaryIO, path: str) -> None:
+    def __init__(self, file: BinaryIO, path: str, order: str) -> None:
         self.file = file
         self.path = path
         self.start = file.tell()
-        self.order = "<"
+        self.order = order
 
     def refuse(self, problem: str) -> NoReturn:
         raise SceneError(
@@ -67,10 +70,10 @@ class _Header:
         ) from None
 
     def bytes(self, count: int) -> bytes:
-        found = self.file.read(count)
-        if len(found) < count:
+        data = self.file.read(count)
+        if len(data) < count:
             self.refuse("is cut off")
-        return found
+        return data
 
     def numbers(self, code: str) -> tuple:
         return struct.unpack(self.order + code, self.bytes(struct.calcsize("<" + code)))
@@ -91,22 +94,22 @@ def steps_of(path: str) -> Iterator[StepRef]:
         If a header or its blocks are not as described above, or the file ends within one.
     """
     size = os.path.getsize(path)
+    order = _order_of(path)
     units = None
     with open(path, "rb") as file:
         while file.tell() < size:
-            ref = _read_header(_Header(file, path))
+            ref = _read_header(_Header(file, path, order))
             units = ref.units or units  # LAMMPS writes the units once a file
-            end = _end_of_blocks(file, ref, size)
+            end = _end_of_blocks(_Header(file, path, order), ref, size)
             yield replace(ref, units=units, length=end - ref.offset)
             file.seek(end)
 
 
 def _read_header(header: _Header) -> StepRef:
     head = header.file.read(max(map(len, MARKS)))
-    mark = next((mark for mark in MARKS if head.startswith(mark)), None)
-    if mark is None:
+    mark = next(filter(head.startswith, MARKS), None)
+    if mark is None or MARKS[mark] != header.order:
         header.refuse("does not begin with 'DUMPCUSTOM' or 'DUMPATOM'")
-    header.order = MARKS[mark]
     header.file.seek(header.start + len(mark))
     one, revision, step, rows, triclinic, *walls = header.numbers("iiqqi6i")
     if one != 1 or not 1 <= revision <= _NEWEST:
@@ -119,7 +122,10 @@ def _read_header(header: _Header) -> StepRef:
     tilts = header.numbers("3d") if triclinic else None
     (columns,) = header.numbers("i")
     units = header.text() or None
-    time = header.numbers("d")[0] if header.numbers("?")[0] else None
+    time = None
+    (has_time,) = header.numbers("?")
+    if has_time:
+        (time,) = header.numbers("d")
     names = tuple(header.text().split())
     if not 0 < columns == len(names) == len(set(names)) <= _MOST_COLUMNS or rows < 0:
         header.refuse(
@@ -127,7 +133,8 @@ def _read_header(header: _Header) -> StepRef:
         )
     if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
         header.refuse("has a time or box that is not finite")
-    periodic = "".join(a for k, a in enumerate(COMPONENTS) if walls[2 * k] == walls[2 * k + 1] == 0)
+    ends = zip(walls[::2], walls[1::2], strict=True)
+    periodic = "".join(compress(COMPONENTS, [low == high == 0 for low, high in ends]))
     ref = StepRef(
         header.path,
         rows,
@@ -144,28 +151,26 @@ def _read_header(header: _Header) -> StepRef:
         header.refuse(f"has the box {bounds}, lower edges first")
 
 
-def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
+def _end_of_blocks(header: _Header, ref: StepRef, size: int) -> int:
     """Byte after the last block of a step, whose rows are counted."""
-    header = _Header(file, ref.path)
-    header.order = _order_of(ref.path)
     values = 0
     wide = len(ref.columns)
     (processes,) = header.numbers("i")
     for _ in range(processes):
         (count,) = header.numbers("i")
-        end = file.tell() + 8 * count
+        end = header.file.tell() + 8 * count
         if count < 0 or count % wide or end > size:
             header.refuse(
                 f"is followed by a block of {count} values, expected rows of {wide} within the file"
             )
         values += count
-        file.seek(end)
+        header.file.seek(end)
     if values != ref.rows * wide:
         raise SceneError(
             f"{source_of(ref)}: its header promises {ref.rows} rows of {wide} values, and {values} values follow; "
             "leave the file out, or write it anew"
         )
-    return file.tell()
+    return header.file.tell()
 
 
 def _order_of(path: str) -> str:
@@ -183,19 +188,22 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     SceneError
         If the blocks are not as they were when they were listed.
     """
-    order, wide = _order_of(ref.path), len(ref.columns)
+    order = _order_of(ref.path)
+    wide = len(ref.columns)
     with open(ref.path, "rb") as file:
         file.seek(ref.offset)
         body = file.read(ref.length)
-    blocks = []
+    blocks = [np.empty((0, wide))]
     at = 4
     while at < len(body):
-        count = struct.unpack_from(f"{order}i", body, at)[0] if at + 4 <= len(body) else -1
+        count = -1
+        if at + 4 <= len(body):
+            (count,) = struct.unpack_from(f"{order}i", body, at)
         if count < 0 or count % wide or at + 4 + 8 * count > len(body):
             raise SceneError(
                 f"{source_of(ref)}: the file changed after the scene was opened; open it again"
             )
         blocks.append(np.frombuffer(body, f"{order}f8", count, at + 4).reshape(-1, wide))
         at += 4 + 8 * count
-    rows = np.concatenate(blocks) if blocks else np.empty((0, wide))
+    rows = np.concatenate(blocks)
     return {name: rows[:, ref.columns.index(name)].astype("f8") for name in set(wanted)}

@@ -12,14 +12,15 @@ import os
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
+from xcg.readers.cells import box_of_cell
 from xcg.readers.engine import StepRef
-from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS
 
 # names of vectors, and those of their components in dumps of text
@@ -51,41 +52,39 @@ def steps_of(path: str) -> Iterator[StepRef]:
     """
     file = ClassicFile(path)
     needed = {"time": (), "cell_origin": (3,), "cell_lengths": (3,), "cell_angles": (3,)}
-    names = tuple(_places(file))
-    lacking = [
-        name
-        for name, shape in needed.items()
-        if name not in file.variables
-        or not file.variables[name].recorded
-        or file.variables[name].shape != shape
-    ]
-    lacking += [] if names else ["columns of atoms"]
+    shapes = {name: v.shape for name, v in file.variables.items() if v.recorded}
+    lacking = [name for name, shape in needed.items() if shapes.get(name) != shape]
+    columns = tuple(_places(file))
+    if not columns:
+        lacking.append("columns of atoms")
     if lacking:
         file.refuse(f"lacks {', '.join(lacking)}, and was not written by 'dump netcdf'")
-    scale = np.asarray(file.variables["time"].attrs.get("scale_factor", np.nan), float).ravel()
-    length = file.variables["cell_lengths"].attrs.get("units")
+    units = str(file.variables["cell_lengths"].attrs.get("units", ""))
+    scale = np.ravel(file.variables["time"].attrs.get("scale_factor", np.nan)).astype(float)
     for k in range(file.records):
         number = float(file.read("time", k))
         if not (math.isfinite(number) and abs(number) < 2**63):
             file.refuse(f"has the time {number} in record {k}, and is damaged")
-        time = number * float(scale[0]) if len(scale) == 1 and np.isfinite(scale[0]) else None
+        time = None
+        if len(scale) == 1 and np.isfinite(scale[0]):
+            time = number * float(scale[0])
         yield StepRef(
             path,
             file.dims["atom"],
             time=time,
             step=round(number),
-            columns=names,
+            columns=columns,
             offset=k,
-            units=_UNITS.get(str(length), str(length)) if length else None,
+            units=_UNITS.get(units, units) or None,
             **_box(file, k),
         )
 
 
 def _box(file: ClassicFile, record: int) -> dict[str, Any]:
     """Edges, tilt and periodic axes of a step."""
-    low, lengths, angles = (
-        file.read(f"cell_{what}", record).astype(float) for what in ("origin", "lengths", "angles")
-    )
+    low = file.read("cell_origin", record).astype(float)
+    lengths = file.read("cell_lengths", record).astype(float)
+    angles = file.read("cell_angles", record).astype(float)
     if (
         not np.isfinite([low, lengths, angles]).all()
         or (lengths < 0).any()
@@ -94,69 +93,59 @@ def _box(file: ClassicFile, record: int) -> dict[str, Any]:
         file.refuse(
             f"has a box of lengths {lengths} and angles {angles} in record {record}, and is damaged"
         )
-    periodic = lengths > 0
-    told = {"periodic": "".join(a for a, there in zip(COMPONENTS, periodic, strict=True) if there)}
+    periodic = "".join(compress(COMPONENTS, lengths > 0))
     if (np.abs(angles - 90) < 1e-4).all():  # angles in single precision
-        high = [a + b if b else math.inf for a, b in zip(low, lengths, strict=True)]
-        edges = [
-            (a if b else -math.inf, c) for a, b, c in zip(low.tolist(), lengths, high, strict=True)
-        ]
-        return told | {"box": tuple(edges)}
-    if not periodic.all():
+        return box_of_cell(np.diag(lengths), low, periodic, file.path)
+    if len(periodic) < 3:
         file.refuse(
             "has a tilted box that is not periodic along all axes, whose tilts are not told; dump text"
         )
-    alpha, beta, gamma = np.cos(np.radians(angles))
     a, b, c = lengths
-    xy, xz = b * gamma, c * beta
+    alpha, beta, gamma = np.cos(np.radians(angles))
+    xy = b * gamma
+    xz = c * beta
     y = math.sqrt(max(b**2 - xy**2, 0.0))
     yz = (b * c * alpha - xy * xz) / y
     z = math.sqrt(max(c**2 - xz**2 - yz**2, 0.0))
-    edges = [
-        (float(start), float(start + size)) for start, size in zip(low, (a, y, z), strict=True)
-    ]
-    lattice = ((float(a), 0.0, 0.0), (float(xy), float(y), 0.0), (float(xz), float(yz), float(z)))
-    return told | {"box": tuple(edges), "lattice": lattice}
+    return box_of_cell([[a, 0, 0], [xy, y, 0], [xz, yz, z]], low, periodic, file.path)
 
 
 def _places(file: ClassicFile) -> dict[str, tuple[str, int | None]]:
     """Variable and component of each column, named as in dumps of text."""
-    found: dict[str, tuple[str, int | None]] = {}
-    for name, variable in file.variables.items():
-        of_atoms = (
-            variable.recorded
-            and variable.dims[:2] == ("frame", "atom")
-            and variable.dtype.kind != "S"
-        )
-        if not of_atoms or len(variable.dims) > 3:
+    places: dict[str, tuple[str, int | None]] = {}
+    for name, values in file.variables.items():
+        is_text = values.dtype.kind == "S"
+        if is_text or not values.recorded or values.dims[:2] != ("frame", "atom"):
             continue
-        if len(variable.dims) == 2:
-            found[name] = (name, None)
-        elif name in _VECTORS and variable.shape[1] == len(COMPONENTS):
-            found |= {_VECTORS[name].format(axis): (name, k) for k, axis in enumerate(COMPONENTS)}
-        else:
-            found |= {f"{name}[{k + 1}]": (name, k) for k in range(min(variable.shape[1], 100))}
-    return found
+        if len(values.dims) == 2:
+            places[name] = (name, None)
+        if len(values.dims) == 3:
+            width = values.shape[1]
+            columns = [f"{name}[{k + 1}]" for k in range(min(width, 100))]
+            if name in _VECTORS and width == len(COMPONENTS):
+                columns = [_VECTORS[name].format(axis) for axis in COMPONENTS]
+            places |= {column: (name, k) for k, column in enumerate(columns)}
+    return places
 
 
 def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     """Read columns of one step, without atoms that were lost."""
     file = ClassicFile(ref.path)
     places = _places(file)
-    if tuple(places) != ref.columns or ref.offset >= file.records:
-        raise SceneError(
-            f"{source_of(ref)}: the file changed after the scene was opened; open it again"
-        )
-    arrays = {
-        name: file.read(name, ref.offset)
-        for name in {places[column][0] for column in wanted} | {"id"} & {*places}
-    }
-    there = arrays["id"] != _LOST if "id" in arrays else slice(None)
-    return {
-        column: np.asarray(arrays[name] if k is None else arrays[name][:, k])[there].astype("f8")
-        for column, (name, k) in places.items()
-        if column in wanted
-    }
+
+    names = {places[column][0] for column in wanted} | ({"id"} & {*places})
+    arrays = {name: file.read(name, ref.offset) for name in names}
+    exists = np.ones(ref.rows, bool)
+    if "id" in arrays:
+        exists = arrays["id"] != _LOST
+    table = {}
+    for column in wanted:
+        name, k = places[column]
+        values = arrays[name]
+        if k is not None:
+            values = values[:, k]
+        table[column] = values[exists].astype("f8")
+    return table
 
 
 # --- classic NetCDF --------------------------------------------------------------------------------------
@@ -172,25 +161,31 @@ _TYPES = dict(
 _FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
 _MOST = 10_000  # dimensions, variables, or attributes of one of them
 _LONGEST = 1 << 20  # bytes of a name or an attribute
-_DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
+_DIMENSIONS = 10
+_VARIABLES = 11
+_ATTRIBUTES = 12
 
 
 @dataclass(frozen=True)
 class ClassicVariable:
-    """Variable as the header describes it; `shape` is without records, `length` in bytes, padded."""
+    """Variable as the header describes it; `shape` is without records, `begin` its first byte."""
 
     name: str
     dtype: np.dtype
     dims: tuple[str, ...]
     shape: tuple[int, ...]
-    attrs: dict[str, object]
+    attrs: dict[str, Any]
     begin: int
     recorded: bool
-    length: int
+
+    @property
+    def length(self) -> int:
+        """Bytes of its values, of one record where it has records."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
 
 class ClassicFile:
-    """Header of a file: dimensions, variables and attributes.
+    """Header of a file: dimensions and variables.
 
     Attributes
     ----------
@@ -200,8 +195,6 @@ class ClassicFile:
         Sizes of the dimensions by name; that of records is 0.
     variables : dict
         By name.
-    attrs : dict
-        Attributes of the file: texts, or arrays of numbers.
 
     Raises
     ------
@@ -211,39 +204,41 @@ class ClassicFile:
 
     def __init__(self, path: str) -> None:
         self.path = path
-        self._size = os.path.getsize(path)
+        size = os.path.getsize(path)
         with open(path, "rb") as file:
             self._file: BinaryIO = file
             head = self._bytes(4)
             if head not in MARKS:
                 self.refuse("is no NetCDF in a classic format")
-            self._wide = head[3] == 5
-            self._far = head[3] > 1
-            told = self._count(most=None)
-            pairs = [(self._name(), self._count(most=None)) for _ in range(self._list(_DIMENSIONS))]
-            self.dims = dict(pairs)
-            self.attrs = self._attributes()
-            found = [
-                self._variable([name for name, _ in pairs]) for _ in range(self._list(_VARIABLES))
-            ]
-        self.variables = {variable.name: variable for variable in found}
-        recorded = [variable for variable in found if variable.recorded]
-        alone = len(recorded) == 1
-        self._record = (
-            sum(math.prod(v.shape) * v.dtype.itemsize if alone else v.length for v in recorded)
-            if recorded
-            else 0
-        )
-        first = min((v.begin for v in recorded), default=self._size)
-        # the last one may lack its padding
-        room = (self._size - first + 3) // self._record if self._record else 0
-        self.records = room if told == (1 << (64 if self._wide else 32)) - 1 else told
+            version = head[3]
+            self._code_of_counts = ">Q" if version == 5 else ">I"
+            self._code_of_places = ">Q" if version > 1 else ">I"
+            records = self._number(self._code_of_counts)
+            names = []
+            self.dims: dict[str, int] = {}
+            for _ in range(self._list(_DIMENSIONS)):
+                names.append(self._name())
+                self.dims[names[-1]] = self._number(self._code_of_counts)
+            self._attributes()  # of the file
+            variables = [self._variable(names) for _ in range(self._list(_VARIABLES))]
+        self.variables = {variable.name: variable for variable in variables}
+        recorded = [variable for variable in variables if variable.recorded]
+        # padded to four bytes, unless it is the only variable
+        self._record = sum(v.length + -v.length % 4 for v in recorded)
+        if len(recorded) == 1:
+            self._record = recorded[0].length
+        room = 0
+        if self._record:  # the last one may lack its padding
+            room = (size - min(v.begin for v in recorded) + 3) // self._record
+        self.records = records
+        if records == 2 ** (8 * struct.calcsize(self._code_of_counts)) - 1:  # as many as there are
+            self.records = room
         if self._record and self.records > room:
             self.refuse(
                 f"promises {self.records} records, and has room for {room}; it was cut short"
             )
-        for v in found:
-            if not v.recorded and v.begin + math.prod(v.shape) * v.dtype.itemsize > self._size:
+        for v in variables:
+            if not v.recorded and v.begin + v.length > size:
                 self.refuse(f"ends before its variable '{v.name}' does; it was cut short")
 
     def refuse(self, problem: str) -> NoReturn:
@@ -253,19 +248,18 @@ class ClassicFile:
         ) from None
 
     def _bytes(self, count: int) -> bytes:
-        found = self._file.read(count)
-        if len(found) < count:
+        data = self._file.read(count)
+        if len(data) < count:
             self.refuse("ends in its header")
-        return found
+        return data
 
-    def _int(self) -> int:
-        return int(struct.unpack(">i", self._bytes(4))[0])
+    def _number(self, code: str) -> int:
+        (number,) = struct.unpack(code, self._bytes(struct.calcsize(code)))
+        return int(number)
 
-    def _count(self, most: int | None = _MOST) -> int:
-        number = int(
-            struct.unpack(">Q" if self._wide else ">I", self._bytes(8 if self._wide else 4))[0]
-        )
-        if most is not None and number > most:
+    def _count(self, most: int = _MOST) -> int:
+        number = self._number(self._code_of_counts)
+        if number > most:
             self.refuse(f"has a count of {number} in its header, and is damaged")
         return number
 
@@ -276,7 +270,8 @@ class ClassicFile:
         return self._padded(self._count(_LONGEST)).decode("utf-8", "replace")
 
     def _list(self, expected: int) -> int:
-        tag, count = self._int(), self._count()
+        tag = self._number(">i")
+        count = self._count()
         if tag not in (0, expected) or (tag == 0 and count):
             self.refuse(
                 f"has a list of kind {tag} in its header, expected {expected}, and is damaged"
@@ -284,52 +279,50 @@ class ClassicFile:
         return count
 
     def _type(self) -> np.dtype:
-        kind = self._int()
+        kind = self._number(">i")
         if kind not in _TYPES:
             self.refuse(f"has numbers of type {kind}, and is damaged")
         return np.dtype(_TYPES[kind])
 
-    def _attributes(self) -> dict[str, object]:
-        found: dict[str, object] = {}
+    def _attributes(self) -> dict[str, Any]:
+        attributes: dict[str, Any] = {}
         for _ in range(self._list(_ATTRIBUTES)):
             name = self._name()
             dtype = self._type()
             count = self._count(_LONGEST)
             data = self._padded(count * dtype.itemsize)
-            found[name] = (
-                data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)
-            )
-        return found
+            attributes[name] = np.frombuffer(data, dtype)
+            if dtype.kind == "S":
+                attributes[name] = data.decode("utf-8", "replace")
+        return attributes
 
-    def _variable(self, dims: Sequence[str]) -> ClassicVariable:
+    def _variable(self, names: Sequence[str]) -> ClassicVariable:
+        """Read a variable; `names` lists the dimensions of the file."""
         name = self._name()
         places = [self._count() for _ in range(self._count())]
-        if any(place >= len(dims) for place in places):
+        if any(place >= len(names) for place in places):
             self.refuse(f"gives '{name}' a dimension that it has not, and is damaged")
-        attrs, dtype = self._attributes(), self._type()
+        attrs = self._attributes()
+        dtype = self._type()
         # its size, which follows from the dimensions where it is not too large for this field
-        self._count(most=None)
-        begin = int(
-            struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0]
-        )
+        self._number(self._code_of_counts)
+        begin = self._number(self._code_of_places)
         if begin >= _FARTHEST:
             self.refuse(f"has '{name}' at byte {begin}, and is damaged")
-        mine = tuple(dims[place] for place in places)
-        recorded = bool(mine) and self.dims[mine[0]] == 0
-        shape = tuple(self.dims[dim] for dim in mine[recorded:])
-        length = math.prod(shape) * dtype.itemsize
-        return ClassicVariable(
-            name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4
-        )
+        dims = tuple(names[place] for place in places)
+        recorded = bool(dims) and self.dims[dims[0]] == 0
+        shape = tuple(self.dims[dim] for dim in dims[recorded:])
+        return ClassicVariable(name, dtype, dims, shape, attrs, begin, recorded)
 
-    def read(self, name: str, record: int = 0) -> NDArray:
+    def read(self, name: str, record: int) -> NDArray:
         """Read a variable, of one record where it has records."""
         variable = self.variables[name]
-        count = math.prod(variable.shape)
-        at = variable.begin + (self._record * record if variable.recorded else 0)
+        begin = variable.begin
+        if variable.recorded:
+            begin += self._record * record
         with open(self.path, "rb") as file:
-            file.seek(at)
-            data = file.read(count * variable.dtype.itemsize)
-        if len(data) < count * variable.dtype.itemsize:
+            file.seek(begin)
+            data = file.read(variable.length)
+        if len(data) < variable.length:
             self.refuse(f"ends within '{name}' of record {record}; it was cut short")
         return np.frombuffer(data, variable.dtype).reshape(variable.shape)

@@ -77,12 +77,13 @@ class Liggghts(Dumps):
     def _checked(self, refs: list[StepRef], options: ReadOptions) -> list[StepRef]:
         """Check the columns of the first step, and guessed words with some of its rows."""
         first = next((ref for ref in refs if ref.rows), refs[0])
-        filled = self.contact_columns(first, options)
+        columns = self.contact_columns(first, options)
         if not is_numbered(first.columns):
-            warn_of_unread(first, filled, options, contacts=True)
-        if not _words_of(first, options) and (guess := _guess(first, options)):
+            warn_of_unread(first, columns, options, contacts=True)
+        guess = _guess(first, options)
+        if guess and not _words_of(first, options):
             _check_guess(first, guess)
-        if "normal_force_x" in filled and "tangential_force_x" not in filled:
+        if "normal_force_x" in columns and "tangential_force_x" not in columns:
             warn_user(
                 f"{source_of(first)}: only normal forces were found, and they are taken as the contact forces; have "
                 "LIGGGHTS write the word 'force'"
@@ -96,16 +97,11 @@ class Liggghts(Dumps):
             frame["contact_j"] = -(frame["contact_j"] + 1)
         return frame
 
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return no hint: the columns of all words are known."""
-        return ""
-
     def contact_slots(self, ref: StepRef, options: ReadOptions) -> names.Slots:
         """Return the columns that fill each slot, by the words of their compute."""
         words = _words_of(ref, options) or _guess(ref, options)
         if words:
-            filled = _slots_of(ref, words)
-            return {slot: filled.get(slot, ()) for slot in self.CONTACT_SLOTS}
+            return dict.fromkeys(self.CONTACT_SLOTS, ()) | _slots_of(ref, words)
         if is_numbered(ref.columns) and "contact_i" not in options.names.values():
             raise SceneError(
                 f"{source_of(ref)}: {len(ref.columns)} columns with numbers for names, and which words the compute was "
@@ -116,17 +112,17 @@ class Liggghts(Dumps):
 
 def _words_of(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
     """Return the words that the caller gives for a kind of file."""
-    return tuple(options.words.get("walls" if ref.kind == "wall" else "contacts", ()))
+    kind = "walls" if ref.kind == "wall" else "contacts"
+    return options.words.get(kind, ())
 
 
 def _guess(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
     """Return the words that the number of columns suggests, unless the caller maps columns; () without a guess."""
-    count = len(ref.columns)
     if not is_numbered(ref.columns) or "contact_i" in options.names.values():
         return ()
-    if count in _USUAL:
-        return _USUAL[count]
-    return _DEFAULT if count >= _FEWEST_OF_DEFAULT else ()
+    if len(ref.columns) >= _FEWEST_OF_DEFAULT:
+        return _DEFAULT
+    return _USUAL.get(len(ref.columns), ())
 
 
 def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
@@ -142,19 +138,22 @@ def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
     if wrong:
         raise SceneError(f"names={' '.join(words)!r}: {unknown('word', wrong[0], WORDS)}")
     meant = {spelt[word.casefold()] for word in words}
-    history = len(ref.columns) - sum(WORDS[word] for word in meant)
+    columns = sum(WORDS[word] for word in meant)
+    history = len(ref.columns) - columns
     if history < 0 or (history > 0) != ("history" in meant):
-        more = " and at least one of the history" if "history" in meant else ""
+        promised = f"{columns} columns"
+        if "history" in meant:
+            promised += " and at least one of the history"
         raise SceneError(
-            f"{source_of(ref)}: the words {' '.join(words)!r} have {len(ref.columns) - history} columns{more}, but the "
+            f"{source_of(ref)}: the words {' '.join(words)!r} have {promised}, but the "
             f"file has {len(ref.columns)}; {_way_out(ref)}"
         )
     places: dict[str, int] = {}
     place = 0
-    for word, count in WORDS.items():
+    for word, count in (WORDS | {"history": history}).items():
         if word in meant:
             places[word] = place
-            place += history if word == "history" else count
+            place += count
     return places
 
 
@@ -166,28 +165,30 @@ def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
             f"{source_of(ref)}: the words {' '.join(words)!r} lack 'id' or 'force', which contacts need; have LIGGGHTS "
             "write both"
         )
-    slots: dict[str, tuple[str, ...]] = {}
-
-    def fill(slot: str, word: str, offset: int = 0) -> None:
-        if word in places:
-            slots[slot] = (ref.columns[places[word] + offset],)
-
     # Positions give the normal, with other digits than the particles' where a pair crosses a
     # periodic boundary. The flag of such pairs is not read: it misses some and marks others that do
     # not cross.
-    is_wall = ref.kind == "wall"
-    for k, axis in enumerate(COMPONENTS):
-        fill(f"end_i_{axis}", "pos", 3 + k if is_wall else k)
-        fill(f"end_j_{axis}", "pos", k if is_wall else 3 + k)
-        # LIGGGHTS does not fill contactPoint at walls, where pos has it
-        fill(f"contact_point_{axis}", "pos" if is_wall else "contactPoint", k)
-        fill(f"contact_force_{axis}", "force", k)
-        fill(f"normal_force_{axis}", "force_normal", k)
-        fill(f"tangential_force_{axis}", "force_tangential", k)
-    fill("contact_i", "id", 2 if is_wall else 0)
-    fill("contact_j", "id", 0 if is_wall else 1)
-    fill("overlap", "delta")
-    return slots
+    numbers = {"contact_i": ("id", 0), "contact_j": ("id", 1), "overlap": ("delta", 0)}
+    vectors = {
+        "end_i": ("pos", 0),
+        "end_j": ("pos", 3),
+        "contact_point": ("contactPoint", 0),
+        "contact_force": ("force", 0),
+        "normal_force": ("force_normal", 0),
+        "tangential_force": ("force_tangential", 0),
+    }
+    if ref.kind == "wall":
+        numbers |= {"contact_i": ("id", 2), "contact_j": ("id", 0)}
+        vectors |= {"end_i": ("pos", 3), "end_j": ("pos", 0)}
+        vectors["contact_point"] = ("pos", 0)  # LIGGGHTS does not fill contactPoint at walls
+    for slot, (word, offset) in vectors.items():
+        for k, axis in enumerate(COMPONENTS):
+            numbers[f"{slot}_{axis}"] = (word, offset + k)
+    return {
+        slot: (ref.columns[places[word] + offset],)
+        for slot, (word, offset) in numbers.items()
+        if word in places
+    }
 
 
 def _way_out(ref: StepRef) -> str:

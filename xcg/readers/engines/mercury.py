@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +19,13 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers import names
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.mercury_restart import Restart, is_restart, read_restart, restart_beside
+from xcg.readers.engines.mercury_restart import (
+    LeesEdwards,
+    Restart,
+    is_restart,
+    read_restart,
+    restart_beside,
+)
 from xcg.readers.files.table import parse_table, read_table
 from xcg.readers.files.text import Scanner, check_rows, first_lines, scanned, source_of
 from xcg.readers.paths import index_steps
@@ -106,25 +113,18 @@ class Mercury(Columnar):
                 "and boundaries"
             )
         if contacts:
-            return [
-                replace(ref, step=k)
-                for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))
-            ]
+            refs = index_steps(paths, "mercury fstat", _fstat_steps)
+            return [replace(ref, step=k) for k, ref in enumerate(refs)]
         refs = index_steps(paths, "mercury data", _data_steps)
         runs = {path: _restart_of(path, options) for path in paths}
         _warn_of_boundaries([run for run in runs.values() if run is not None], refs, options)
         _check_shifts(refs, runs, options)
-        lasting = [
-            len(set(edges)) == 1 for edges in zip(*(ref.box or () for ref in refs), strict=True)
-        ]
-        return [
-            replace(_with_restart(ref, runs[ref.path], lasting), step=number)
-            for number, ref in enumerate(refs)
-        ]
+        boxes = [ref.box or () for ref in refs]
+        lasting = [len(set(edges)) == 1 for edges in zip(*boxes, strict=True)]
+        refs = [_with_restart(ref, runs[ref.path], lasting) for ref in refs]
+        return [replace(ref, step=k) for k, ref in enumerate(refs)]
 
-    def contact_columns(
-        self, ref: StepRef, options: ReadOptions, slots: names.Slots | None = None
-    ) -> dict[str, str]:
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Return the columns of contacts, which are all read."""
         return dict(zip(ref.columns, ref.columns, strict=True))
 
@@ -148,20 +148,17 @@ class Mercury(Columnar):
         if self.particle_columns(ref, options).get("angular_velocity_z") == _SPIN_2D:
             frame["angular_velocity"] *= -1.0
         restart = _restart_of(ref.path, options)
-        if (
-            restart is None
-            or not restart.density
-            or "species" not in frame
-            or {"density", "mass"} & set(frame)
-        ):
+        if restart is None or not restart.density or "species" not in frame:
             return frame
-        unknown = set(np.unique(frame["species"])) - set(restart.density)
+        if {"density", "mass"} & set(frame):
+            return frame
+        kinds, kind = np.unique(frame["species"], return_inverse=True)
+        unknown = set(kinds) - set(restart.density)
         if unknown:
             raise SceneError(
                 f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
                 f"{sorted(restart.density)}; name the restart file of this run with restart="
             )
-        kinds, kind = np.unique(frame["species"], return_inverse=True)
         density = np.array([restart.density[k] for k in kinds])[kind]
         if not restart.has_discs:
             frame["density"] = density
@@ -227,22 +224,17 @@ def _data_steps(path: str) -> Iterator[StepRef]:
 
 
 def _header(line: str) -> list[float] | None:
+    """Return rows, time and edges of a step; None for any other line."""
     try:
-        values = [float(token) for token in line.split()]
+        values = np.array(line.split(), float)
     except ValueError:
         return None
-    edges = (len(values) - 2) // 2
-    plausible = (
-        len(values) in (6, 8)
-        and values[0] >= 0
-        and values[0].is_integer()
-        and np.isfinite(values).all()
-    )
-    return (
-        values
-        if plausible and all(values[2 + k] <= values[2 + edges + k] for k in range(edges))
-        else None
-    )
+    if len(values) not in (6, 8) or not np.isfinite(values).all():
+        return None
+    low, high = values[2:].reshape(2, -1)
+    if values[0] < 0 or values[0] % 1 or (low > high).any():
+        return None
+    return values.tolist()
 
 
 # --- what the restart file says of the run ---------------------------------------------------------------
@@ -252,31 +244,30 @@ _SAME_SHIFT = 1e-6  # of a shift: less is rounding
 
 def _restart_of(data: str, options: ReadOptions) -> Restart | None:
     """Read the restart file that the caller names, or that lies beside a ``.data`` file."""
-    named = options.extra.get("restart")
-    path = restart_beside(data) if named is None else str(named)
-    return None if path is None else read_restart(path)
+    path = options.extra.get("restart") or restart_beside(data)
+    return None if path is None else read_restart(str(path))
 
 
 def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) -> StepRef:
     """Return a step with what its restart file says."""
-    edges_of_data = ref.box or ()
-    is_flat = ref.columns == _ROW_2D
+    dimension = None
+    if ref.columns == _ROW_2D or (run and 2 in (run.dimension, run.particle_dimension)):
+        dimension = 2
     if run is None:
-        return replace(ref, dimension=2 if is_flat else None)
-    box = tuple(
-        (run.edges.get(k) or edges) if lasting[k] else edges
-        for k, edges in enumerate(edges_of_data)
-    )
-    dimensions = (run.dimension, run.particle_dimension)
+        return replace(ref, dimension=dimension)
+    box = list(ref.box or ())
+    for k, edges in run.edges.items():
+        if edges and lasting[k]:
+            box[k] = edges
     periodic: str | None = run.periodic
     if not periodic and any("periodic" in doubt.answers for doubt in run.doubts):
         periodic = None  # a boundary that is not read may be periodic
     ref = replace(
         ref,
-        box=box,
+        box=tuple(box),
         periodic=periodic,
         gravity=run.gravity,
-        dimension=2 if is_flat or 2 in dimensions else None,
+        dimension=dimension,
         shape="disc" if run.has_discs else "sphere",
     )
     vectors = np.diag([high - low for low, high in box])
@@ -286,7 +277,7 @@ def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) ->
     if images is not None:
         length = vectors[0, 0]
         height = vectors[1, 1]
-        shift = _shift_at(run, ref.time)
+        shift = _shift_at(run, images, ref.time)
         vectors[1, 0] += shift - length * np.rint(shift / length)
         ref = replace(ref, shear_rates=(("xy", images.velocity / height),))
     if run.vectors or images:
@@ -295,10 +286,8 @@ def _with_restart(ref: StepRef, run: Restart | None, lasting: Sequence[bool]) ->
     return ref
 
 
-def _shift_at(run: Restart, time: float | None) -> float:
+def _shift_at(run: Restart, images: LeesEdwards, time: float | None) -> float:
     """Return the shift of Lees-Edwards images at some time, from that in the restart file and its velocity."""
-    images = run.lees_edwards
-    assert images is not None
     if run.time is None or time is None:
         return images.shift
     return images.shift + images.velocity * (time - run.time)
@@ -327,16 +316,16 @@ def _check_shifts(
         return
     for ref in refs:
         run = runs[ref.path]
-        images = None if run is None else run.lees_edwards
-        if run is None or images is None or not images.velocity:
+        if run is None or run.lees_edwards is None or not run.lees_edwards.velocity:
             continue
+        images = run.lees_edwards
         way_out = "give lattice={'xy': shifts}, one for each step, and shear_rate="
         if run.time is None and len(refs) > 1:
             raise SceneError(
                 f"{run.path}: the LeesEdwardsBoundary has the shift {images.shift:g} at a time that is not stated; "
                 f"{way_out}"
             )
-        if abs(_shift_at(run, ref.time) - images.shift) > _SAME_SHIFT * abs(images.shift):
+        if abs(_shift_at(run, images, ref.time) - images.shift) > _SAME_SHIFT * abs(images.shift):
             warn_user(
                 f"{run.path}: the LeesEdwardsBoundary has the shift {images.shift:g} at time {run.time:g}; at other "
                 f"steps, such as time {ref.time:g}, it follows from the velocity {images.velocity:g}, taken as "
@@ -350,14 +339,15 @@ def _check_shifts(
 
 def _fstat_steps(path: str) -> Iterator[StepRef]:
     with scanned(path) as scanner:
-        step = 0
-        while (time := _comments(scanner, path)) is not None:
+        for step in count():
+            time = _comments(scanner, path)
+            if time is None:
+                return
             start = scanner.offset
             body = b"".join(scanner.until(b"#"))
             ref = StepRef(path, 0, time, step, columns=_CONTACT, offset=start, length=len(body))
             ids = parse_table(body, _CONTACT, ("i", "j"), None, source_of(ref))
             yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()))
-            step += 1
 
 
 def _comments(scanner: Scanner, path: str) -> float | None:

@@ -7,6 +7,7 @@ Read are versions 2 and 3 (``restart_version 2``: ``dim``, ``rho``, ``WallsPerio
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -111,27 +112,12 @@ def restart_beside(data: str) -> str | None:
 
 def read_restart(path: str) -> Restart:
     """Read the head of a restart file, down to the particles. Raise SceneError if it is another file."""
-    if not is_restart(path):
-        raise SceneError(
-            f"{path}: not a restart file of MercuryDPM, whose first word is 'restart_version' or 'MercuryDPM'; name "
-            "that of this run in restart="
-        )
-    lines: dict[str, list[list[str]]] = {"": []}
-    section = ""
-    with scanned(path) as scanner:
-        while raw := scanner.line():
-            words = raw.decode("utf-8", "replace").split()
-            if words and words[0] in _SECTIONS:
-                section = words[0]
-                if section == "Particles":
-                    break
-            elif words:
-                lines.setdefault(section, []).append(words)
+    lines = _lines_of_sections(path)
     head = [word for words in lines[""] for word in words]
     dimension = _dimension(head, ("systemDimensions", "dim"), path)
     particle_dimension = _dimension(head, ("particleDimensions",), path)
     density: dict[float, float] = {}
-    for words in lines.get("Species", ()):
+    for words in lines["Species"]:
         if words[0].endswith("Species") and {"id", "density"} <= set(words):
             (number,) = _numbers_after(words, "id", 1, path)
             (density[number],) = _numbers_after(words, "density", 1, path)
@@ -142,13 +128,15 @@ def read_restart(path: str) -> Restart:
     if "gravity" in head:
         x, y, z = _numbers_after(head, "gravity", 3, path)
         gravity = (x, y, z)
-    time = next(
-        (_numbers_after(head, name, 1, path)[0] for name in ("time", "t") if name in head), None
-    )
+    time = None
+    for name in ("time", "t"):
+        if name in head:
+            (time,) = _numbers_after(head, name, 1, path)
+            break
     boundaries = _Boundaries(path, time)
-    for words in lines.get("WallsPeriodic", ()):
+    for words in lines["WallsPeriodic"]:
         boundaries.read(["PeriodicBoundary", *words])
-    for words in lines.get("Boundaries", ()):
+    for words in lines["Boundaries"]:
         boundaries.read(words)
     return Restart(
         path,
@@ -162,6 +150,25 @@ def read_restart(path: str) -> Restart:
         boundaries.lees_edwards,
         tuple(boundaries.doubts),
     )
+
+
+def _lines_of_sections(path: str) -> dict[str, list[list[str]]]:
+    """Return the words of each line above the particles, by the name of the section, "" for the head."""
+    if not is_restart(path):
+        raise SceneError(
+            f"{path}: not a restart file of MercuryDPM, whose first word is 'restart_version' or 'MercuryDPM'; name "
+            "that of this run in restart="
+        )
+    lines: dict[str, list[list[str]]] = defaultdict(list)
+    section = ""
+    with scanned(path) as scanner:
+        while section != "Particles" and (line := scanner.line()):
+            words = line.decode("utf-8", "replace").split()
+            if words and words[0] in _SECTIONS:
+                section = words[0]
+            elif words:
+                lines[section].append(words)
+    return lines
 
 
 def _dimension(words: Sequence[str], names: Sequence[str], path: str) -> int | None:
@@ -288,7 +295,9 @@ class _Boundaries:
         )
         if goal or rate:
             (shift,) = _numbers_after(words, "integratedShift", 1, self.path)
-            at = "" if self.time is None else f" at time {self.time:g}"
+            at = ""
+            if self.time is not None:
+                at = f" at time {self.time:g}"
             self._doubt(
                 words,
                 f"shears the box in the plane xy, its images along y are shifted by {shift:g} along x{at}, and the "

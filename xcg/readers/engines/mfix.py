@@ -45,15 +45,23 @@ from xcg.readers.files.vtkheader import read_arrays
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
-_NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
-_POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
+_NORMAL = "FORCE_CHAIN_FN"
+_TANGENTIAL = "FORCE_CHAIN_FT"
+_OVERLAP = "FORCE_CHAIN_OVERLAP"
+_POINT = "FORCE_CHAIN_CONTACT_POINT"
+_LENGTH = "FORCE_CHAIN_LENGTH"
+_OF_CONTACTS = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
+
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list, by phase: three half-axes, m, n
 # in the headers of its files only
 _MARKS = re.compile(
     rb'<!--\s*Time\s*=|Name="(FORCE_CHAIN_|Particle_(Phase_)?ID"|coordinates"|Angular_velocity")'
 )
 _HEAD = 1 << 14
-_SHAPE = _QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
+_QUATERNION = "QUATERNION"
+_SCALE = "SQP_POLY_SCALE"
+_PHASE = "Particle_Phase_ID"
+_SHAPE = (_QUATERNION, _SCALE, _PHASE)
 
 
 class Mfix(Vtk):
@@ -86,32 +94,27 @@ class Mfix(Vtk):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        found = self.targets(ref, options, contacts=True)
-        if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
-            found.setdefault("contact_force", "")
-        return list(found)
+        names = super().contact_variables(ref, options)
+        if {_NORMAL, _TANGENTIAL} <= set(ref.columns) and "contact_force" not in names:
+            names.append("contact_force")
+        return names
 
     def targets(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> dict[str, str]:
         """Scene names and the arrays that they are read from; of particles also the arrays of their shapes."""
-        found = super().targets(ref, options, contacts=contacts)
-        if contacts:
-            return found
-        return found | {
-            array: array for array in _SHAPE if array in ref.columns and array not in options.names
-        }
+        targets = super().targets(ref, options, contacts=contacts)
+        if not contacts:
+            free = set(ref.columns) - set(options.names)
+            targets |= {array: array for array in _SHAPE if array in free}
+        return targets
 
     def ignored_columns(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> list[str]:
         """Arrays of a step that are not read."""
-        read = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH} if contacts else set()
-        return [
-            name
-            for name in super().ignored_columns(ref, options, contacts=contacts)
-            if name not in read
-        ]
+        ignored = super().ignored_columns(ref, options, contacts=contacts)
+        return [name for name in ignored if not contacts or name not in _OF_CONTACTS]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step.
@@ -159,7 +162,8 @@ class Mfix(Vtk):
             names = self.contact_variables(ref, options)
             return {name: np.empty(variable(name).shape(0)) for name in names}
         rows = _Rows.of(ref, options, self.targets(ref, options, contacts=True))
-        spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
+        spheres = np.flatnonzero(~rows.superquadric)
+        others = np.flatnonzero(rows.superquadric)
         frame = {name: values[spheres] for name, values in rows.frame.items()}
         frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
         if not len(others):
@@ -187,20 +191,20 @@ def _shapes(ref: StepRef, arrays: Frame) -> Frame:
     frame: Frame = {}
     if _QUATERNION in arrays:
         frame |= {f"quat_{axis}": arrays[_QUATERNION][:, k].copy() for k, axis in enumerate("wxyz")}
-    if _SCALE in arrays and _PHASE in arrays:
-        listed = {
-            name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()
-        }
-        phases, row = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
-        found = [listed.get(f"{phase:02d}", ()) for phase in phases]
-        if found and all(len(numbers) == 5 for numbers in found):
-            table = np.array(found)[row]
-            frame |= {
-                f"half_axis_{axis}": table[:, k] * arrays[_SCALE]
-                for k, axis in enumerate(COMPONENTS)
-            }
-            if (table[:, 3] == table[:, 4]).all():
-                frame |= {"exponent_1": table[:, 3].copy(), "exponent_2": table[:, 4].copy()}
+    if _SCALE not in arrays or _PHASE not in arrays:
+        return frame
+    listed = {
+        name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()
+    }
+    phases, row = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
+    shapes = [listed.get(f"{phase:02d}", ()) for phase in phases]
+    if not shapes or any(len(numbers) != 5 for numbers in shapes):
+        return frame
+    x, y, z, m, n = np.array(shapes)[row].T
+    for axis, half_axis in zip(COMPONENTS, (x, y, z), strict=True):
+        frame[f"half_axis_{axis}"] = half_axis * arrays[_SCALE]
+    if (m == n).all():
+        frame |= {"exponent_1": m.copy(), "exponent_2": n.copy()}
     return frame
 
 
@@ -229,12 +233,12 @@ class _Rows:
     superquadric: NDArray
 
     @classmethod
-    def of(cls, ref: StepRef, options: ReadOptions, found: Mapping[str, str]) -> _Rows:
+    def of(cls, ref: StepRef, options: ReadOptions, targets: Mapping[str, str]) -> _Rows:
         header = open_step(ref)
         points = header.names[0]
-        more = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        arrays = read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
-        frame: Frame = {name: arrays[array] for name, array in found.items()}
+        more = sorted(_OF_CONTACTS & set(header.names))
+        arrays = read_arrays(header, [*targets.values(), points, *more])
+        frame: Frame = {name: arrays[array] for name, array in targets.items()}
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
@@ -249,7 +253,7 @@ class _Rows:
                 f"{ref.path}: contacts of superquadrics need {_POINT} and {_LENGTH}, which tell where they touch; "
                 f"found {list(ref.columns)}. Switch them on in the region's output"
             )
-        if found.get("contact_point") == points and points not in options.names:
+        if targets.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
         frame["row_of_file"] = np.arange(header.rows)
         return cls(frame, mark, place, length, superquadric)

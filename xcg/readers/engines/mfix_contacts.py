@@ -61,21 +61,23 @@ def distances_of_twins(
 
     Parameters as in `each_contact_once`, and which rows are contacts of superquadrics (n,).
     """
-    i, j = contacts["contact_i"], contacts["contact_j"]
-    low = np.minimum(i, j)
-    high = np.maximum(i, j)
+    i = contacts["contact_i"]
+    j = contacts["contact_j"]
+    pair = [np.minimum(i, j), np.maximum(i, j)]
     swapped = i > j
-    apart = [np.empty((0, 3))]
-    for rows, marks, mirrored in (
-        (np.flatnonzero(superquadric), [], False),
-        (np.flatnonzero(~superquadric), _without_sign(mark, swapped), True),
-    ):
-        order, run = _runs([key[rows] for key in (low, high, *marks)])
-        twice = rows[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
-        if mirrored:
-            twice = twice[swapped[twice[:, 0]] != swapped[twice[:, 1]]]
-        apart.append(np.abs(place[twice[:, 0]] - place[twice[:, 1]]))
-    return np.concatenate(apart)
+    shared = _of_shared_pairs(i, j)  # few, of all that would be sorted
+    is_superquadric = superquadric[shared]
+    twins = _twins(shared[is_superquadric], pair)
+    mirrored = _twins(shared[~is_superquadric], [*pair, *_without_sign(mark, swapped)])
+    first, second = swapped[mirrored].T
+    first, second = np.concatenate([twins, mirrored[first != second]]).T
+    return np.abs(place[first] - place[second])
+
+
+def _twins(rows: NDArray, keys: Sequence[NDArray]) -> NDArray:
+    """Return the two rows (m, 2) of all that stand twice, by equal keys."""
+    order, run = _runs([key[rows] for key in keys])
+    return rows[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
 
 
 def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
@@ -89,13 +91,13 @@ def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
     place : array (n, 3)
         Points of all contacts.
     """
-    found = {}
+    periods = {}
     for k, axis in enumerate(COMPONENTS):
         far = apart[apart[:, k] > 0.5 * apart[:, k].max(initial=0.0), k]
         # both rows are one contact, so that distances are a period to single precision, or nothing
         if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(place[:, k]):
-            found[axis] = float(np.median(far))
-    return found
+            periods[axis] = float(np.median(far))
+    return periods
 
 
 def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
@@ -181,7 +183,8 @@ def both_sides_once(
         One row a contact: of its rows the first, with the mean of their points, of their overlaps,
         and of their forces, turned to act on the same particle.
     """
-    i, j = contacts["contact_i"], contacts["contact_j"]
+    i = contacts["contact_i"]
+    j = contacts["contact_j"]
     shared = _of_shared_pairs(i, j)
     if not len(shared):
         return contacts
@@ -217,28 +220,29 @@ def _means(values: NDArray, group: NDArray) -> NDArray:
     total = np.zeros_like(values)
     np.add.at(total, group, values)
     count = np.maximum(np.bincount(group, minlength=len(values)), 1)
-    return total / (count[:, None] if values.ndim == 2 else count)
+    return (total.T / count).T
 
 
 def _without_sign(mark: NDArray, swapped: NDArray) -> list[NDArray]:
     """Keys that both rows of a contact share: vectors are turned to act on the particle of the lower id."""
-    return list((mark * np.where(swapped, -1.0, 1.0)[:, None]).T) if mark.ndim == 2 else [mark]
+    if mark.ndim == 1:
+        return [mark]
+    return list((mark * np.where(swapped, -1.0, 1.0)[:, None]).T)
 
 
 def _of_shared_pairs(i: NDArray, j: NDArray) -> NDArray:
     """Rows whose pair of ids occurs in other rows, too."""
-    low, high = np.minimum(i, j), np.maximum(i, j)
-    whole = low.size and max(abs(low.min()), abs(high.max())) < EXACT  # NaN is not
-    if not whole:
+    low = np.minimum(i, j)
+    high = np.maximum(i, j)
+    largest = max(np.abs(low).max(initial=0), np.abs(high).max(initial=0))
+    if not largest < EXACT:  # NaN is not
         order, pair = _runs([low, high])
         return np.sort(order[np.bincount(pair, minlength=1)[pair] > 1])
     key = low * (2.0 * EXACT) + high  # exact in a double
     ordered = np.sort(key)
     twice = ordered[1:][ordered[1:] == ordered[:-1]]
-    if not len(twice):
-        return np.empty(0, int)
-    near = np.minimum(np.searchsorted(twice, key), len(twice) - 1)
-    return np.flatnonzero(twice[near] == key)
+    near = np.searchsorted(twice, key)
+    return np.flatnonzero(np.append(twice, np.nan)[near] == key)
 
 
 def _runs_along(keys: Sequence[NDArray]) -> NDArray:

@@ -6,10 +6,10 @@ A file holds one step, or several that a column of times separates, whose rows a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,16 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.table import first_row, read_csv, read_parquet, scan_csv, scan_parquet
-from xcg.readers.files.text import first_lines, plain_name
+from xcg.readers.filenames import suffix_of
+from xcg.readers.files.table import (
+    TableIndex,
+    first_row,
+    read_csv,
+    read_parquet,
+    scan_csv,
+    scan_parquet,
+)
+from xcg.readers.files.text import first_lines
 from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
@@ -28,7 +36,7 @@ _POSITION = ("position_x", "position_y")
 _ENDS = ("contact_i", "contact_j")
 # also with a decimal comma, which is an error by name when it is read
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
-_NO_OPTIONS = ReadOptions()
+
 _OF_TRACKPY = {"mass", "signal", "ecc"}  # its mass is the brightness of a feature
 
 
@@ -41,17 +49,18 @@ class Table(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table, or the first line of a text names its columns."""
-        if _suffix(path) in (".csv", ".tsv"):
+        if suffix_of(path) in (".csv", ".tsv"):
             return unread_format(path) is None  # Excel, HTML and others are called .csv, too
-        return _suffix(path) == ".parquet" or _has_header(path)
+        return suffix_of(path) == ".parquet" or _has_header(path)
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
         clock = {name: target for name, target in options.names.items() if target in CLOCK_SLOTS}
-        in_order = options.columns.get("contacts" if contacts else "particles", ())
-        names = [name or f"column {k}" for k, name in enumerate(in_order)]
+        kind = "contacts" if contacts else "particles"
+        in_order = enumerate(options.columns.get(kind, ()))
+        names = [name or f"column {k}" for k, name in in_order]
         scan = partial(_steps, given=clock, in_order=names)
         refs = index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
         if refs:
@@ -69,7 +78,7 @@ class Table(Columnar):
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read columns of one step."""
-        read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
+        read = read_parquet if suffix_of(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
 
     def ignored_columns(
@@ -77,14 +86,8 @@ class Table(Columnar):
     ) -> list[str]:
         """Columns of a step that are not read."""
         ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [
-            name for name in ignored if name not in clock_of(ref.columns, options.names).values()
-        ]
-
-
-def _suffix(path: str) -> str:
-    """Return the suffix of a file, before that of its compression."""
-    return Path(plain_name(path)).suffix.lower()
+        of_clock = clock_of(ref.columns, options.names).values()
+        return [name for name in ignored if name not in of_clock]
 
 
 def _has_header(path: str) -> bool:
@@ -100,22 +103,24 @@ def _has_header(path: str) -> bool:
     row = dict(zip(reversed(names), reversed(words), strict=False))
     ref = StepRef(path, 0, columns=names)
     for slots, needed in ((Table.PARTICLE_SLOTS, _POSITION), (Table.CONTACT_SLOTS, _ENDS)):
-        found = assign(ref, {slot: slots[slot] for slot in needed}, _NO_OPTIONS)
-        if len(found) == 2 and all(_NUMBER.fullmatch(row[name]) for name in found.values()):
+        columns = assign(ref, {slot: slots[slot] for slot in needed}, ReadOptions()).values()
+        if len(columns) == 2 and all(_NUMBER.fullmatch(row[name]) for name in columns):
             return True
     return False
 
 
 def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of the time and of the number of the step, as far as there are such."""
-    clock = {slot: name for name, slot in given.items() if slot in CLOCK_SLOTS and name in columns}
+    by_caller = {slot: name for name, slot in given.items() if name in columns}
     named = canonical_columns(name for name in columns if name not in given)
-    for slot, aliases in CLOCK_SLOTS.items():
-        found = [name for alias in aliases for name in named.get(alias, ())]
-        if slot not in clock and found:
-            clock[slot] = found[0]
-    # the time, if there is one, separates the steps
-    return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
+    clock = {}
+    for slot, aliases in CLOCK_SLOTS.items():  # the time, if there is one, separates the steps
+        by_name = [name for alias in aliases for name in named.get(alias, ())]
+        if slot in by_caller:
+            clock[slot] = by_caller[slot]
+        elif by_name:
+            clock[slot] = by_name[0]
+    return clock
 
 
 def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
@@ -135,24 +140,43 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
 def _steps(
     path: str, given: Mapping[str, str | None], in_order: Sequence[str]
 ) -> Iterator[StepRef]:
-    is_parquet = _suffix(path) == ".parquet"
-    scan = scan_parquet if is_parquet else partial(scan_csv, in_order=in_order)
-    found = scan(path, lambda names: clock_of(names, given))
-    clock = clock_of(found.columns, given)
-    runs = runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path)
-    for first, stop in runs:
-        told = {what: found.clock[name][first] for what, name in clock.items()}
-        offset, length = found.place(first, stop)
-        yield StepRef(
+    scan: Callable[..., TableIndex] = partial(scan_csv, in_order=in_order)
+    if suffix_of(path) == ".parquet":
+        scan = scan_parquet
+    table = scan(path, lambda names: clock_of(names, given))
+    columns = clock_of(table.columns, given)
+    clock = {slot: table.clock[name] for slot, name in columns.items()}
+    for first, stop in runs_of(clock, table.rows, path):
+        offset, length = table.place(first, stop)
+        ref = StepRef(
             path,
             stop - first,
-            time=float(told["time"]) if "time" in told else None,
-            step=int(told.get("step", -1)),
-            columns=found.columns,
+            step=-1,
+            columns=table.columns,
             offset=offset,
             length=length,
-            kind=found.kind,
+            kind=table.kind,
         )
+        if "time" in clock:
+            ref = replace(ref, time=float(clock["time"][first]))
+        if "step" in clock:
+            ref = replace(ref, step=int(clock["step"][first]))
+        yield ref
+
+
+def check_clock(clock: Mapping[str, NDArray], path: str) -> None:
+    """Raise SceneError if a time is not finite, or a step number is not whole."""
+    for slot, values in clock.items():
+        fits = np.isfinite(values)
+        expected = "numbers"
+        if slot == "step":
+            fits &= (values % 1 == 0) & (values >= 0) & (values < 2**63)
+            expected = "0, 1, 2, ..."
+        if not fits.all():
+            row = int(np.argmin(fits))
+            raise SceneError(
+                f"{path}: the {slot} of row {row} is {values[row]}; expected {expected}"
+            )
 
 
 def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
@@ -161,29 +185,20 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     Raises
     ------
     SceneError
-        If a time is not finite, a step number is not whole, or rows of one time are not contiguous.
+        If the clock is not as `check_clock` expects, or rows of one time are not contiguous.
     """
-    key = next(iter(clock.values()), None)
-    if key is None:
+    if not clock:
         return [(0, rows)]
-    for what, values in clock.items():
-        fit = np.isfinite(values) & (
-            (values % 1 == 0) & (values >= 0) & (values < 2**63) if what == "step" else True
-        )
-        if not fit.all():
-            row = int(np.argmin(fit))
-            expected = "0, 1, 2, ..." if what == "step" else "numbers"
-            raise SceneError(
-                f"{path}: the {what} of row {row} is {values[row]}; expected {expected}"
-            )
+    check_clock(clock, path)
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
+    slot, key = next(iter(clock.items()))
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
     firsts = key[edges[:-1]].tolist()
     if len(set(firsts)) < len(firsts):
         twice = next(value for value in firsts if firsts.count(value) > 1)
         raise SceneError(
-            f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by "
+            f"{path}: rows of the {slot} {twice!r} stand apart from each other; sort the table by "
             "it, or split it where another run begins and open the runs one by one"
         )
     return list(pairwise(edges))

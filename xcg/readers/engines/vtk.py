@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -17,9 +16,11 @@ from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
 from xcg.readers.engines.vtk_steps import LINES, list_steps, read_header
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files import vtkheader
+from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.legacy_vtk import is_legacy
-from xcg.readers.files.text import open_binary, plain_name
+from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.names import (
     CONTACT_ARRAYS,
@@ -41,7 +42,7 @@ _XML = (".vtu", ".vtp", ".pvd", ".pvtu", ".pvtp", ".vtm", ".vti", ".vtr", ".vts"
 
 def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
     """Return whether a VTK XML file has one of these suffixes, before that of a compression, and one of these kinds."""
-    if Path(plain_name(path)).suffix.lower() not in suffixes:
+    if suffix_of(path) not in suffixes:
         return False
     with open_binary(path) as file:
         head = file.read(1024)
@@ -51,8 +52,7 @@ def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
 def open_step(ref: StepRef) -> Header:
     """Read the header of a step again, which has to be as it was."""
     header = read_header(ref.path, lines=ref.kind == LINES)
-    same = header.rows == ref.rows and (header.names == ref.columns or not ref.rows)
-    if not same or (ref.size and header.size != ref.size):
+    if header.rows != ref.rows or (ref.rows and header.names != ref.columns):
         raise SceneError(
             f"{ref.path}: the file changed after the scene was opened; open the scene again"
         )
@@ -61,22 +61,19 @@ def open_step(ref: StepRef) -> Header:
 
 def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
     """Read the arrays of one step by the names of the scene, without the points that another piece holds."""
+    if not ref.rows:  # files without grains may lack the arrays
+        return {name: np.empty(variable(name).shape(0)) for name in wanted}
     ghosts = [name for name in _GHOSTS if name in ref.columns]
     names = [*wanted.values(), *ghosts]
-    is_hdf = ref.kind == vtkhdf_points.KIND
-    arrays = (
-        vtkhdf_points.read_arrays(ref, names)
-        if is_hdf
-        else vtkheader.read_arrays(open_step(ref), names)
-    )
-    if not ref.rows:  # files without grains may lack the arrays
-        empty = {array: np.empty(variable(name).shape(0)) for name, array in wanted.items()}
-        arrays = empty | arrays
+    if ref.kind == vtkhdf_points.KIND:
+        arrays = vtkhdf_points.read_arrays(ref, names)
+    else:
+        arrays = vtkheader.read_arrays(open_step(ref), names)
     frame = {name: arrays[array] for name, array in wanted.items()}
-    if not ghosts or not ref.rows:
-        return frame
-    own = arrays[ghosts[0]] == 0
-    return {name: values[own] for name, values in frame.items()}
+    if ghosts:
+        of_piece = arrays[ghosts[0]] == 0
+        frame = {name: values[of_piece] for name, values in frame.items()}
+    return frame
 
 
 class Vtk(Engine):
@@ -95,18 +92,16 @@ class Vtk(Engine):
 
     CONTACT_NAMES: ClassVar[Mapping[str, str]] = CONTACT_ARRAYS
     OPTIONS: ClassVar[tuple[str, ...]] = ("timestep",)
-    LINES: ClassVar[bool] = True
-    ROWS_ARE_IDS: ClassVar[bool] = False
-    ADVICE: ClassVar[str] = "Say which arrays they are, as in names={'...': 'contact_i'}"
+    LINES = True
+    ROWS_ARE_IDS = False
+    ADVICE = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK file of points, or a list of such files."""
-        suffix = Path(plain_name(path)).suffix.lower()
-        if suffix == ".vtkhdf":
-            return vtkhdf_points.is_vtkhdf(path)
-        if suffix == ".series":
-            return True
-        return is_legacy(path) or is_xml(path, _XML, b"VTKFile")
+        if suffix_of(path) == ".vtkhdf":
+            return is_hdf5(path)
+        is_list = suffix_of(path) == ".series"
+        return is_list or is_legacy(path) or is_xml(path, _XML, b"VTKFile")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles from the headers of files, or of the lists that name them.
@@ -133,24 +128,22 @@ class Vtk(Engine):
             that are not read.
         """
         refs = list_steps(paths, options)
-        of_cells = [array for ref in refs[:1] for array in ref.columns if array.endswith(OF_CELLS)]
+        for ref in refs:
+            self.targets(ref, options)
+        if not refs:  # all faulty, which is tolerated
+            return refs
+        first = refs[0]
+        of_cells = [array for array in first.columns if array.endswith(OF_CELLS)]
         if of_cells:
             arrays = ", ".join(array.removesuffix(OF_CELLS) for array in of_cells)
             warn_user(
-                f"{refs[0].path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
+                f"{first.path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
                 "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of points"
             )
-        for ref in refs:
-            self.targets(ref, options)
-        if refs:
-            ignored = self.ignored_columns(refs[0], options)
-            unread = [
-                array
-                for array in ignored
-                if array not in options.names and not array.endswith(OF_CELLS)
-            ]
-            read = self.targets(refs[0], options)
-            warn_of_resembling(refs[0], unread, read, contacts=False, whole_vectors=True)
+        known = {*options.names, *of_cells}
+        unread = [name for name in self.ignored_columns(first, options) if name not in known]
+        read = self.targets(first, options)
+        warn_of_resembling(first, unread, read, contacts=False, whole_vectors=True)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -163,10 +156,9 @@ class Vtk(Engine):
         """
         refs = list_steps(paths, options, lines=self.LINES)
         for ref in refs:
-            there = self.contact_variables(ref, options)
-            lacking = [
-                name for name in ("contact_i", "contact_j", "contact_force") if name not in there
-            ]
+            names = self.contact_variables(ref, options)
+            needed = ("contact_i", "contact_j", "contact_force")
+            lacking = [name for name in needed if name not in names]
             if lacking:
                 raise SceneError(
                     f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {self.ADVICE}"
@@ -233,8 +225,7 @@ class Vtk(Engine):
         self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
     ) -> list[str]:
         """Arrays of a step that are not read."""
-        found = self.targets(ref, options, contacts=contacts)
-        read = {*found.values(), *_GHOSTS}
+        read = {*self.targets(ref, options, contacts=contacts).values(), *_GHOSTS}
         return [array for array in ref.columns if array not in read]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -287,7 +278,5 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
         If the name ends otherwise, or the file holds no points.
     """
     places = places_of(read_mesh(path), centers=centers)
-    return {
-        a: xr.DataArray(places[:, k], dims="cell" if centers else "point")
-        for k, a in enumerate(COMPONENTS)
-    }
+    dim = "cell" if centers else "point"
+    return {axis: xr.DataArray(places[:, k], dims=dim) for k, axis in enumerate(COMPONENTS)}

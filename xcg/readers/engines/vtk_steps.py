@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import filecmp
 import json
+import math
 import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,9 @@ import numpy as np
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files import legacy_vtk, vtp
+from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
 from xcg.readers.files.vtkheader import Header
 from xcg.readers.paths import number_steps, remembered, timed_steps
@@ -40,13 +44,9 @@ class _Listed:
 
 def read_header(path: str, *, lines: bool = False) -> Header:
     """Read the header of a VTK file, XML or legacy; see `xcg.readers.files.vtp.read_header`."""
-    is_legacy = _suffix(path) not in _XML and legacy_vtk.is_legacy(path)
-    return (legacy_vtk if is_legacy else vtp).read_header(path, lines=lines)
-
-
-def _suffix(path: str) -> str:
-    """Return the suffix of a file before that of its compression, in small letters."""
-    return Path(plain_name(path)).suffix.lower()
+    if suffix_of(path) not in _XML and legacy_vtk.is_legacy(path):
+        return legacy_vtk.read_header(path, lines=lines)
+    return vtp.read_header(path, lines=lines)
 
 
 def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
@@ -66,25 +66,26 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     listed = _existing(paths, options)
     files = list(dict.fromkeys(file for step in listed for file in step.files))
     scan = partial(_scan, lines=lines)
-    found = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
-    _warn_of_meshes([ref for refs in found.values() for ref in refs])
+    scanned = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
+    _warn_of_meshes(list(chain(*scanned.values())))
+    names = []
     steps = []
     for entry in listed:
-        parts = [found[file] for file in entry.files]
-        refs = [ref for part in parts for ref in part if not ref.kind.startswith(MESH)]
-        if not all(parts):  # a file is at fault
-            refs = []
-        elif len(parts) > 1 and refs:
+        parts = [scanned[file] for file in entry.files]
+        refs = [ref for ref in chain(*parts) if not ref.kind.startswith(MESH)]
+        if not refs or not all(parts):  # a mesh, or a file is at fault
+            continue
+        if len(parts) > 1:
             refs = [_joined(entry, refs)]
+        names.append(entry.name)
         steps.append([replace(ref, time=_time(ref.time, entry.time)) for ref in refs])
-    names = [entry.name for entry, refs in zip(listed, steps, strict=True) if refs]
-    numbered = number_steps(names, [refs for refs in steps if refs])
+    numbered = number_steps(names, steps)
     return timed_steps(_once(_with_columns(numbered)), options.extra.get("timestep"))
 
 
 def _scan(path: str, *, lines: bool) -> list[StepRef]:
     """Return the steps of a file, from its header."""
-    if _suffix(path) not in _XML and vtkhdf_points.is_vtkhdf(path):
+    if suffix_of(path) not in _XML and is_hdf5(path):
         mesh = vtkhdf_points.mesh_of(path)
         return [_mesh(path, mesh)] if mesh else vtkhdf_points.list_steps(path)
     header = read_header(path, lines=lines)
@@ -97,7 +98,6 @@ def _scan(path: str, *, lines: bool) -> list[StepRef]:
             step=-1,
             time=header.time,
             columns=header.names,
-            size=header.size,
             kind=LINES if header.of_lines else "",
         )
     ]
@@ -111,14 +111,14 @@ def _mesh(path: str, mesh: str) -> StepRef:
 def _warn_of_meshes(refs: Sequence[StepRef]) -> None:
     """Warn of files without grains; raise SceneError if there are no others."""
     meshes = [ref for ref in refs if ref.kind.startswith(MESH)]
-    if not meshes:
-        return
-    shown = ", ".join(f"{ref.path} ({ref.kind.removeprefix(MESH)})" for ref in meshes[:3])
-    more = ", ..." if len(meshes) > 3 else ""
+    shown = [f"{ref.path} ({ref.kind.removeprefix(MESH)})" for ref in meshes[:3]]
+    if len(meshes) > 3:
+        shown.append("...")
     count = f"{len(meshes)} of {len(refs)} files hold no grains"
-    if len(meshes) == len(refs):
-        raise SceneError(f"{count}: {shown}{more}; give the files of the grains")
-    warn_user(f"{count} and are skipped: {shown}{more}")
+    if meshes and len(meshes) == len(refs):
+        raise SceneError(f"{count}: {', '.join(shown)}; give the files of the grains")
+    if meshes:
+        warn_user(f"{count} and are skipped: {', '.join(shown)}")
 
 
 def _joined(entry: _Listed, refs: Sequence[StepRef]) -> StepRef:
@@ -156,25 +156,21 @@ def _with_columns(refs: Sequence[StepRef]) -> list[StepRef]:
 
 def _expanded(path: str) -> list[_Listed]:
     """List the steps that a file names, or the file itself."""
-    suffix = _suffix(path)
-    if not os.path.isfile(path):
-        return [_Listed(path, (path,))]
-    if suffix in _PARALLEL:
-        return [_Listed(path, vtp.read_parallel(path))]
-    if suffix not in (".pvd", ".series"):
-        return [_Listed(path, (path,))]
-    steps = vtp.read_collection(path) if suffix == ".pvd" else read_series(path)
-    listed = []
-    for files, time in steps:
-        parts = [part for file in files for part in _parts(file)]
-        listed.append(_Listed(files[0], tuple(parts), time))
-    return listed
+    suffix = suffix_of(path)
+    if suffix not in (".pvd", ".series") or not os.path.isfile(path):
+        return [_Listed(path, _parts(path))]
+    read_list = vtp.read_collection if suffix == ".pvd" else read_series
+    return [
+        _Listed(files[0], tuple(chain(*map(_parts, files))), time)
+        for files, time in read_list(path)
+    ]
 
 
 def _parts(path: str) -> tuple[str, ...]:
     """Return the files of the pieces of a parallel file, or the file itself."""
-    is_parallel = _suffix(path) in _PARALLEL and os.path.isfile(path)
-    return vtp.read_parallel(path) if is_parallel else (path,)
+    if suffix_of(path) in _PARALLEL and os.path.isfile(path):
+        return vtp.read_parallel(path)
+    return (path,)
 
 
 def read_series(path: str) -> list[tuple[tuple[str, ...], float | None]]:
@@ -187,27 +183,28 @@ def read_series(path: str) -> list[tuple[tuple[str, ...], float | None]]:
     """
     with open_binary(path) as file:
         text = file.read(_LONGEST_SERIES)
+    folder = Path(path).parent
+    steps: list[tuple[tuple[str, ...], float | None]] = []
     try:
-        entries = json.loads(text)["files"]
-        steps = [(str(entry["name"]), entry.get("time")) for entry in entries]
-        listed = [(name, None if time is None else float(time)) for name, time in steps]
+        for entry in json.loads(text)["files"]:
+            name = str(entry["name"])
+            time = entry.get("time")
+            if time is not None:
+                time = float(time)
+            if name and "\0" not in name:
+                steps.append(((str(folder / name),), time))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
-        listed = []
-    usable = [(name, time) for name, time in listed if name and "\0" not in name]
-    if not usable or not all(time is None or np.isfinite(time) for _, time in usable):
+        steps = []
+    if not steps or not all(time is None or math.isfinite(time) for _, time in steps):
         raise SceneError(
             f'{path}: expected a list in JSON like {{"files": [{{"name": "grains_0.vtk", "time": 0.0}}]}}; the file is '
             "damaged, or of another kind"
         )
-    folder = Path(path).parent
-    return [((str(folder / name),), time) for name, time in usable]
+    return steps
 
 
 def _existing(paths: Sequence[str], options: ReadOptions) -> list[_Listed]:
     """List the steps whose files exist: lists expanded, missing files refused or skipped with their steps."""
-    missing = options.extra.get("missing", "raise")
-    if missing not in ("raise", "skip"):
-        raise SceneError(f"missing={missing!r}: expected 'raise' or 'skip'")
     listed: list[_Listed] = []
     for path in map(str, paths):
         try:
@@ -222,14 +219,16 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[_Listed]:
     times = {step.time for step in whole if step.time is not None}
     unmatched = [file for step in listed if step.time not in times for file in step.files]
     gone = [file for file in unmatched if not os.path.isfile(file)]
-    if gone:
-        count = sum(len(step.files) for step in listed)
-        shown = f"{len(gone)} of {count} files do not exist: {', '.join(gone)}"
-        if missing == "raise" or not whole:
-            way_out = "pass missing='skip' to go on with the others" if whole else "check the path"
-            raise SceneError(f"{shown}; restore them, or {way_out}")
-        if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
-            warn_user(f"{shown}; they are skipped")
+    if not gone:
+        return whole
+    count = sum(len(step.files) for step in listed)
+    shown = f"{len(gone)} of {count} files do not exist: {', '.join(gone)}"
+    if not whole:
+        raise SceneError(f"{shown}; restore them, or check the path")
+    if options.extra.get("missing", "raise") == "raise":
+        raise SceneError(f"{shown}; restore them, or pass missing='skip' to go on with the others")
+    if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
+        warn_user(f"{shown}; they are skipped")
     return whole
 
 
@@ -241,9 +240,9 @@ def packed_path(path: str) -> str:
 
 def _time(own: float | None, listed: float | None) -> float | None:
     """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
-    if own is None or listed is None:
-        return own if listed is None else listed
-    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
+    if listed is None or (own is not None and np.isclose(own, listed, rtol=1e-6, atol=0)):
+        return own
+    return listed
 
 
 def _once(refs: Sequence[StepRef]) -> list[StepRef]:
@@ -251,19 +250,17 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
     firsts: dict[object, StepRef] = {}
     kept = []
     for ref in refs:
-        key = (ref.path, ref.offset) if ref.time is None else ref.time
+        key: object = ref.time
+        if ref.time is None:
+            key = (ref.path, ref.offset)
         first = firsts.setdefault(key, ref)
         if _region(first) != _region(ref):
             raise SceneError(
                 f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
                 "open one region at a time"
             )
-        if (
-            first is ref
-            or ref.pieces
-            or first.size != ref.size
-            or not filecmp.cmp(first.path, ref.path, shallow=False)
-        ):
+        may_be_copy = first is not ref and not ref.pieces and first.size == ref.size
+        if not (may_be_copy and filecmp.cmp(first.path, ref.path, shallow=False)):
             kept.append(ref)
     return kept
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
-from xcg.readers.files.hdf5data import MAGIC, dataset, opened
+from xcg.readers.files.hdf5data import dataset, opened, text_of
 from xcg.readers.files.text import source_of
-from xcg.readers.files.vtkheader import LAST_LINE, OF_CELLS, TIMES
+from xcg.readers.files.vtkheader import OF_CELLS, TIMES, mesh_of_cells
 from xcg.scene.schema import Frame
 
 if TYPE_CHECKING:
@@ -23,22 +24,15 @@ _POINTS = "Points"
 _ROOT = "VTKHDF"
 
 
-def is_vtkhdf(path: str) -> bool:
-    """Return whether a file is HDF5, by its first bytes."""
-    with open(path, "rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
-
-
 def mesh_of(path: str) -> str:
     """Return what a file holds in place of grains: polygons without vertices, cells of an extent, an image; else ""."""
     with opened(path) as file:
         kind = _kind(file)
         if kind == "PolyData":
             polygons = _cells(file, "Polygons") + _cells(file, "Strips")
-            return f"{polygons} polygons" if polygons and not _cells(file, "Vertices") else ""
+            return mesh_of_cells(polygons, _cells(file, "Vertices"), ())
         if kind == "UnstructuredGrid":
-            extended = np.count_nonzero(np.asarray(dataset(file, f"{_ROOT}/Types")) > LAST_LINE)
-            return f"{extended} cells that are no vertices" if extended else ""
+            return mesh_of_cells(0, 0, dataset(file, f"{_ROOT}/Types")[()])
         return f"VTKHDF of the type {kind}"
 
 
@@ -54,69 +48,62 @@ def list_steps(path: str) -> list[StepRef]:
         points = dataset(file, f"{_ROOT}/{_POINTS}")
         if points.ndim != 2 or points.shape[1] != 3:
             raise SceneError(f"{path}: {points.name} has the shape {points.shape}, expected (n, 3)")
-        columns = (
-            _POINTS,
-            *_members(file, "PointData"),
-            *(name + OF_CELLS for name in _members(file, "CellData")),
-        )
-        counts = _numbers(file, "NumberOfPoints")
-        if f"{_ROOT}/Steps" not in file:
-            _check_points(path, counts.sum(), len(points))
-            time = _time_of(file)
-            return [StepRef(path, int(counts.sum()), time, step=-1, columns=columns, kind=KIND)]
-        times = np.asarray(dataset(file, f"{_ROOT}/Steps/Values"), "float64")
-        starts = _numbers(file, "Steps/PartOffsets")
-        parts = _numbers(file, "Steps/NumberOfParts")
-        if not len(times) == len(starts) == len(parts) or not np.isfinite(times).all():
-            raise SceneError(
-                f"{path}: {_ROOT}/Steps holds {len(times)} times, {len(starts)} offsets and {len(parts)} numbers of "
-                "parts; expected one of each for each step"
-            )
-        if len(starts) and (starts + parts).max() > len(counts):
-            raise SceneError(
-                f"{path}: {_ROOT}/Steps names parts beyond the {len(counts)} of the file"
-            )
-        rows = [
-            int(counts[start : start + number].sum())
-            for start, number in zip(starts, parts, strict=True)
-        ]
-        _check_points(path, max(rows, default=0), len(points))
-        return [
-            StepRef(path, count, float(time), step, columns=columns, offset=step, kind=KIND)
-            for step, (count, time) in enumerate(zip(rows, times, strict=True))
-        ]
-
-
-def _check_points(path: str, rows: int, points: int) -> None:
-    """Raise SceneError for a step of more rows than there are points."""
-    if rows > points:
+        of_cells = [name + OF_CELLS for name in _members(file, "CellData")]
+        columns = (_POINTS, *_members(file, "PointData"), *of_cells)
+        refs = _steps(file, path)
+    rows = max((ref.rows for ref in refs), default=0)
+    if rows > len(points):
         raise SceneError(
-            f"{path}: a step of {rows} points is promised, and the file holds {points}; it was cut short. Leave it "
-            "out, or write it again"
+            f"{path}: a step of {rows} points is promised, and the file holds {len(points)}; it was cut short. Leave "
+            "it out, or write it again"
         )
+    return [replace(ref, columns=columns, kind=KIND) for ref in refs]
+
+
+def _steps(file: h5py.File, path: str) -> list[StepRef]:
+    """List the steps with their rows and times."""
+    counts = _numbers(file, "NumberOfPoints")
+    if f"{_ROOT}/Steps" not in file:
+        return [StepRef(path, int(counts.sum()), _time_of(file), step=-1)]
+    times = np.asarray(dataset(file, f"{_ROOT}/Steps/Values"), "float64")
+    starts = _numbers(file, "Steps/PartOffsets")
+    parts = _numbers(file, "Steps/NumberOfParts")
+    if not len(times) == len(starts) == len(parts) or not np.isfinite(times).all():
+        raise SceneError(
+            f"{path}: {_ROOT}/Steps holds {len(times)} times, {len(starts)} offsets and {len(parts)} numbers of "
+            "parts; expected one of each for each step"
+        )
+    if len(starts) and (starts + parts).max() > len(counts):
+        raise SceneError(f"{path}: {_ROOT}/Steps names parts beyond the {len(counts)} of the file")
+    refs = []
+    for step, (time, start, number) in enumerate(zip(times, starts, parts, strict=True)):
+        rows = int(counts[start : start + number].sum())
+        refs.append(StepRef(path, rows, float(time), step, offset=step))
+    return refs
 
 
 def read_arrays(ref: StepRef, names: Sequence[str]) -> Frame:
-    """Read arrays of one step by name, as float64; none of a step without points, whose file may lack them.
+    """Read arrays of one step by name, as float64.
 
     Raises
     ------
     SceneError
         If the file is damaged, or shorter than its header says.
     """
-    if not ref.rows:
-        return {}
     with opened(ref.path) as file:
         return {name: _read(file, ref, name) for name in dict.fromkeys(names)}
 
 
-def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray[np.float64]:
-    place = f"{_ROOT}/{_POINTS}" if name == _POINTS else f"{_ROOT}/PointData/{name}"
+def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray:
+    place = f"{_ROOT}/PointData/{name}"
+    if name == _POINTS:
+        place = f"{_ROOT}/{_POINTS}"
     data = dataset(file, place)
     start = 0
     if f"{_ROOT}/Steps" in file:
-        own = f"Steps/PointDataOffsets/{name}"
-        offsets = own if f"{_ROOT}/{own}" in file else "Steps/PointOffsets"
+        offsets = f"Steps/PointDataOffsets/{name}"
+        if f"{_ROOT}/{offsets}" not in file:
+            offsets = "Steps/PointOffsets"
         start = int(_numbers(file, offsets)[ref.offset : ref.offset + 1].sum())
     values = np.asarray(data[start : start + ref.rows], "float64")
     if len(values) != ref.rows:
@@ -129,13 +116,11 @@ def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray[np.float64]:
 
 def _kind(file: h5py.File) -> str:
     """Return the type of a VTKHDF file."""
-    group = file.get(_ROOT)
-    kind: Any = None if group is None else group.attrs.get("Type")
-    if kind is None:
+    if _ROOT not in file or "Type" not in file[_ROOT].attrs:
         raise SceneError(
             f"{file.filename}: it has no group {_ROOT} with a type; give engine='hdf5' and mapping= for other HDF5"
         )
-    return kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
+    return text_of(file[_ROOT].attrs["Type"])
 
 
 def _time_of(file: h5py.File) -> float | None:
@@ -158,7 +143,7 @@ def _cells(file: h5py.File, group: str) -> int:
     return int(_numbers(file, place).sum()) if f"{_ROOT}/{place}" in file else 0
 
 
-def _numbers(file: h5py.File, place: str) -> NDArray[np.int64]:
+def _numbers(file: h5py.File, place: str) -> NDArray:
     """Read counts or offsets; raise SceneError for negative ones."""
     data = dataset(file, f"{_ROOT}/{place}")
     numbers = np.asarray(data).ravel()

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -23,17 +23,17 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.cells import box_of_cell
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.filenames import suffix_of
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import (
     Scanner,
     body_of,
     check_rows,
     first_lines,
-    plain_name,
     scanned,
     source_of,
 )
-from xcg.readers.names import CLOCK_SLOTS, canonical
+from xcg.readers.names import CLOCK_SLOTS, canonical, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
 
@@ -56,7 +56,8 @@ _NO_SPECIES = (
     "names={'species': 'particle_id'}; if it is x, say names={'species': 'position_x', "
     "'x': 'position_y', 'y': 'position_z', 'z': None}"
 )
-_TRUE_OR_FALSE = {"t": True, "true": True, "1": True, "f": False, "false": False, "0": False}
+_TRUE = ("t", "true", "1")
+_FALSE = ("f", "false", "0")
 
 
 class Xyz(Columnar):
@@ -71,7 +72,7 @@ class Xyz(Columnar):
         if len(lines) < 2 or not re.fullmatch(r"\s*\d+\s*", lines[0]):
             return False
         extended = re.search(r"\b(Properties|Lattice)\s*=", lines[1], re.IGNORECASE)
-        return bool(extended) or Path(plain_name(path)).suffix.lower() in _SUFFIXES
+        return bool(extended) or suffix_of(path) in _SUFFIXES
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
@@ -104,11 +105,12 @@ class Xyz(Columnar):
         if all(word.isdecimal() for word in words):
             return [replace(ref, kind="") for ref in refs]
         if len(words) > 1:
-            numbered = ", ".join(f"{k}: {word!r}" for k, word in enumerate(words[:20], 1))
-            more = ", ..." if len(words) > 20 else ""
+            numbered = [f"{k}: {word!r}" for k, word in enumerate(words[:20], 1)]
+            if len(words) > 20:
+                numbered.append("...")
             warn_user(
                 f"{refs[0].path}: species are words and are numbered in alphabetical order: "
-                f"{numbered}{more}"
+                f"{', '.join(numbered)}"
             )
         return [replace(ref, kind=" ".join(words)) for ref in refs]
 
@@ -143,17 +145,16 @@ def _warn_of_unnamed(ref: StepRef, options: ReadOptions) -> None:
 def _numbers_of_species(ref: StepRef) -> NDArray:
     """Return the number of each row's species among the sorted words of `ref.kind`, from 1 on."""
     place = ref.columns.index(_SPECIES)
-    words = np.array(ref.kind.split())
+    numbers = {word: float(number) for number, word in enumerate(ref.kind.split(), 1)}
     lines = b"".join(body_of(ref)).decode("utf-8", "replace").split("\n")
-    species = np.array([line.split()[place] for line in lines if line.strip()])
-    numbers = np.searchsorted(words, species)
-    found = words[np.minimum(numbers, len(words) - 1)] == species
-    if not found.all():
+    species = [line.split()[place] for line in lines if line.strip()]
+    unknown = set(species) - set(numbers)
+    if unknown:
         raise SceneError(
-            f"{source_of(ref)}: the species {species[~found][0]!r} was not in the file when it was "
+            f"{source_of(ref)}: the species {min(unknown)!r} was not in the file when it was "
             "opened; open it again"
         )
-    return numbers + 1.0
+    return np.array([numbers[word] for word in species])
 
 
 # --- the index -------------------------------------------------------------------------------------
@@ -178,15 +179,19 @@ def _steps(path: str, *, with_species: bool) -> Iterator[StepRef]:
 
 def _frame(scanner: Scanner, ref: StepRef, comment: str, *, with_species: bool) -> StepRef:
     """Return a frame with what its comment says, after passing its rows."""
-    entries = {canonical(key): _unquoted(value) for key, value in _ENTRY.findall(comment)}
+    entries = {
+        canonical(key): value.strip("\"'{}").strip() for key, value in _ENTRY.findall(comment)
+    }
     source = f"{ref.path} from byte {scanner.offset}"
-    if "properties" in entries:
-        names = _names_of_properties(entries["properties"], source)
-    else:
-        names = _names_of_plain(scanner.sample(1 << 16)) if ref.rows else _PLAIN
+    properties = entries.get("properties")
+    names: tuple[str, ...] = _PLAIN
+    if properties is not None:
+        names = _names_of_properties(properties, source)
+    elif ref.rows:
+        names = _names_of_plain(scanner.sample(1 << 16))
     ref = replace(ref, offset=scanner.offset, columns=names, **_clock(entries, comment))
     ref = replace(ref, **_box(entries, source))
-    may_be_words = "properties" not in entries or "species:s:1" in entries["properties"].lower()
+    may_be_words = properties is None or "species:s:1" in properties.lower()
     place = None
     if with_species and may_be_words and _SPECIES in names:
         place = names.index(_SPECIES)
@@ -215,26 +220,19 @@ def _pass_rows(scanner: Scanner, ref: StepRef, place: int | None) -> set[str]:
     return {word.decode("utf-8", "replace") for word in species}
 
 
-def _unquoted(value: str) -> str:
-    return value.strip("\"'{}").strip()
-
-
 def _names_of_properties(text: str, source: str) -> tuple[str, ...]:
     """Return the names of all columns: ``pos:R:3`` becomes pos_x, pos_y and pos_z."""
     words = text.split(":")
     names: list[str] = []
+    fits = len(words) % 3 == 0
     for name, kind, number in zip(words[::3], words[1::3], words[2::3], strict=False):
-        count = int(number) if number.isdecimal() and len(number) < 4 else 0
-        if kind.upper() not in ("S", "R", "I", "L") or not count:
-            names = []
+        if kind.upper() not in ("S", "R", "I", "L") or not re.fullmatch(r"[0-9]{1,3}", number):
+            fits = False
             break
-        if count == 1:
-            names.append(name)
-        elif count <= len(COMPONENTS):
-            names += [f"{name}_{axis}" for axis in COMPONENTS[:count]]
-        else:
-            names += [f"{name}[{k}]" for k in range(1, count + 1)]
-    if not names or len(words) % 3 or len(set(names)) < len(names) or len(names) > _MOST_COLUMNS:
+        count = int(number)
+        fits = fits and count > 0
+        names += [name] if count == 1 else vector_columns(name, count)
+    if not fits or len(set(names)) < len(names) or len(names) > _MOST_COLUMNS:
         raise SceneError(
             f"{source}: Properties={text[:80]!r}: expected names that differ, types (S, R, I, L) and "
             "numbers of columns, such as 'species:S:1:pos:R:3'"
@@ -248,13 +246,12 @@ def _names_of_plain(sample: bytes) -> tuple[str, ...]:
     A first column of numbers that are not whole is no species: then no column has a name.
     """
     rows = [line.split() for line in sample.split(b"\n")[:100]]
-    first = next((words for words in rows if words), [])
+    first = next(filter(None, rows), [])
     count = min(len(first), _MOST_COLUMNS)
-    is_species = count > len(COMPONENTS) and not _REAL.fullmatch(
-        first[0].decode("ascii", "replace")
-    )
-    named = _PLAIN if is_species else ()
-    return (*named, *(f"column_{k}" for k in range(len(named) + 1, count + 1)))
+    names = [f"column_{k}" for k in range(1, count + 1)]
+    if count >= len(_PLAIN) and not _REAL.fullmatch(first[0].decode("ascii", "replace")):
+        names[: len(_PLAIN)] = _PLAIN
+    return tuple(names)
 
 
 def _clock(entries: Mapping[str, str], comment: str) -> dict[str, Any]:
@@ -285,11 +282,9 @@ def _box(entries: Mapping[str, str], source: str) -> dict[str, Any]:
     cell = _numbers(entries["lattice"], 9, "Lattice", source).reshape(3, 3)
     origin = _numbers(entries.get("origin", "0 0 0"), 3, "Origin", source)
     words = re.findall(r"\w+", entries.get("pbc", "T T T").lower())
-    if len(words) != 3 or not set(words) <= set(_TRUE_OR_FALSE):
+    if len(words) != 3 or not set(words) <= {*_TRUE, *_FALSE}:
         raise SceneError(f"{source}: pbc={entries['pbc'][:60]!r}, expected three of T and F")
-    periodic = "".join(
-        axis for axis, word in zip(COMPONENTS, words, strict=True) if _TRUE_OR_FALSE[word]
-    )
+    periodic = "".join(compress(COMPONENTS, [word in _TRUE for word in words]))
     return box_of_cell(cell, origin, periodic, source)
 
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
 
 from xcg.common.messages import SceneError
 from xcg.readers import names
+from xcg.readers.cells import box_of_cell
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import check_rows, first_lines, scanned
@@ -26,8 +27,7 @@ from xcg.scene.schema import COMPONENTS
 
 _MOST_COMMENTS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
-_MOST_COMPONENTS = 9
-_SHEARED = 1e-12  # of an edge: less is rounding
+
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
 
@@ -73,41 +73,37 @@ class Yade(Columnar):
         return index_steps(paths, "yade", _steps)
 
 
-_KNOWN = {
-    alias
-    for slots in (Yade.PARTICLE_SLOTS, Yade.CONTACT_SLOTS)
-    for found in slots.values()
-    for alias in found
-}
+_KNOWN = {*chain(*Yade.PARTICLE_SLOTS.values(), *Yade.CONTACT_SLOTS.values())}
 
 
 def _steps(path: str) -> Iterator[StepRef]:
     """Return the step of a file, from its comments, and count its rows."""
-    told: dict[str, Any] = {}
+    facts: dict[str, Any] = {"step": -1}
+    comments: list[list[str]] = []
     with scanned(path) as scanner:
-        comments: list[list[str]] = []
         for _ in range(_MOST_COMMENTS):
             if scanner.sample(1) != b"#":
                 break
             words = scanner.line().decode("utf-8", "replace").lstrip("#").split()
             if words[:1] == ["time"]:
-                told = _told(words, path)
+                facts = {"step": -1} | _facts(words, path)
             elif words:
                 comments.append(words)
         values = len(scanner.sample(_LONGEST_ROW).partition(b"\n")[0].split())
         columns = _columns(comments, values, path)
-        ref = StepRef(path, 0, columns=columns, offset=scanner.offset)
-        length, rows, last = 0, 0, b"\n"
+        start = scanner.offset
+        rows = 0
+        last = b"\n"
         for piece in filter(None, scanner.until(b"#")):
-            length = length + len(piece)
             rows = rows + piece.count(b"\n")
             last = piece
         rows += not last.endswith(b"\n")
+        length = scanner.offset - start
         if scanner.line():
             raise SceneError(
                 f"{path}: a comment between rows at byte {scanner.offset}; expected one step a file"
             )
-    ref = replace(ref, rows=rows, length=length, **{"step": -1} | told)
+    ref = StepRef(path, rows, columns=columns, offset=start, length=length, **facts)
     check_rows(ref, length)
     yield ref
 
@@ -125,10 +121,10 @@ def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple
         if len(set(columns)) == len(columns) and (not values or len(columns) == values)
     ]
     if not fitting:
-        found = "; ".join(" ".join(words)[:60] for words in comments) or "none"
+        listed = "; ".join(" ".join(words)[:60] for words in comments) or "none"
         raise SceneError(
             f"{path}: expected a comment that names each column once, such as '# id x y z r', one for each of the "
-            f"{values} values of the first row, found {found}"
+            f"{values} values of the first row, found {listed}"
         )
     return max(
         reversed(fitting), key=lambda columns: len(_KNOWN & set(map(names.canonical, columns)))
@@ -138,22 +134,27 @@ def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple
 def _names(words: Sequence[str], values: int) -> tuple[str, ...]:
     """Names of columns, one for each component; attributes of the caller's own fill a row of so many values."""
     if words[0] == "format":  # yade.export.text
-        words = words[1].split("_") if len(words) > 1 else ()
-        if words and words[-1] == "attrs":
-            own = values - len(words) + 1
-            words = [*words[:-1], *(f"attribute_{k + 1}" for k in range(own))]
+        words = [name for text in words[1:2] for name in text.split("_")]
+        if words[-1:] == ["attrs"]:
+            count = values - len(words) + 1
+            words = [*words[:-1], *(f"attribute_{k + 1}" for k in range(count))]
     columns: list[str] = []
     for word in words:
-        several = re.fullmatch(r"(\w+)\((\d)\)", word)
-        count = int(several[2]) if several else 1
-        ends = COMPONENTS if count == len(COMPONENTS) else [f"[{k + 1}]" for k in range(count)]
-        columns += [several[1] + end for end in ends] if several else [word]
+        vector = re.fullmatch(r"(\w+)\((\d)\)", word)
+        if vector is None:
+            columns.append(word)
+            continue
+        ends = [f"[{k + 1}]" for k in range(int(vector[2]))]
+        if len(ends) == len(COMPONENTS):
+            ends = list(COMPONENTS)
+        columns += [vector[1] + end for end in ends]
     return tuple(columns)
 
 
-def _told(words: Sequence[str], path: str) -> dict[str, Any]:
-    """Time, step and cell of a comment."""
+def _facts(words: Sequence[str], path: str) -> dict[str, Any]:
+    """Time, step and cell of a comment, by the names of `StepRef`."""
     numbers: dict[str, list[float]] = {}
+    facts: dict[str, Any] = {}
     try:
         for name, count in _WORDS.items():
             if name in words:
@@ -161,22 +162,16 @@ def _told(words: Sequence[str], path: str) -> dict[str, Any]:
                 numbers[name] = [float(word) for word in words[at : at + count]]
                 if len(numbers[name]) != count or not all(map(math.isfinite, numbers[name])):
                     raise ValueError
-        step = int(words[words.index("step") + 1]) if "step" in numbers else None
-        if step is not None and not 0 <= step < 2**63:
-            raise ValueError
+        if "step" in numbers:
+            facts["step"] = int(words[words.index("step") + 1])
+            if not 0 <= facts["step"] < 2**63:
+                raise ValueError
     except (ValueError, OverflowError):
         raise SceneError(
             f"{path}: {' '.join(words)[:80]!r}: expected '# time 0.5 step 1000 cell' and nine numbers, row by row"
         ) from None
-    told: dict[str, Any] = {"time": numbers["time"][0], **({} if step is None else {"step": step})}
+    (facts["time"],) = numbers["time"]
     if "cell" in numbers:
         vectors = np.reshape(numbers["cell"], (3, 3)).T
-        edges = np.diag(vectors)
-        if not (edges > 0).all():
-            raise SceneError(
-                f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths"
-            )
-        told |= {"periodic": "xyz", "box": tuple((0.0, edge) for edge in edges.tolist())}
-        if np.abs(vectors - np.diag(edges)).max() > _SHEARED * edges.max():
-            told["lattice"] = tuple(map(tuple, vectors.tolist()))
-    return told
+        facts |= box_of_cell(vectors, np.zeros(3), "xyz", path)
+    return facts

@@ -37,11 +37,9 @@ def opened(path: str) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except SceneError:
+    except (SceneError, FileNotFoundError):
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
         raise SceneError(
             f"{path}: cannot be read as HDF5 ({str(error)[:200]}); leave the file out, or write it again"
         ) from None
@@ -58,23 +56,24 @@ def dataset(file: h5py.File, path: str) -> h5py.Dataset:
     """
     import h5py
 
-    found = file.get(path)
-    if not isinstance(found, h5py.Dataset):
+    data = file.get(path)
+    if not isinstance(data, h5py.Dataset):
         parent = path
         while parent and parent not in file:
             parent = parent.rpartition("/")[0]
-        group = file[parent or "/"]
-        members = ", ".join(list(group)[:_SHOWN]) if isinstance(group, h5py.Group) else ""
+        parent = parent or "/"
+        members = "no others"
+        if isinstance(file[parent], h5py.Group) and len(file[parent]):
+            members = ", ".join(list(file[parent])[:_SHOWN])
+        raise SceneError(f"{file.filename}: no dataset {path!r}; {parent!r} holds {members}")
+    if data.dtype.kind not in "fiub":
+        raise SceneError(f"{file.filename}: {path!r} holds {data.dtype}, expected numbers")
+    stored = data.id.get_storage_size()
+    if data.nbytes > _PACKED * stored + _SLACK:
         raise SceneError(
-            f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {members or 'no others'}"
+            f"{file.filename}: {path!r} promises {data.nbytes} bytes, and {stored} are stored"
         )
-    if found.dtype.kind not in "fiub":
-        raise SceneError(f"{file.filename}: {path!r} holds {found.dtype}, expected numbers")
-    if found.nbytes > _PACKED * found.id.get_storage_size() + _SLACK:
-        raise SceneError(
-            f"{file.filename}: {path!r} promises {found.nbytes} bytes, and {found.id.get_storage_size()} are stored"
-        )
-    return found
+    return data
 
 
 def listing(file: h5py.File) -> str:
@@ -90,3 +89,10 @@ def listing(file: h5py.File) -> str:
 
     file.visititems(add)
     return ", ".join(shown) or "no datasets"
+
+
+def text_of(value: object) -> str:
+    """Return a text that HDF5 holds as text or bytes."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value)

@@ -7,27 +7,27 @@ words.
 
 from __future__ import annotations
 
-import os
+import math
 import re
 from dataclasses import dataclass, field, replace
 from typing import BinaryIO
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary
-from xcg.readers.files.vtkdata import DataError, VtkEncoding
+from xcg.readers.files.vtkdata import VtkEncoding
 from xcg.readers.files.vtkheader import (
-    LAST_LINE,
     MOST_COMPONENTS,
     TIMES,
     TYPES,
     Array,
     Header,
     Piece,
+    are_lines,
     check_header,
+    mesh_of_cells,
     read_values,
 )
 
@@ -36,7 +36,8 @@ _ENCODING = VtkEncoding(">", np.dtype(">u4"), "")
 _LONGEST_LINE = 1 << 20  # bytes that are read at once
 _MOST_DIGITS = 15  # of counts
 _READ = ("POLYDATA", "UNSTRUCTURED_GRID")
-_POINTS, _CELL_DATA = "POINT_DATA", "CELL_DATA"
+_POINTS = "POINT_DATA"
+_CELL_DATA = "CELL_DATA"
 
 _KINDS = {
     "char": "Int8",
@@ -108,19 +109,17 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         if not contents.dataset:
             raise scanner.damaged("it has no line DATASET with a kind")
         if contents.dataset not in _READ:
-            mesh = f"a data set of the kind {contents.dataset}"
-            return Header(path, os.path.getsize(path), None, (Piece(0, ()),), _ENCODING, mesh=mesh)
-        of_lines = lines and _has_lines(contents, path)
-        piece = _lines_of(contents, path) if of_lines else _points_of(contents, path)
-        header = Header(
-            path,
-            os.path.getsize(path),
-            _time_of(file, contents, path),
-            (piece,),
-            _ENCODING,
-            of_lines=of_lines,
-            mesh=_extended_cells(file, contents, path),
-        )
+            return Header(path, _ENCODING, mesh=f"a data set of the kind {contents.dataset}")
+        has_arrays = bool(contents.arrays[_CELL_DATA])
+        of_lines = lines and has_arrays and are_lines(path, [*contents.cells])
+        if of_lines:
+            rows = contents.number_of("LINES")
+            piece = Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
+        else:
+            piece = _points_of(contents, path)
+        time = _time_of(file, contents, path)
+        mesh = _mesh_of(file, contents, path)
+    header = Header(path, _ENCODING, time, (piece,), of_lines=of_lines, mesh=mesh)
     check_header(header)
     return header
 
@@ -200,54 +199,23 @@ def _points_of(contents: _Contents, path: str) -> Piece:
     return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
 
 
-def _has_lines(contents: _Contents, path: str) -> bool:
-    """Return whether the arrays of cells belong to lines; False without arrays."""
-    if not contents.arrays[_CELL_DATA]:
-        return False
-    others = [kind for kind in contents.cells if kind != "LINES"]
-    if "LINES" in contents.cells and others:
-        raise SceneError(
-            f"{path}: holds {' and '.join(others)} beside LINES; write the contacts, as lines, to files of their own"
-        )
-    return not others
-
-
-def _lines_of(contents: _Contents, path: str) -> Piece:
-    """Describe the lines."""
-    rows = contents.number_of("LINES")
-    return Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
-
-
-def _extended_cells(file: BinaryIO, contents: _Contents, path: str) -> str:
-    """Return what the file holds in place of grains: polygons without vertices, or cells of an extent; else ""."""
-    polygons = contents.number_of("POLYGONS", "TRIANGLE_STRIPS")
-    if polygons and not contents.number_of("VERTICES"):
-        return f"{polygons} polygons"
+def _mesh_of(file: BinaryIO, contents: _Contents, path: str) -> str:
+    """Return what the file holds in place of grains; "" for grains."""
+    types = np.empty(0)
     cells = contents.cells.get("CELLS")
-    if cells is None or cells.vertices or contents.types is None:
-        return ""
-    types = _read(file, contents.types, cells.count, path)
-    extended = int(np.count_nonzero(types > LAST_LINE))
-    return f"{extended} cells that are no vertices" if extended else ""
+    if cells and not cells.vertices and contents.types:
+        types = read_values(file, path, contents.types, _ENCODING, cells.count)
+    polygons = contents.number_of("POLYGONS", "TRIANGLE_STRIPS")
+    return mesh_of_cells(polygons, contents.number_of("VERTICES"), types)
 
 
 def _time_of(file: BinaryIO, contents: _Contents, path: str) -> float | None:
     """Return the time in an array of the file that is called TimeValue or TIME."""
     for array, rows in contents.arrays[""]:
         if array.name.lower() in TIMES and rows == array.components == 1:
-            (time,) = _read(file, array, 1, path)
-            return float(time) if np.isfinite(time) else None
+            time = float(read_values(file, path, array, _ENCODING, 1)[0])
+            return time if math.isfinite(time) else None
     return None
-
-
-def _read(file: BinaryIO, array: Array, rows: int, path: str) -> NDArray[np.float64]:
-    """Read the values of an array while the header is read."""
-    try:
-        return read_values(file, array, _ENCODING, rows)
-    except DataError as error:
-        raise SceneError(
-            f"{path}: '{array.name}' is not as its header says: {error}; leave the file out, or write it again"
-        ) from None
 
 
 # --- the sections ----------------------------------------------------------------------------------------
@@ -260,11 +228,9 @@ def _contents_of(scanner: _Scanner) -> _Contents:
     while words := scanner.words():
         keyword = words[0].upper()
         if _is_array_of_field(words):
-            array, rows = scanner.array_of_field(words)
-            if array is not None:
-                contents.arrays[place].append((array, rows))
+            contents.arrays[place] += scanner.array_of_field(words)
         elif keyword == "DATASET":
-            contents.dataset = words[1].upper() if len(words) > 1 else ""
+            contents.dataset = _word(words, 1).upper()
             if contents.dataset not in _READ:
                 return contents
         elif keyword == "POINTS":
@@ -289,23 +255,28 @@ def _contents_of(scanner: _Scanner) -> _Contents:
 
 def _cells(scanner: _Scanner, words: list[str]) -> _CellsOfKind:
     """Find cells of one kind: before version 5 each with its number of points, then offsets and points apart."""
-    count, size = scanner.number(words, 1), scanner.number(words, 2)
-    if scanner.version < 5:
-        single = size == 2 * count
-        cells = scanner.values(words[0], "Int32", count if single else size, 2 if single else 1)
-        return _CellsOfKind(count, cells if single else None)
-    scanner.values("OFFSETS", scanner.kind(scanner.after("OFFSETS"), 1), count)
-    points = scanner.values("CONNECTIVITY", scanner.kind(scanner.after("CONNECTIVITY"), 1), size)
-    return _CellsOfKind(max(0, count - 1), points if size == count - 1 else None)
+    count = scanner.number(words, 1)
+    size = scanner.number(words, 2)
+    if scanner.version >= 5:
+        scanner.values("OFFSETS", scanner.kind(scanner.after("OFFSETS"), 1), count)
+        kind = scanner.kind(scanner.after("CONNECTIVITY"), 1)
+        points = scanner.values("CONNECTIVITY", kind, size)
+        return _CellsOfKind(max(0, count - 1), points if size == count - 1 else None)
+    if size == 2 * count:
+        return _CellsOfKind(count, scanner.values(words[0], "Int32", count, 2))
+    scanner.values(words[0], "Int32", size)
+    return _CellsOfKind(count, None)
 
 
 def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
     """Find an array of a section of its own."""
     keyword = words[0].upper()
-    name = unquote(words[1] if len(words) > 1 else "")
+    name = unquote(_word(words, 1))
     if keyword == "SCALARS":
         kind = scanner.kind(words, 2)
-        components = scanner.number(words, 3) if len(words) > 3 else 1
+        components = 1
+        if len(words) > 3:
+            components = scanner.number(words, 3)
         scanner.after("LOOKUP_TABLE")
         return scanner.values(name, kind, rows, components)
     if keyword == "COLOR_SCALARS":
@@ -327,6 +298,10 @@ def _is_array_of_field(words: list[str]) -> bool:
     )
 
 
+def _word(words: list[str], place: int) -> str:
+    return words[place] if place < len(words) else ""
+
+
 class _Scanner:
     """Lines of words of a file, and the places of the values between them."""
 
@@ -341,8 +316,8 @@ class _Scanner:
         form = self._line().strip().upper()
         if not first.startswith(MAGIC) or form not in (b"ASCII", b"BINARY"):
             raise self.damaged("ASCII or BINARY is missing in its third line")
-        version = re.search(rb"Version +(\d{1,9})", first)
-        self.version = int(version[1]) if version else 0
+        version = re.findall(rb"Version +(\d{1,9})", first)
+        self.version = int(version[0]) if version else 0
         self._binary = form == b"BINARY"
         self.colours = "UInt8" if self._binary else "Float32"
 
@@ -364,7 +339,8 @@ class _Scanner:
     def words(self) -> list[str]:
         """Return the words of the next line that has some; none at the end of the file."""
         while line := self._line():
-            if words := line.decode("utf-8", "replace").split():
+            words = line.decode("utf-8", "replace").split()
+            if words:
                 return words
         return []
 
@@ -377,14 +353,14 @@ class _Scanner:
 
     def number(self, words: list[str], place: int) -> int:
         """Return the count in a line of words."""
-        text = words[place] if place < len(words) else ""
+        text = _word(words, place)
         if not (text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS):
             raise self.damaged(f"{' '.join(words)[:60]!r} has no count as its word {place + 1}")
         return int(text)
 
     def kind(self, words: list[str], place: int) -> str:
         """Return the type that a line of words names."""
-        text = words[place].lower() if place < len(words) else ""
+        text = _word(words, place).lower()
         if text not in _KINDS:
             raise self.damaged(
                 f"{' '.join(words)[:60]!r} has no type of numbers as its word {place + 1}"
@@ -398,25 +374,29 @@ class _Scanner:
                 f"{name!r} has {components} components; expected 1 to {MOST_COMPONENTS}"
             )
         start = self._at
+        form = "ascii"
         if self._binary:
+            form = "binary"
             self._skip_bytes(name, rows * components * np.dtype(TYPES[kind]).itemsize)
         else:
             self._skip_text()
-        form = "binary" if self._binary else "ascii"
         return Array(name, components, kind, form, start, self._at)
 
-    def array_of_field(self, words: list[str]) -> tuple[Array | None, int]:
-        """Return an array of a field, None if it holds bits or strings, and its rows."""
-        components, rows = self.number(words, 1), self.number(words, 2)
+    def array_of_field(self, words: list[str]) -> list[tuple[Array, int]]:
+        """Return an array of a field with its rows; nothing if it holds bits or strings."""
         name = unquote(words[0])
+        components = self.number(words, 1)
+        rows = self.number(words, 2)
         kind = words[3].lower()
         if kind in _KINDS:
-            return self.values(name, _KINDS[kind], rows, components), rows
-        if kind == "bit":
-            self._skip_bits(name, rows * components)
+            return [(self.values(name, _KINDS[kind], rows, components), rows)]
+        if kind == "bit" and self._binary:
+            self._skip_bytes(name, (rows * components + 7) // 8)
+        elif kind == "bit":
+            self._skip_text()
         else:
             self._skip_strings(name, rows * components)
-        return None, rows
+        return []
 
     def _skip_bytes(self, name: str, size: int) -> None:
         if size:
@@ -435,12 +415,6 @@ class _Scanner:
                     self._at -= len(line)
                     self._waiting = line
                     return
-
-    def _skip_bits(self, name: str, count: int) -> None:
-        if self._binary:
-            self._skip_bytes(name, (count + 7) // 8)
-        else:
-            self._skip_text()
 
     def _skip_strings(self, name: str, count: int) -> None:
         """Skip strings, one a line."""

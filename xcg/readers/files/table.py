@@ -50,7 +50,9 @@ def read_table(
     separator: str = " ",
 ) -> Columns:
     """Read the wanted columns of one step's body, which is that of the file by default; see `parse_table`."""
-    threads = THREADS if options.alone and ref.length > _SHARED else 1
+    threads = 1
+    if options.alone and ref.length > _SHARED:
+        threads = THREADS
     return parse_table(
         body or body_of(ref),
         ref.columns,
@@ -107,15 +109,13 @@ def parse_table(
         message names the first such row, counted from 0.
     """
     places = np.array([columns.index(column) for column in wanted], np.int64)
-    pieces = (
-        (body[at : at + PIECE] for at in range(0, len(body), PIECE))
-        if isinstance(body, bytes)
-        else body
-    )
+    if isinstance(body, bytes):
+        text = body
+        body = (text[at : at + PIECE] for at in range(0, len(text), PIECE))
     table = _ColumnBuffer(wanted, vectors, rows or 0)
     filled = 0
     parse = partial(_parse, len(columns), places, separator.encode())
-    results = _in_order(whole_lines(pieces, name), parse, threads)
+    results = _in_order(whole_lines(body, name), parse, threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
@@ -232,7 +232,8 @@ def _parse(columns: int, places: NDArray, separator: bytes, block: bytes) -> tup
             out[place, at] = value
         if passed == 0:
             return out[:, :row], False
-        row, done = row + rows, done + passed
+        row += rows
+        done += passed
     return out[:, :row], True
 
 
@@ -258,8 +259,9 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
     """Describe the error of a row."""
     words = line.split()
     if len(words) != len(columns):
-        cut = last and line.count(b" ") < len(columns) - 1  # else cells are empty
-        hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
+        hint = f"the columns are {' '.join(columns)}"
+        if last and line.count(b" ") < len(columns) - 1:  # else cells are empty
+            hint = "the file is cut off here"
         if len(words) == len(columns) + 1:
             hint += "; if the first value is an index without a name, write the table without it"
         return f"has {len(words)} values, expected {len(columns)} ({_shown(line)}); {hint}"
@@ -340,7 +342,9 @@ def scan_csv(
         if in_order:
             names = _names_in_order(path, in_order, names)
         elif not line or twice or not named or len(names) > _MOST_COLUMNS:
-            why = f"{twice[0]!r} twice" if named and twice else repr(line[:60])
+            why = repr(line[:60])
+            if named and twice:
+                why = f"{twice[0]!r} twice"
             way_out = ""
             if line and not named:
                 way_out = (
@@ -354,12 +358,13 @@ def scan_csv(
         found = [np.array([scanner.offset])]
         pieces = _pieces(scanner, found)
         wanted = sorted(set(clock_of(names).values()))
-        clock = (
-            parse_table(pieces, names, wanted, None, path, separator=separator) if wanted else {}
-        )
+        clock: Columns = {}
+        if wanted:
+            clock = parse_table(pieces, names, wanted, None, path, separator=separator)
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
-    rows = np.diff(edges) >= (3 if first.endswith(b"\r\n") else 2)  # others are blank
+    end_of_line = 2 if first.endswith(b"\r\n") else 1
+    rows = np.diff(edges) > end_of_line  # others are blank
     starts = np.append(edges[:-1][rows], scanner.offset)
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
@@ -429,8 +434,10 @@ def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
 def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     """Return what stands between the names of columns in a line, and the names."""
     separator = next((mark for mark in _SEPARATORS if mark in line), " ")
-    in_blanks = [word.decode() for word in _QUOTED.findall(line.encode())]
-    words = in_blanks if separator == " " else line.split(separator)
+    if separator == " ":
+        words = [word.decode() for word in _QUOTED.findall(line.encode())]
+    else:
+        words = line.split(separator)
     if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
         del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
@@ -480,10 +487,8 @@ def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> Colum
 def _opened(path: str) -> Iterator[Any]:
     """Open a file; what pyarrow finds wrong with it is said with its name."""
     try:
-        pyarrow, parquet = (
-            importlib.import_module("pyarrow"),
-            importlib.import_module("pyarrow.parquet"),
-        )
+        pyarrow = importlib.import_module("pyarrow")
+        parquet = importlib.import_module("pyarrow.parquet")
     except ImportError:
         raise SceneError(
             f"{path}: reading Parquet needs the package pyarrow: pip install 'xcg[parquet]', or write CSV"
@@ -515,7 +520,8 @@ def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str
 
 def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step, from the row groups that it touches."""
-    first, stop = ref.offset, ref.offset + ref.rows
+    first = ref.offset
+    stop = ref.offset + ref.rows
     with _opened(ref.path) as file:
         edges = np.cumsum(
             [0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))]

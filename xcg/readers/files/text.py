@@ -71,7 +71,9 @@ def most_text(path: str) -> float:
 
     More would only fill memory.
     """
-    return os.path.getsize(path) * _TEXT + _SLACK if compression(path) else math.inf
+    if not compression(path):
+        return math.inf
+    return os.path.getsize(path) * _TEXT + _SLACK
 
 
 def check_rows(ref: StepRef, room: int | None = None) -> None:
@@ -92,7 +94,9 @@ def check_rows(ref: StepRef, room: int | None = None) -> None:
     """
     if room is None:
         kind = compression(ref.path)
-        most_a_byte = _KINDS[kind][1] if kind else 1
+        most_a_byte = 1
+        if kind:
+            most_a_byte = _KINDS[kind][1]
         room = os.path.getsize(ref.path) * most_a_byte - ref.offset
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
         raise SceneError(
@@ -160,7 +164,9 @@ class Scanner:
                 )
             if not self._more():
                 return self._take(len(self._data))
-        self._blank = 0 if self._data[self._at : end].strip() else self._blank + 1
+        self._blank += 1
+        if self._data[self._at : end].strip():
+            self._blank = 0
         if self._blank > _MOST_BLANK:
             raise SceneError(
                 f"{self._name}: more than {_MOST_BLANK} lines before byte {self.offset} are blank; "
@@ -257,8 +263,12 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
 
 def source_of(ref: StepRef) -> str:
     """File and step, for messages; the file alone where the step is unknown."""
-    path = f"{ref.path} and {len(ref.pieces) - 1} more" if ref.pieces else ref.path
-    return f"{path} (step {ref.step})" if ref.step >= 0 else path
+    source = ref.path
+    if ref.pieces:
+        source += f" and {len(ref.pieces) - 1} more"
+    if ref.step >= 0:
+        source += f" (step {ref.step})"
+    return source
 
 
 # --- compressed files -----------------------------------------------------------------------------
@@ -291,7 +301,9 @@ def compression(path: str) -> str:
 def plain_name(path: str) -> str:
     """Name of a file without the ending of its compression, if it has one."""
     name = os.path.basename(path)
-    return name[: name.rindex(".")] if name.lower().endswith(ENDINGS) else name
+    if name.lower().endswith(ENDINGS):
+        name = name[: name.rindex(".")]
+    return name
 
 
 @cache
@@ -356,8 +368,10 @@ def uncompressed_size(path: str) -> int:
     """
     kind = compression(path)
     size = os.path.getsize(path)
+    if not kind:
+        return size
     if kind != "gzip":
-        return -1 if kind else size
+        return -1
     with open(path, "rb") as file:
         head = file.read(_SAMPLE)
         file.seek(max(0, size - 4))
@@ -368,8 +382,10 @@ def uncompressed_size(path: str) -> int:
     except errors():
         return -1
     taken = len(head) - len(member.unconsumed_tail) - len(member.unused_data)
-    agrees = expanded * size <= _UNEVEN * of_last_member * taken
-    is_only_member = taken == size if member.eof else agrees
+    if member.eof:
+        is_only_member = taken == size
+    else:
+        is_only_member = expanded * size <= _UNEVEN * of_last_member * taken
     return of_last_member if is_only_member else -1
 
 

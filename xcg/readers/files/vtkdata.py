@@ -43,7 +43,7 @@ class VtkEncoding:
     """
 
     order: str
-    prefix: np.dtype[Any]
+    prefix: np.dtype
     compressor: str
 
     def room(self, size: int) -> int:
@@ -55,13 +55,13 @@ class DataError(ValueError):
     """The data do not fit the header."""
 
 
-def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
+def parse_text(text: bytes, kind: str, count: int) -> NDArray:
     """Parse numbers written in the XML itself."""
     tokens = text.split()
     if len(tokens) != count:
         raise DataError(f"it holds {len(tokens)} numbers, not {count}")
     try:
-        values = np.array(tokens, "S").astype("float64") if tokens else np.empty(0)
+        values = np.array(tokens, "S").astype("float64")
     except ValueError:
         raise DataError("it holds something else than numbers") from None
     if kind == "Float32":
@@ -71,8 +71,8 @@ def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
 
 
 def read_raw(
-    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
-) -> NDArray[np.float64]:
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype, count: int
+) -> NDArray:
     """Read a raw block of the appended data."""
 
     def take(first: int, number: int) -> bytes:
@@ -83,8 +83,8 @@ def read_raw(
 
 
 def read_base64(
-    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
-) -> NDArray[np.float64]:
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype, count: int
+) -> NDArray:
     """Read a block in base64. Lengths of compressed blocks are encoded apart from the blocks themselves."""
 
     def text(first: int, number: int) -> Data:
@@ -112,18 +112,18 @@ def _values(
     head: Take,
     data: Take,
     encoding: VtkEncoding,
-    dtype: np.dtype[Any],
+    dtype: np.dtype,
     count: int,
     length: Callable[[int], int],
-) -> NDArray[np.float64]:
+) -> NDArray:
     """Values of a block; `length` is that of so many bytes in the file."""
     wanted = count * dtype.itemsize
     if encoding.compressor:
         raw = _uncompressed(head, data, encoding, wanted, length)
     else:
-        (found,) = _numbers(head(0, encoding.prefix.itemsize), encoding, 1)
-        if found != wanted:
-            raise DataError(f"its block holds {found} bytes, not {wanted}")
+        (size,) = _numbers(head(0, encoding.prefix.itemsize), encoding, 1)
+        if size != wanted:
+            raise DataError(f"its block holds {size} bytes, not {wanted}")
         raw = head(encoding.prefix.itemsize, wanted)
     if len(raw) != wanted:
         raise DataError(f"its block ends after {len(raw)} of {wanted} bytes")
@@ -149,12 +149,9 @@ def _uncompressed(
     if not 0 < number <= wanted or whole * size + last != wanted or (whole and not size):
         raise DataError(f"its block holds {number} parts of {size} bytes, not {wanted} bytes")
     sizes = _numbers(head(3 * width, number * width), encoding, number)
-    packed = memoryview(
-        data(
-            length((3 + number) * width),
-            sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0,
-        )
-    )
+    if sum(sizes) > encoding.room(wanted) + 4096:
+        raise DataError(f"its block holds {sum(sizes)} compressed bytes for {wanted} bytes")
+    packed = memoryview(data(length((3 + number) * width), sum(sizes)))
     parts = []
     at = 0
     for k, taken in enumerate(sizes):
@@ -171,11 +168,9 @@ def _inflate(packed: memoryview, compressor: str, expected: int) -> bytes:
     """Unpack one part, to no more than the bytes expected."""
     if compressor == _LZ4:
         return _lz4(packed, expected)
-    unpack: Any = (
-        isal_zlib.decompressobj()
-        if compressor == "vtkZLibDataCompressor"
-        else lzma.LZMADecompressor()
-    )
+    unpack: Any = lzma.LZMADecompressor()
+    if compressor == "vtkZLibDataCompressor":
+        unpack = isal_zlib.decompressobj()
     damaged: tuple[type[Exception], ...] = (*errors(), lzma.LZMAError)
     try:
         return bytes(unpack.decompress(packed, expected))

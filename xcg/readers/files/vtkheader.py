@@ -7,19 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkdata import DataError, VtkEncoding, parse_text, read_base64, read_raw
+from xcg.scene.schema import Frame
 
 MOST_COMPONENTS = 100
-LAST_LINE = (
-    4  # of VTK's types of cells: vertices and lines come first, then those that have an extent
-)
+LAST_LINE = 4  # of VTK's types of cells: vertices and lines come first, then those of an extent
 OF_CELLS = " (of cells)"  # follows the names of arrays that belong to no single point
 TIMES = ("timevalue", "time")  # names of the time among the arrays of a file, in lower case
 TYPES = {
@@ -95,15 +94,13 @@ class Header:
     ----------
     path : str
         The file.
-    size : int
-        Its size in bytes, as it is on the disk.
+    encoding : VtkEncoding
+        Byte order, type of lengths, and compression.
     time : float or None
         Physical time (s), where the file states it.
     pieces : tuple of Piece
         Parts whose rows follow one another; those without rows are left out, unless all are
         without.
-    encoding : VtkEncoding
-        Byte order, type of lengths, and compression.
     fields : mapping
         Numbers of the arrays that belong to no point, where the header holds them, by name.
     of_lines : bool
@@ -114,10 +111,9 @@ class Header:
     """
 
     path: str
-    size: int
-    time: float | None
-    pieces: tuple[Piece, ...]
     encoding: VtkEncoding
+    time: float | None = None
+    pieces: tuple[Piece, ...] = (Piece(0, ()),)
     fields: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     of_lines: bool = False
     mesh: str = ""
@@ -126,11 +122,6 @@ class Header:
     def rows(self) -> int:
         """Number of points, or of lines."""
         return sum(piece.rows for piece in self.pieces)
-
-    @property
-    def what(self) -> str:
-        """Number of rows, in words."""
-        return f"{self.rows} {'lines' if self.of_lines else 'points'}"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,33 +142,33 @@ def check_header(header: Header) -> None:
                 f"{header.path}: its pieces hold different arrays, {list(header.names)} and {names}; write the same "
                 "arrays for all of them"
             )
-        for array in (*piece.arrays, *([piece.vertices] if piece.vertices else [])):
-            _check_size(header, piece, array)
+        arrays = [*piece.arrays]
+        if piece.vertices:
+            arrays.append(piece.vertices)
+        for array in arrays:
+            check_size(header.path, array, header.encoding, piece.rows)
 
 
-def _type(header: Header, array: Array) -> np.dtype[Any]:
-    return np.dtype(header.encoding.order + TYPES[array.kind])
-
-
-def _check_size(header: Header, piece: Piece, array: Array) -> None:
-    """Compare what the header promises with the bytes that there are."""
-    values = piece.rows * array.components
-    room = max(0, array.stop - array.start)
-    needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
-    there = room
-    if array.form == "base64":
-        there = header.encoding.room(room * 3 // 4)
+def check_size(path: str, array: Array, encoding: VtkEncoding, rows: int) -> None:
+    """Compare the rows that a header promises with the bytes that there are."""
+    values = rows * array.components
+    needed = values * np.dtype(TYPES[array.kind]).itemsize
+    present = max(0, array.stop - array.start)
+    if array.form == "ascii":
+        needed = 2 * values - 1
+    elif array.form == "base64":
+        present = encoding.room(present * 3 // 4)
     elif array.form == "raw":
-        there = header.encoding.room(room)
-    if needed > there:
+        present = encoding.room(present)
+    if needed > present:
         raise SceneError(
-            f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
-            f"bytes, but {there} follow in the {array.stop} of the file; it was cut short, or is still being "
+            f"{path}: its header promises {rows} points, lines or cells, for which '{array.name}' needs {needed} "
+            f"bytes, but {present} follow in the {array.stop} of the file; it was cut short, or is still being "
             "written. Leave it out, or write it again"
         )
 
 
-def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def read_arrays(header: Header, names: Sequence[str]) -> Frame:
     """Read arrays of one file by name.
 
     Parameters
@@ -205,14 +196,12 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
     return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
 
-def _read_piece(
-    file: BinaryIO, header: Header, piece: Piece, names: Sequence[str]
-) -> dict[str, NDArray[np.float64]]:
+def _read_piece(file: BinaryIO, header: Header, piece: Piece, names: Sequence[str]) -> Frame:
     """Read arrays of one piece, values of vertices in the order of the points."""
-    result: dict[str, NDArray[np.float64]] = {}
-    vertices: NDArray[np.intp] | None = None
+    arrays: Frame = {}
+    vertices: NDArray | None = None
     for array in piece.arrays:
-        if array.name not in names or array.name in result:
+        if array.name not in names or array.name in arrays:
             continue
         values = _read_rows(file, header, array, piece.rows)
         if array.of_vertices and piece.vertices:
@@ -221,13 +210,11 @@ def _read_piece(
             by_vertex = values
             values = np.empty_like(by_vertex)
             values[vertices] = by_vertex
-        result[array.name] = values
-    return result
+        arrays[array.name] = values
+    return arrays
 
 
-def _points_of_vertices(
-    file: BinaryIO, header: Header, vertices: Array, rows: int
-) -> NDArray[np.intp]:
+def _points_of_vertices(file: BinaryIO, header: Header, vertices: Array, rows: int) -> NDArray:
     """Read the point of each vertex (rows,); each point has to have one vertex."""
     cells = _read_rows(file, header, vertices, rows).reshape(rows, -1)
     points = cells[:, -1]
@@ -239,33 +226,68 @@ def _points_of_vertices(
     return points.astype(np.intp)
 
 
-def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray[np.float64]:
-    shape = (rows, array.components) if array.components > 1 else (rows,)
-    try:
-        return read_values(file, array, header.encoding, rows).reshape(shape)
-    except DataError as error:
-        raise SceneError(
-            f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
-            f"{error}; leave the file out, or write it again"
-        ) from None
+def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray:
+    values = read_values(file, header.path, array, header.encoding, rows)
+    if array.components > 1:
+        return values.reshape(rows, array.components)
+    return values
 
 
 def read_values(
-    file: BinaryIO, array: Array, encoding: VtkEncoding, rows: int
-) -> NDArray[np.float64]:
-    """Read the values of one array, row after row; raise DataError if it holds another number of them."""
+    file: BinaryIO, path: str, array: Array, encoding: VtkEncoding, rows: int
+) -> NDArray:
+    """Read the values of one array, row after row; raise SceneError if it is damaged, or holds more or fewer."""
     count = rows * array.components
     if not count:
         return np.empty(0)
-    if array.form == "ascii":
-        file.seek(array.start)
-        return parse_text(file.read(array.stop - array.start), array.kind, count)
+    try:
+        return _numbers(file, array, encoding, count)
+    except DataError as error:
+        raise SceneError(
+            f"{path}: '{array.name}' is not as its header says, {rows} rows: {error}; leave the file out, or write "
+            "it again"
+        ) from None
+
+
+def _numbers(file: BinaryIO, array: Array, encoding: VtkEncoding, count: int) -> NDArray:
     dtype = np.dtype(encoding.order + TYPES[array.kind])
-    if array.form == "binary":
-        file.seek(array.start)
-        raw = file.read(count * dtype.itemsize)
-        if len(raw) != count * dtype.itemsize:
-            raise DataError(f"its values end after {len(raw)} of {count * dtype.itemsize} bytes")
-        return np.frombuffer(raw, dtype).astype("float64")
-    read = read_base64 if array.form == "base64" else read_raw
-    return read(file, array.start, encoding, dtype, count)
+    if array.form == "base64":
+        return read_base64(file, array.start, encoding, dtype, count)
+    if array.form == "raw":
+        return read_raw(file, array.start, encoding, dtype, count)
+    file.seek(array.start)
+    if array.form == "ascii":
+        return parse_text(file.read(array.stop - array.start), array.kind, count)
+    raw = file.read(count * dtype.itemsize)
+    if len(raw) != count * dtype.itemsize:
+        raise DataError(f"its values end after {len(raw)} of {count * dtype.itemsize} bytes")
+    return np.frombuffer(raw, dtype).astype("float64")
+
+
+def mesh_of_cells(polygons: int, vertices: int, types: ArrayLike) -> str:
+    """Return what a file holds in place of grains: polygons without vertices, or cells of an extent; else "".
+
+    `types` holds the type of each cell of an unstructured grid.
+    """
+    if polygons and not vertices:
+        return f"{polygons} polygons"
+    extended = int(np.count_nonzero(np.asarray(types) > LAST_LINE))
+    return f"{extended} cells that are no vertices" if extended else ""
+
+
+def are_lines(path: str, kinds: Sequence[str]) -> bool:
+    """Return whether all cells are lines; True without cells.
+
+    Raises
+    ------
+    SceneError
+        If there are others beside the lines.
+    """
+    lines = [kind for kind in kinds if kind.lower() == "lines"]
+    others = [kind for kind in kinds if kind not in lines]
+    if lines and others:
+        raise SceneError(
+            f"{path}: holds {' and '.join(others)} beside {lines[0]}; write the contacts, as lines, to files of their "
+            "own"
+        )
+    return not others

@@ -5,9 +5,10 @@ Document types are refused, so that entities are never expanded.
 
 from __future__ import annotations
 
-import os
+import math
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,20 +19,25 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
-from xcg.readers.files.vtkdata import COMPRESSORS, DataError, VtkEncoding
+from xcg.readers.files.vtkdata import COMPRESSORS, VtkEncoding
 from xcg.readers.files.vtkheader import (
-    LAST_LINE,
     MOST_COMPONENTS,
     TIMES,
     TYPES,
     Array,
     Header,
     Piece,
+    are_lines,
     check_header,
+    check_size,
+    mesh_of_cells,
     read_values,
 )
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
+_LONG_HEAD = 1 << 20  # of many pieces; where no data are appended by then, they stand in the XML
+_APPENDED = b"<AppendedData"
+_TAG = 256  # bytes of that tag, and of white space up to its data
 _LONGEST_LIST = 1 << 28  # bytes of a collection
 _BLOCK = 1 << 20
 _GRIDS = ("RectilinearGrid", "StructuredGrid", "ImageData")  # data sets whose points are no grains
@@ -72,12 +78,13 @@ class _Xml:
         """Attributes of the elements of a name."""
         return [element.attributes for element in self.elements if element.name == name]
 
-    def arrays(self, section: str) -> list[_Element]:
-        """Arrays within a section."""
+    def arrays(self, section: str, name: str | None = None) -> list[_Element]:
+        """Arrays within a section, all or the ones with a name."""
         return [
             element
             for element in self.elements
             if (element.parent, element.name) == (section, "DataArray")
+            and name in (None, element.attributes.get("Name"))
         ]
 
     def content(self, element: _Element) -> bytes:
@@ -112,7 +119,8 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
             f"{path}: declares a document type or entities, which VTK files never need; it is not read"
         )
 
-    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
+    parser.StartElementHandler = start
+    parser.StartDoctypeDeclHandler = declared
     parser.EndElementHandler = lambda _: complete.update([opened.pop()])
     parser.CommentHandler = comments.append
     fault = ""
@@ -120,10 +128,12 @@ def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
         parser.Parse(data, False)
     except expat.ExpatError as error:
         fault = expat.ErrorString(error.code)
-    root = elements[0] if elements and elements[0].name == "VTKFile" else None
-    kind = None if root is None else root.attributes.get("type")
+    what = "no VTK XML file"
+    kind = None
+    if elements and elements[0].name == "VTKFile":
+        kind = elements[0].attributes.get("type")
+        what = f"VTK data of type {kind!r}"
     if kind not in kinds:
-        what = "no VTK XML file" if root is None else f"VTK data of type {kind!r}"
         raise SceneError(
             f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}; give the files of grains, such as "
             "those that a multi-block file lists"
@@ -153,22 +163,24 @@ def _whole(text: str | None, what: str, path: str) -> int:
     return number
 
 
-def _text(path: str) -> tuple[bytes, int | None, int]:
-    """Return the header up to the tag of appended data, where these start, and the size of the file unpacked."""
-    most, size = most_text(path), uncompressed_size(path)
+def _text(path: str) -> tuple[bytes, int, int]:
+    """Return the header up to the tag of appended data, where these start (else 0), and the unpacked size."""
+    most = most_text(path)
+    size = uncompressed_size(path)
     with open_binary(path) as file:
         head = file.read(_HEAD)
-        while b"<AppendedData" not in head[:-256] and b"<VTKFile" in head and len(head) < most:
-            more = file.read(len(head))
-            if not more:
-                break
-            head += more
+        for further in (_LONG_HEAD, -1 if most == math.inf else int(most)):
+            if b"<VTKFile" in head and _APPENDED not in head:
+                head += file.read(further)
+        head += file.read(_TAG)
         if size < 0:  # a compressed file that does not tell it
             size = len(head) + sum(map(len, iter(partial(file.read, _BLOCK), b"")))
-    begin = head.find(b"<AppendedData")
-    end = head.find(b">", begin) + 1 if begin >= 0 else 0
-    marker = head.find(b"_", end) if end else -1
-    return head[:end] if end else head, marker + 1 if marker >= 0 else None, int(min(size, most))
+    size = int(min(size, most))
+    begin = head.find(_APPENDED)
+    end = head.find(b">", begin) + 1
+    if begin < 0 or not end:
+        return head, 0, size
+    return head[:end], head.find(b"_", end) + 1, size
 
 
 def read_header(path: str, *, lines: bool = False) -> Header:
@@ -187,17 +199,10 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     """
     data, body, size = _text(path)
     xml = _parsed(path, data, "PolyData", "UnstructuredGrid", *_GRIDS)
-    kind = xml.elements[0].attributes["type"]
-    if kind in _GRIDS:
-        encoding = _encoding(xml.elements[0].attributes, path)
-        return Header(
-            path,
-            os.path.getsize(path),
-            None,
-            (Piece(0, ()),),
-            encoding,
-            mesh=f"a data set of the kind {kind}",
-        )
+    root = xml.elements[0].attributes
+    encoding = _encoding(root, path)
+    if root["type"] in _GRIDS:
+        return Header(path, encoding, mesh=f"a data set of the kind {root['type']}")
     parts = xml.pieces()
     cut = [name for name in ("Points", "PointData") if xml.complete[name] != len(xml.named(name))]
     if not parts or cut:
@@ -206,22 +211,21 @@ def read_header(path: str, *, lines: bool = False) -> Header:
             "the file was cut short. Leave it out, or write it again"
         )
     form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
-    file = _File(path, form, body or 0, size, _encoding(xml.elements[0].attributes, path))
+    file = _File(path, form, body, size, encoding)
     of_lines = lines and len(parts) == 1 and _has_lines(parts[0], path)
     pieces = [_piece(file, part, of_lines=of_lines) for part in parts]
-    fields = {
-        _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
-        for tag in xml.arrays("FieldData")
-    }
+    meshes = [_mesh_of(file, part) for part in parts]
     header = Header(
         path,
-        os.path.getsize(path),
+        encoding,
         _time_of(file, xml),
         tuple(piece for piece in pieces if piece.rows) or tuple(pieces[:1]),
-        file.encoding,
-        fields,
-        of_lines,
-        next(filter(None, (_extended_cells(file, part) for part in parts)), ""),
+        fields={
+            _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
+            for tag in xml.arrays("FieldData")
+        },
+        of_lines=of_lines,
+        mesh=next(filter(None, meshes), ""),
     )
     check_header(header)
     return header
@@ -254,23 +258,18 @@ class _File:
 
 def _piece(file: _File, xml: _Xml, *, of_lines: bool) -> Piece:
     """Describe the points of a piece, or its lines."""
+    of_cells = [_array(element, file, xml) for element in xml.arrays("CellData")]
     if of_lines:
-        rows = _count(file.path, xml, "Lines")
-        arrays = [_array(element, file, xml) for element in xml.arrays("CellData")]
-        return Piece(rows, tuple(arrays))
+        return Piece(_count(file.path, xml, "Lines"), tuple(of_cells))
     rows = _count(file.path, xml, "Points")
-    tags = [element for name in ("Points", "PointData") for element in xml.arrays(name)]
+    tags = [*xml.arrays("Points"), *xml.arrays("PointData")]
     arrays = [_array(element, file, xml) for element in tags]
     if rows and not (xml.arrays("Points") and arrays[0].components == 3):
         raise SceneError(
             f"{file.path}: its points have no array with three components; the file is damaged, leave it out"
         )
     of_points = {array.name for array in arrays}
-    of_cells = [
-        array
-        for array in (_array(element, file, xml) for element in xml.arrays("CellData"))
-        if array.name not in of_points
-    ]
+    of_cells = [array for array in of_cells if array.name not in of_points]
     vertices = _vertices(file, xml, rows) if of_cells else None
     if vertices is None:
         return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
@@ -281,72 +280,52 @@ def _piece(file: _File, xml: _Xml, *, of_lines: bool) -> Piece:
 def _vertices(file: _File, xml: _Xml, rows: int) -> Array | None:
     """Return the array of the points of cells, if there is one cell for each point, and it may be a vertex."""
     counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
-    kind = next((cells for cells in ("Cells", "Verts") if counts[cells] == rows), None)
-    if not rows or kind is None or sum(counts.values()) != rows:
-        return None
-    named = [tag for tag in xml.arrays(kind) if tag.attributes.get("Name") == "connectivity"]
-    return _array(named[0], file, xml) if named else None
+    for kind in ("Cells", "Verts"):
+        tags = xml.arrays(kind, "connectivity")
+        if tags and rows and rows == counts[kind] == sum(counts.values()):
+            return _array(tags[0], file, xml)
+    return None
 
 
-def _extended_cells(file: _File, xml: _Xml) -> str:
-    """Return what a piece holds in place of grains: polygons without vertices, or cells of an extent; else ""."""
+def _mesh_of(file: _File, xml: _Xml) -> str:
+    """Return what a piece holds in place of grains; "" for grains."""
     counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
-    polygons = counts["Polys"] + counts["Strips"]
-    if polygons and not counts["Verts"]:
-        return f"{polygons} polygons"
-    if counts["Cells"] in (0, _count(file.path, xml, "Points")):
-        return ""
-    tags = [tag for tag in xml.arrays("Cells") if tag.attributes.get("Name") == "types"]
-    if not tags:
-        return ""
-    types = _values(file, _array(tags[0], file, xml), counts["Cells"])
-    extended = int(np.count_nonzero(types > LAST_LINE))
-    return f"{extended} cells that are no vertices" if extended else ""
+    tags = xml.arrays("Cells", "types")
+    types = np.empty(0)
+    if tags and counts["Cells"] not in (0, _count(file.path, xml, "Points")):
+        types = _values(file, _array(tags[0], file, xml), counts["Cells"])
+    return mesh_of_cells(counts["Polys"] + counts["Strips"], counts["Verts"], types)
 
 
-def _values(file: _File, array: Array, rows: int) -> NDArray[np.float64]:
+def _values(file: _File, array: Array, rows: int) -> NDArray:
     """Read the values of one array while the header is read."""
-    room = file.encoding.room(max(0, array.stop - array.start))
-    try:
-        if rows > room:
-            raise DataError(f"{rows} values do not fit into {room} bytes")
-        with open_binary(file.path) as stream:
-            return read_values(stream, array, file.encoding, rows)
-    except DataError as error:
-        raise SceneError(
-            f"{file.path}: '{array.name}' is not as its header says: {error}; leave the file out, or write it again"
-        ) from None
+    check_size(file.path, array, file.encoding, rows)
+    with open_binary(file.path) as stream:
+        return read_values(stream, file.path, array, file.encoding, rows)
 
 
 def _time_of(file: _File, xml: _Xml) -> float | None:
     """Return the time in the comment of MFiX, or in an array of the file called TimeValue or TIME."""
-    for found in map(_TIME.match, xml.comments):
-        if found:
-            return _time(found[1])
+    for comment in filter(None, map(_TIME.match, xml.comments)):
+        return _time(comment[1])
     for tag in xml.arrays("FieldData"):
         if tag.attributes.get("Name", "").lower() in TIMES:
-            (time,) = _values(file, replace(_array(tag, file, xml), components=1), 1)
-            return float(time) if np.isfinite(time) else None
+            time = float(_values(file, replace(_array(tag, file, xml), components=1), 1)[0])
+            return time if math.isfinite(time) else None
     return None
 
 
 def _count(path: str, piece: _Xml, what: str) -> int:
     """Return the number of points, which has to be there, or of cells of a kind in a piece."""
-    name = f"NumberOf{what}"
-    without = "" if what == "Points" else "0"
-    return _whole(piece.elements[0].attributes.get(name, without), name, path)
+    counts = {f"NumberOf{cells}": "0" for cells in _CELLS} | piece.elements[0].attributes
+    return _whole(counts.get(f"NumberOf{what}"), f"NumberOf{what}", path)
 
 
 def _has_lines(piece: _Xml, path: str) -> bool:
     """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
     if not piece.arrays("CellData"):
         return False
-    others = [kind for kind in _CELLS if kind != "Lines" and _count(path, piece, kind)]
-    if _count(path, piece, "Lines") and others:
-        raise SceneError(
-            f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
-        )
-    return not others
+    return are_lines(path, [kind for kind in _CELLS if _count(path, piece, kind)])
 
 
 def _numbers(text: bytes) -> tuple[float, ...]:
@@ -359,27 +338,27 @@ def _numbers(text: bytes) -> tuple[float, ...]:
 
 def _encoding(root: dict[str, str], path: str) -> VtkEncoding:
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
+    width = 8 if root.get("header_type") == "UInt64" else 4
     compressor = root.get("compressor", "")
     if compressor and compressor not in COMPRESSORS:
         raise SceneError(
             f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}"
         )
-    return VtkEncoding(
-        order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor
-    )
+    return VtkEncoding(order, np.dtype(f"{order}u{width}"), compressor)
 
 
 def _time(text: str) -> float | None:
-    try:
+    with suppress(ValueError):
         time = float(text.lower().replace("d", "e"))  # Fortran may write 0.1D+00
-    except ValueError:
-        return None
-    return time if np.isfinite(time) else None
+        if math.isfinite(time):
+            return time
+    return None
 
 
 def _array(element: _Element, file: _File, xml: _Xml) -> Array:
     """Describe one array."""
-    tag, path = element.attributes, file.path
+    tag = element.attributes
+    path = file.path
     name = _utf8(tag.get("Name", "Points"))
     kind = tag.get("type", "")
     if kind not in TYPES:
@@ -399,7 +378,8 @@ def _array(element: _Element, file: _File, xml: _Xml) -> Array:
         offset = _whole(tag.get("offset"), f"the offset of '{name}'", path)
         return Array(name, components, kind, file.form, file.body + offset, file.size)
     text = xml.content(element)
-    start, stop = element.start + len(text) - len(text.lstrip()), element.start + len(text)
+    stop = element.start + len(text)
+    start = stop - len(text.lstrip())
     form = "base64" if tag.get("format") == "binary" else "ascii"
     return Array(name, components, kind, form, start, stop)
 
