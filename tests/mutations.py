@@ -402,7 +402,7 @@ TABLE = [
     ),
     # --- packing ---
     Mutation(
-        "analysis/quantities.py", "np.sqrt(2 / 3 if len(rate) == 3 else 2)", "np.sqrt(3 / 2 if len(rate) == 3 else 2)",
+        "analysis/quantities.py", "{3: 2 / 3, 2: 2}[len(rate)]", "{3: 3 / 2, 2: 2}[len(rate)]",
         "test_shear_rates_from_velocities_and_as_given",
     ),
     Mutation(
@@ -451,10 +451,10 @@ TABLE = [
         "test_the_isotropic_one_is_the_mean_over_all_vectors",
     ),
     Mutation(
-        "analysis/bond_order.py", "(2 if m else 1)", "1", "test_order_is_that_of_brute_force",
+        "analysis/bond_order.py", "scale *= 2", "scale *= 1", "test_order_is_that_of_brute_force",
     ),
     Mutation(
-        "analysis/bond_order.py", "reach = min(reach, half) if", "reach = 0.1 * half if",
+        "analysis/bond_order.py", "reach = min(float(alone.max()), half)", "reach = 0.1 * half",
         "test_order_is_that_of_brute_force",
     ),
     Mutation(

@@ -67,6 +67,16 @@ def test_pictures_are_those_of_the_last_step():
     assert sum(petal.get_height() for petal in last.patches) == pytest.approx(1)
 
 
+def test_grains_are_drawn_whole():
+    fc = fork().cg.force_chains()
+    ax = fc.cg.plot_chains()
+    radius = fc.diameter.isel(time=-1) / 2
+    for name, (low, high) in {"x": ax.get_xlim(), "y": ax.get_ylim()}.items():
+        place = fc.position.isel(time=-1).sel(component=name)
+        assert low <= float((place - radius).min())
+        assert high >= float((place + radius).max())
+
+
 def test_plots_of_no_chains_are_empty():
     fc = fork().cg.force_chains(min_stress=1e9)
     fc.cg.plot_chains()

@@ -106,7 +106,7 @@ def test_moving_region_follows_time():
 
 def test_wrong_regions_and_limits_raise():
     fc = three_chains()
-    with pytest.raises(ValueError, match="how='most': expected 'any' or 'all'"):
+    with pytest.raises(ValueError, match="how='most': expected one of 'any', 'all'"):
         fc.cg.select_chains(EVERYWHERE, how="most")
     with pytest.raises(ValueError, match="nothing to select by"):
         fc.cg.select_chains()
@@ -124,7 +124,10 @@ def test_wrong_regions_and_limits_raise():
             "min_stress=nan: expected a finite stress",
         ),
         (lambda fc: fc.cg.select_chains((0, 1)), r"region=\(0, 1\): expected xcg.BoxRegion"),
-        (lambda fc: fc.cg.track_chains(overlap="half"), "overlap='half': expected a share"),
+        (
+            lambda fc: fc.cg.track_chains(overlap="half"),
+            "overlap='half': expected a number above 0",
+        ),
         (
             lambda fc: fc.isel(chain=slice(0, 1)).cg.select_chains(min_stress=0),
             "needs all particles and chains",
@@ -199,11 +202,11 @@ def test_regions_are_intersected_united_and_inverted():
         (lambda: Sphere((0, 0, 0), 1, velocity=(1, 0, 0), follow=3), "expected one of the two"),
         (
             lambda: Sphere((0, 0, 0), 1, follow=1.5),
-            r"follow=1\.5: expected the id of a particle, a whole number",
+            r"follow=1\.5: expected a whole number of at least 0, or None for no particle",
         ),
         (
             lambda: BoxRegion((0, 0, 0), (1, 1, 1), follow="a"),
-            "follow='a': expected the id of a particle",
+            "follow='a': expected a whole number of at least 0",
         ),
     ],
 )

@@ -151,6 +151,19 @@ def test_custom_laws_take_names_and_constants_from_their_arguments():
     assert fit.attrs["law"] == "custom"
 
 
+def test_maps_are_fitted_along_axes_of_any_name():
+    """The axes x and y of a map are not the x and y of the law."""
+    z = xr.DataArray(np.linspace(0.0, 4.0, 9), dims="z")
+    for axis in "xy":
+        places = xr.DataArray(np.arange(5.0), dims=axis)
+        field = 2.0 - 0.3 * z + 0 * places
+        f = xr.Dataset({"volume_fraction": field}, {"z": z, axis: places})
+        fit = xcg.fit_law(f, "phi_of_I", x="z")
+        assert float(fit.slope) == pytest.approx(0.3)
+        assert int(fit.point_count) == 45
+        xr.testing.assert_allclose(fit.fitted, field.assign_coords(z=z, **{axis: places}))
+
+
 def test_nodes_closer_than_a_support_are_fewer_points():
     z = np.linspace(0, 4, 21)
     f = xr.Dataset({"fluidity": ("z", np.exp(-z)), "fluidity_error": ("z", 0.1 + 0 * z)}, {"z": z})

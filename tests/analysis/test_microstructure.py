@@ -478,7 +478,7 @@ def test_without_a_box_volumes_come_from_bounds():
         ({"bounds": {"q": (0, 1)}}, "expected .low, high."),
         ({"bounds": "x"}, "bounds='x': expected .low, high."),
         ({"bounds": {"z": (None, 1)}}, "expected .low, high."),
-        ({"strain_rate": np.ones(3)}, "expected one rate"),
+        ({"strain_rate": np.ones(3)}, "expected a finite rate"),
         ({"by": "mass"}, "integer variable"),
         ({"max_connectivity": 2.5}, "max_connectivity=2.5"),
         ({"axis": "q"}, "axis='q'"),

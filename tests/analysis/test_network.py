@@ -367,7 +367,7 @@ def test_without_friction_there_is_no_distribution_of_tangential_forces():
 def test_wrong_arguments_raise(monkeypatch):
     ds = loose(20, 1)
     with pytest.raises(
-        ValueError, match="weight='mass': expected None, 'contacts', 'force', 'overlap'"
+        ValueError, match="weight='mass': expected one of 'contacts', 'force', 'overlap'"
     ):
         ds.cg.adjacency(weight="mass")
     with pytest.raises(

@@ -100,8 +100,6 @@ ACCEPTED = {
     # to be checked
     ("find_pairs", "max_pairs"),
     ("view", "vmin"),
-    ("width_sweep", "max_bias"),
-    ("width_sweep", "max_slope"),
 }
 # arguments whose errors speak of something else: to be bettered
 UNNAMED = {

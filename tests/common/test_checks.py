@@ -76,7 +76,10 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
 @pytest.mark.parametrize(
     ("call", "match"),
     [
-        (lambda ds: ds.cg.force_chains(alpha="45"), "alpha='45': expected an angle"),
+        (
+            lambda ds: ds.cg.force_chains(alpha="45"),
+            "alpha='45': expected a number .degrees. above 0",
+        ),
         (
             lambda ds: ds.cg.force_chains(min_stress=[1.0]),
             r"min_stress=\[1.0\]: expected a finite stress",
@@ -94,11 +97,11 @@ def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
         ),
         (
             lambda ds: ds.cg.slice_temperature("z", spacing="a"),
-            "spacing='a', planes=.*: expected a positive distance",
+            "spacing='a': expected a positive length",
         ),
         (
             lambda ds: ds.cg.slice_temperature("z", width="a"),
-            "^width='a': expected a positive width",
+            "^width='a': expected a positive length",
         ),
         (lambda ds: xcg.Sphere((0, 0, 0), "1"), "radius='1': expected a positive length"),
         (lambda ds: xcg.Rotated(z=("0", 0, 1)), r"z=\('0', 0, 1\): expected three finite numbers"),

@@ -155,3 +155,26 @@ class _Missing(_MeanSpeed):
 def test_wrong_results_are_errors_of_the_program(analysis, message):
     with pytest.raises(TypeError, match=message):
         analysis.run(_scene(), on_error="skip")
+
+
+@dataclass(frozen=True)
+class _Weighted(xcg.FrameAnalysis):
+    optional = ("frozen",)
+
+    def reads(self, scene):
+        return ["diameter"]
+
+    def rows(self, scene):
+        return {"known": xcg.Variable((), "1", "whether there is a variable", "int64")}
+
+    def frame(self, frame, lattice, source):
+        return {"known": int("frozen" in frame) + 2 * self.setup.dimension}
+
+
+def test_optional_variables_are_read_where_the_scene_has_them():
+    ds = xcg.datasets.random_scene(5)
+    assert _Weighted().run(ds).known.values.tolist() == [6]
+    frozen = xr.zeros_like(ds["particle_id"])
+    assert _Weighted().run(ds.assign(frozen=frozen)).known.values.tolist() == [7]
+    layer = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], diameter=[1.0], dimension=2)
+    assert _Weighted().run(layer).known.values.tolist() == [4]

@@ -271,5 +271,5 @@ def test_no_chain_is_written_where_a_name_is_taken(tmp_path, sheared):
 
 def test_the_command_reports_errors():
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
-    assert "expected an angle in degrees" in run(*files, "--alpha", 100).output
+    assert "expected a number (degrees) above 0" in run(*files, "--alpha", 100).output
     assert "neither 'mean' nor a stress" in run(*files, "--min-stress", "median").output

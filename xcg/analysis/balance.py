@@ -15,7 +15,7 @@ from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.description import describe
 from xcg.scene.frame import require_times, times_are_known
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import provenance
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
@@ -25,21 +25,13 @@ def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
     """Central difference of fourth order; NaN at the two nodes next to an end, unless the axis wraps."""
     step = float(field[axis][1] - field[axis][0])
     nodes = field.sizes[axis]
-    wide = (
-        field.pad({axis: 2}, mode="wrap") if wraps else field.pad({axis: 2}, constant_values=np.nan)
-    )
-    near, far = (
-        wide.isel({axis: slice(2 + k, nodes + 2 + k)}).drop_vars(axis)
-        - wide.isel({axis: slice(2 - k, nodes + 2 - k)}).drop_vars(axis)
-        for k in (1, 2)
-    )
+    how: Any = {"constant_values": np.nan}
+    if wraps:
+        how = {"mode": "wrap"}
+    wide = field.drop_vars(axis).pad({axis: 2}, **how)
+    near = wide.isel({axis: slice(3, nodes + 3)}) - wide.isel({axis: slice(1, nodes + 1)})
+    far = wide.isel({axis: slice(4, nodes + 4)}) - wide.isel({axis: slice(0, nodes)})
     return ((8 * near - far) / (12 * step)).assign_coords({axis: field[axis]})
-
-
-def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr.DataArray:
-    """Sum over the axes of the derivative of the components along `dim`; averaged axes have none."""
-    parts = [_derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in axes]
-    return sum(parts[1:], start=parts[0])
 
 
 @dataclass(frozen=True)
@@ -73,11 +65,15 @@ class _Law:
 
 def _traction(f: xr.Dataset) -> xr.DataArray:
     """Return the forces of the walls on the grains, and of other phases on a phase."""
-    return f.interphase_force.sum("other_phase") if "phase" in f.dims else f.wall_traction
+    if "phase" in f.dims:
+        return f.interphase_force.sum("other_phase")
+    return f.wall_traction
 
 
 def _momentum(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
-    velocity = f.velocity.sel(phase="bulk", drop=True) if "phase" in f.dims else f.velocity
+    velocity = f.velocity
+    if "phase" in f.dims:
+        velocity = velocity.sel(phase="bulk", drop=True)
     flux = f.momentum_density * velocity.rename(component="direction") + f.stress
     if "phase" in f.dims:
         flux = flux + velocity * f.segregation_flux.rename(component="direction")
@@ -155,12 +151,7 @@ LAWS: dict[str, _Law] = {
 }
 USUAL = ("force", "mass", "momentum")
 # contacts between phases are shared, their sides are not
-OF_THE_MIXTURE = (
-    "torque",
-    "power",
-    "spin",
-    "energy",
-)
+OF_THE_MIXTURE = ("torque", "power", "spin", "energy")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,27 +232,15 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic
     (1997).
     """
-    if asked.at:
-        raise ValueError(
-            f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
-            "leave it out to average"
-        )
-    if isinstance(asked.width, Mapping):
-        raise ValueError(
-            "contacts between grains of different widths exchange momentum at a distance: give one width for all"
-        )
-    if asked.preset is not None:
-        raise ValueError(
-            f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
-        )
-    call, (ds, asked) = asked.call("balance"), prepare(ds, asked)
+    _check_options(asked)
+    call = asked.call("balance")
+    ds, asked = prepare(ds, asked)
     refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
-    needed = [name for law in laws.values() for name in law.fields] + list(
-        OF_PHASES if asked.by else ()
-    )
-    fields = list(dict.fromkeys(needed))
-    request = asked.ask(fields=fields, width=asked.width, for_averages=False)
+    fields = dict.fromkeys(name for law in laws.values() for name in law.fields)
+    if asked.by:
+        fields |= dict.fromkeys(OF_PHASES)
+    request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
     plan = make_plan(describe(ds, request.by), request)
     grid = plan.deposit.grid
     if not grid.axes:
@@ -279,30 +258,36 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:
-        return _divergence(
-            field, "direction" if "direction" in field.dims else "component", grid.axes, wraps
-        )
+        dim = "component"
+        if "direction" in field.dims:
+            dim = "direction"
+        parts = [
+            _derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in grid.axes
+        ]
+        return sum(parts[1:], start=parts[0])
 
-    given = np.asarray(ds.attrs.get("gravity", (0.0, 0.0, 0.0)), float)
-    gravity = xr.DataArray(given, {"component": list(COMPONENTS)}, "component")
+    acceleration = np.asarray(ds.attrs.get("gravity", (0.0, 0.0, 0.0)), float)
+    gravity = xr.DataArray(acceleration, {"component": list(COMPONENTS)}, "component")
     interval = xr.DataArray(np.diff(f.time.values), dims="time")
     out = dict[str, xr.DataArray]()
     for balanced, law in laws.items():
         name = f"{balanced}_residual"
         parts = law.terms(f, divergence, gravity)
         if law.rate:
-            parts = [_halfway(part, lambda one, other: (one + other) / 2) for part in parts]
-            parts.insert(0, _halfway(f[law.rate], lambda one, other: (other - one) / interval))
-        steps = {"time": "interval"} if law.rate else {}
-        unit, long_name = law.units if plan.setup.unit_system == "SI" else "1", law.long_name
+            before, after = _halfway(f[law.rate])
+            means = [(now + then) / 2 for now, then in map(_halfway, parts)]
+            parts = [(after - before) / interval, *means]
         residual = sum(parts[1:], start=parts[0]).transpose("time", *plan.dims, ...)
         valid = residual.notnull()
         largest = xr.concat([_rms(part.where(valid)) for part in parts], "term").max("term")
-        norm = (_rms(residual) / largest.where(largest > 0)).rename(steps)
-        out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
-        out[f"{name}_norm"] = norm.assign_attrs(
-            units="1", long_name=f"{long_name}, relative to its largest term"
-        )
+        norm = _rms(residual) / largest.where(largest > 0)
+        if law.rate:
+            residual = residual.rename(time="interval")
+            norm = norm.rename(time="interval")
+        units = units_in(law.units, plan.setup.unit_system)
+        text = f"{law.long_name}, relative to its largest term"
+        out[name] = residual.assign_attrs(units=units, long_name=law.long_name)
+        out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=text)
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
     # in the order of the fields
     coords = {name: known[name] for name in (*f.coords, "interval") if name in known}
@@ -311,6 +296,23 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         coords,
         f.attrs | provenance(ds, call),
     )
+
+
+def _check_options(asked: BalanceRequest) -> None:
+    """Raise ValueError for options of `coarse_grain` that no balance has."""
+    if asked.at:
+        raise ValueError(
+            f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
+            "leave it out to average"
+        )
+    if isinstance(asked.width, Mapping):
+        raise ValueError(
+            "contacts between grains of different widths exchange momentum at a distance: give one width for all"
+        )
+    if asked.preset is not None:
+        raise ValueError(
+            f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
+        )
 
 
 def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
@@ -329,12 +331,12 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     }
     for name in asked.quantities or ():
         if name in lacking:
-            msg = f"quantities={list(asked.quantities or ())}: the balance of {name} holds between steps"
-            msg += ", and takes the scene's gravity" if LAWS[name].needs_gravity else ""
-            msg += "; open two steps or more" + (
-                ", with gravity=" if LAWS[name].needs_gravity else ""
+            way_out = "; open two steps or more"
+            if LAWS[name].needs_gravity:
+                way_out = ", and takes the scene's gravity; open two steps or more, with gravity="
+            raise ValueError(
+                f"quantities={list(asked.quantities or ())}: the balance of {name} holds between steps{way_out}"
             )
-            raise ValueError(msg)
         if asked.by is not None and name in OF_THE_MIXTURE:
             raise ValueError(
                 f"quantities={list(asked.quantities or ())}: the balance of {name} holds for all grains "
@@ -347,16 +349,14 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     return {name: LAWS[name] for name in USUAL if name not in lacking}
 
 
-def _halfway(
-    field: xr.DataArray, combine: Callable[[xr.DataArray, xr.DataArray], xr.DataArray]
-) -> xr.DataArray:
-    """Combine each step with the next, at the time in the middle."""
+def _halfway(field: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return the values before and after the time in the middle between each step and the next."""
     bare = field.drop_vars(["time", "step"], errors="ignore")
     middle = (field.time[1:].variable + field.time[:-1].values) / 2
     middle.attrs = field.time.attrs | {"long_name": "time in the middle between two steps"}
-    return combine(bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None))).assign_coords(
-        time=middle
-    )
+    before = bare.isel(time=slice(None, -1)).assign_coords(time=middle)
+    after = bare.isel(time=slice(1, None)).assign_coords(time=middle)
+    return before, after
 
 
 def _rms(field: xr.DataArray) -> xr.DataArray:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.pairs import pairs_of
-from xcg.common.checks import floats, is_positive, is_whole
+from xcg.analysis.pairs import other_rows, pairs_of
+from xcg.common.checks import POSITIVE, check, floats, is_whole, whole
 from xcg.common.messages import SceneError, plain
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Variable
+from xcg.scene.schema import VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
 
@@ -94,11 +94,10 @@ def bond_order(
     >>> order.q6[0, 0].round(4).item()
     0.5745
     """
-    analysis = BondOrder(degrees=degrees, neighbours=neighbours, r_max=r_max)
-    return run(ds, analysis, on_error=on_error)
+    return run(ds, BondOrder(degrees, neighbours, r_max), on_error=on_error)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class BondOrder(FrameAnalysis):
     """Bond order of the particles of a step, see `bond_order`."""
 
@@ -107,28 +106,25 @@ class BondOrder(FrameAnalysis):
     degrees: Sequence[int] | None = None
     neighbours: int | None = None
     r_max: float | None = None
-    plane: str = field(default="xyz", repr=False)
 
     def prepare(self, scene: Description) -> Self:
         """Check the options, and fill in defaults."""
-        dimension = scene.setup.dimension
-        degrees = floats(DEGREES[dimension] if self.degrees is None else self.degrees)
+        dimension = self.setup.dimension
+        degrees = floats(DEGREES[dimension])
+        if self.degrees is not None:
+            degrees = floats(self.degrees)
         if degrees.ndim != 1 or not degrees.size or not all(is_whole(n, 1, 30) for n in degrees):
             raise ValueError(
                 f"degrees={plain(self.degrees)}: expected whole numbers from 1 to 30, such as [4, 6]"
             )
         if self.neighbours is not None and self.r_max is not None:
             raise ValueError("bond_order takes one of neighbours= (a number) and r_max= (m)")
-        if self.neighbours is not None and not is_whole(self.neighbours, 1, 1e4):
-            given = plain(self.neighbours)
-            raise ValueError(f"neighbours={given}: expected a whole number of at least 1")
-        if self.r_max is not None and not is_positive(self.r_max):
-            raise ValueError(f"r_max={plain(self.r_max)}: expected a positive distance (m)")
+        check("neighbours", self.neighbours, whole(1, 1e4), optional=True)
+        check("r_max", self.r_max, POSITIVE, "m", optional=True)
         return replace(
             self,
             degrees=tuple(dict.fromkeys(degrees.astype(int).tolist())),
             neighbours=int(self.neighbours or NEAREST[dimension]),
-            plane=scene.setup.plane,
         )
 
     def reads(self, scene: Description) -> tuple[str, ...]:
@@ -151,7 +147,7 @@ class BondOrder(FrameAnalysis):
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Compute the bond order of a step."""
         check_finite("position", frame, source)
-        axes = [COMPONENTS.index(a) for a in self.plane]
+        axes = self.setup.axes
         position = np.where(np.isin(np.arange(3), axes), frame["position"], 0.0)
         row, bond = self._bonds(position, lattice, source)
         bond = bond[:, axes]
@@ -183,7 +179,7 @@ class BondOrder(FrameAnalysis):
 
     @property
     def _letter(self) -> str:
-        return "psi" if len(self.plane) == 2 else "q"
+        return {2: "psi", 3: "q"}[self.setup.dimension]
 
     def _bonds(self, position: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Return vectors (bonds, 3) to all neighbours, and the row (bonds,) of their particle."""
@@ -199,8 +195,6 @@ class BondOrder(FrameAnalysis):
                 np.zeros(len(position)),
                 lattice,
                 skin=self.r_max,
-                method="hierarchical",
-                levels=None,
                 threads=self.threads,
                 max_pairs=2**62,
                 source=source,
@@ -215,29 +209,27 @@ class BondOrder(FrameAnalysis):
                 f"{source}: bond_order takes the nearest {count} particles, and the step holds "
                 f"{len(position)}; take fewer neighbours, or leave the step out by on_error='skip'"
             )
-        itself = np.arange(len(position))
-        corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
-        position = lattice.wrapped(position, np.where(np.isfinite(corner), corner, 0.0), source)
-        low, high = position.min(axis=0), position.max(axis=0)
-        # without images, the farthest neighbour is at least as far away as with them
-        alone: Any = cKDTree(position).query(position, count + 1)[0]
-        reach = float(alone.max())
-        reach = min(reach, half) if len(lattice.basis) else 0.0
-        rows, shift, _ = lattice.images(position, low - reach, high + reach, source)
+        position = lattice.wrapped(position, lattice.corner, source)
+        reach = 0.0
+        if len(lattice.basis):
+            # without images, the farthest neighbour is at least as far away as with them
+            alone: Any = cKDTree(position).query(position, count + 1)[0]
+            reach = min(float(alone.max()), half)
+        low = position.min(axis=0) - reach
+        high = position.max(axis=0) + reach
+        rows, shift, _ = lattice.images(position, low, high, source)
         images = position[rows] + shift
-        found: Any = cKDTree(images).query(position, count + 1)
-        distance, near = found
+        nearest: Any = cKDTree(images).query(position, count + 1)
+        distance, near = nearest
         if len(lattice.basis) and distance.max() > reach:
             raise SceneError(
                 f"{source}: some of the nearest {count} particles are beyond half the distance to "
                 f"the nearest image ({half:g} m); take fewer neighbours"
             )
         original = np.flatnonzero(~shift.any(axis=1))
-        is_itself = near == original[np.argsort(rows[original])][:, None]
-        # particles at the same place may push the particle itself out of the list
-        is_itself[~is_itself.any(axis=1), -1] = True
+        near = other_rows(near, original[np.argsort(rows[original])])
         bond = images[near] - position[:, None]
-        return np.repeat(itself, count), bond[~is_itself]
+        return np.repeat(np.arange(len(position)), count), bond.reshape(-1, 3)
 
 
 def _waves(degree: int, bond: NDArray) -> list[NDArray]:
@@ -255,7 +247,9 @@ def _waves(degree: int, bond: NDArray) -> list[NDArray]:
     turn = np.arctan2(bond[:, 1], bond[:, 0])
     waves = []
     for m in range(degree + 1):
-        scale = math.factorial(degree - m) / math.factorial(degree + m) * (2 if m else 1)
+        scale = math.factorial(degree - m) / math.factorial(degree + m)
+        if m:
+            scale *= 2
         waves.append(math.sqrt(scale) * lpmv(m, degree, cosine) * np.exp(1j * m * turn))
     return waves
 

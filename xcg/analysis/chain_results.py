@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.analysis.particle_stress import RESULTS as STRESSES
 from xcg.common.checks import check_choice, extra
 from xcg.common.drawing import (
+    add_circles,
     add_colour_bar,
     label_of,
     new_axes,
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Color: TypeAlias = Literal["stress", "chain"]
+# variables that links follow from, besides the ids
+_OF_LINKS = ("link_chain", "contact_j", "contact_force")
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
@@ -92,12 +95,11 @@ def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, in
 def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDArray | float]:
     """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
     count = len(lengths)
-    found: dict[str, NDArray | float] = {"chain_count": count}
-    found |= {
-        name: compute(lengths) if count else np.nan for name, (_, compute) in _OF_LENGTHS.items()
-    }
-    found["length_share"] = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
-    return found
+    statistics: dict[str, NDArray | float] = dict.fromkeys(_OF_LENGTHS, np.nan)
+    if count:
+        statistics = {name: compute(lengths) for name, (_, compute) in _OF_LENGTHS.items()}
+    shares = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
+    return statistics | {"chain_count": count, "length_share": shares}
 
 
 def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -> None:
@@ -121,9 +123,9 @@ def require_chains(fc: xr.Dataset, purpose: str, *, whole: Sequence[str] = ()) -
         "or call force_chains again",
     )
     full = result_sizes(fc.sizes.get("particle", 1), 0, int(fc.attrs["min_length"]))
-    given = {dim: fc.sizes.get(dim, full[dim]) for dim in full}
-    part = {"chain": given["chain"] < full["chain"], "length": given["length"] != full["length"]}
-    if any(part[dim] for dim in whole):
+    sizes = full | dict(fc.sizes)
+    is_part = {"chain": sizes["chain"] < full["chain"], "length": sizes["length"] != full["length"]}
+    if any(is_part[dim] for dim in whole):
         raise SceneError(
             f"{purpose} needs all particles and chains of a step, and this Dataset holds a part of them: select chains "
             "by fc.cg.select_chains(...), steps by fc.isel(time=...)"
@@ -135,11 +137,8 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
     fc = with_time(fc)
     words = {"time": "steps", "particle": "particles", "contact": "contacts"}
     sizes = ", ".join(f"{fc.sizes[dim]} {word}" for dim, word in words.items() if dim in fc.sizes)
-    rule = ", ".join(
-        f"{name} = {fc.attrs[name]}"
-        for name in ("alpha", "min_length", "algorithm")
-        if name in fc.attrs
-    )
+    options = ("alpha", "min_length", "algorithm")
+    rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in options if name in fc.attrs)
     kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
     held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
     return Summary.of(
@@ -172,38 +171,39 @@ class ChainStep:
         """Contact rows of the links, and the rows of the two particles of each."""
         contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
         ids = self.arrays["particle_id"]
-        i, j = (rows_of(ids, self.arrays[name][contact]) for name in ("contact_i", "contact_j"))
+        i = rows_of(ids, self.arrays["contact_i"][contact])
+        j = rows_of(ids, self.arrays["contact_j"][contact])
         return contact, i, j
 
 
 def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[ChainStep]:
     """Yield the steps of a result one after the other, each chunk of time computed once."""
-    fc = with_time(with_components(fc))
-    if "time" not in fc.dims:
-        fc = fc.expand_dims("time")
+    fc = _with_dimension_of_time(with_components(fc))
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
-    for t, one in enumerate(each_step(fc[[*names, *(BOX.keys() & set(fc.data_vars))]])):
-        step = one.isel(time=0)
-        valid = step.contact_i.to_numpy() != PADDING
-        rows: dict[str, Any] = {
-            "particle": particle_rows(step.particle_id.to_numpy()),
-            "contact": valid,
+    of_box = [name for name in BOX if name in fc]
+    dims = {name: RESULTS[name].dims for name in names} | {name: BOX[name].dims for name in of_box}
+    for t, chunk in enumerate(each_step(fc[[*names, *of_box]])):
+        step = chunk.isel(time=0)
+        arrays = {name: step[name].transpose(*dims[name]).to_numpy() for name in dims}
+        box = {name: arrays.pop(name) for name in of_box}
+        rows = {
+            "particle": particle_rows(arrays["particle_id"]),
+            "contact": arrays["contact_i"] != PADDING,
         }
-        arrays = {}
         for name in names:
-            dims = RESULTS[name].dims
-            values = step[name].transpose(*dims).to_numpy()
-            arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
-        number = int(step["step"]) if "step" in step.coords else t
-        box = {
-            name: step[name].transpose(*row.dims).to_numpy()
-            for name, row in BOX.items()
-            if name in step
-        }
+            if dims[name][0] in rows:
+                arrays[name] = arrays[name][rows[dims[name][0]]]
+        number = int(step.coords.get("step", t))
         lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
-        yield ChainStep(
-            arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice
-        )
+        yield ChainStep(arrays, float(step.coords.get("time", 0.0)), number, lattice)
+
+
+def _with_dimension_of_time(fc: xr.Dataset) -> xr.Dataset:
+    """Return a single step as a series of one."""
+    fc = with_time(fc)
+    if "time" in fc.dims:
+        return fc
+    return fc.expand_dims("time")
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:
@@ -223,15 +223,15 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
 
     def columns(step: ChainStep) -> dict[str, NDArray]:
         chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
-        found = {"chain": chain}
+        table = {"chain": chain}
         for name, row in CHAINS.items():
             values = step.arrays[name][chain]
             short = name.removeprefix("chain_")
             if "component" in row.dims:
-                found |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
+                table |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
             else:
-                found[short] = values
-        return found
+                table[short] = values
+        return table
 
     return _table(fc, "chain_table", list(CHAINS), columns)
 
@@ -264,9 +264,7 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
             "stress": 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]),
         }
 
-    return _table(
-        fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns
-    )
+    return _table(fc, "link_table", [*_OF_LINKS, "major_stress"], columns)
 
 
 def _table(
@@ -333,56 +331,36 @@ def plot_chains(
     check_choice("color", color, Color)
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
-    names = [
-        "position",
-        "diameter",
-        "chain_id",
-        "link_chain",
-        "contact_j",
-        "contact_force",
-        "major_stress",
-    ]
+    names = ["position", "diameter", *_OF_LINKS, "chain_id", "major_stress"]
     (step,) = steps_of(step_at(fc, index), names)
     arrays = step.arrays
     position = arrays["position"][:, plane]
     diameter = arrays["diameter"]
-    ax = new_axes(ratio=ratio_of_circles(position, diameter / 2)) if ax is None else ax
+    ax = ax or new_axes(ratio=ratio_of_circles(position, diameter / 2))
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
-        ax.add_collection(
-            collections.EllipseCollection(
-                diameter,
-                diameter,
-                np.zeros(len(diameter)),
-                units="xy",
-                offsets=position,
-                offset_transform=ax.transData,
-                facecolors=shade,
-                edgecolors="none",
-            )
-        )
+        add_circles(ax, position, diameter / 2, facecolors=shade, edgecolors="none")
     contact, i, j, branch = _links(step)
     force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
     ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
     width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
-    lines = collections.LineCollection(
-        list(ends),
-        linewidths=width,
-        capstyle="round",
-        cmap="tab20" if color == "chain" else "inferno_r",
-    )
+    lines = collections.LineCollection(list(ends), linewidths=width, capstyle="round")
     if color == "chain":
+        lines.set_cmap("tab20")
         lines.set_array(arrays["link_chain"][contact] % 20)
     else:
         stress = 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j])
+        lines.set_cmap("inferno_r")
         lines.set_array(stress)
         label = label_of(fc["major_stress"], "major_stress")
         add_colour_bar(lines, ax, label, stress, shrink=0.8)
     ax.add_collection(lines)
     ax.set_aspect("equal")
     ax.autoscale_view()
-    for axis, k in ((ax.xaxis, plane[0]), (ax.yaxis, plane[1])):
-        set_label(axis, with_unit(f"${COMPONENTS[k]}$", fc["position"].attrs.get("units", "")))
+    unit = fc["position"].attrs.get("units", "")
+    across, up = plane
+    set_label(ax.xaxis, with_unit(f"${COMPONENTS[across]}$", unit))
+    set_label(ax.yaxis, with_unit(f"${COMPONENTS[up]}$", unit))
     return ax
 
 
@@ -406,9 +384,8 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
         If `fc` is not a result of `force_chains`.
     """
     require_chains(fc, "plot_lengths")
-    ax = new_axes() if ax is None else ax
-    steps = with_time(fc[["length_share", "chain_count"]]).compute()
-    steps = steps if "time" in steps.dims else steps.expand_dims("time")
+    ax = ax or new_axes()
+    steps = _with_dimension_of_time(fc[["length_share", "chain_count"]]).compute()
     share = steps["length_share"].transpose("time", "length").to_numpy()
     count = steps["chain_count"].to_numpy()
     length = fc["length"].to_numpy()
@@ -462,14 +439,17 @@ def plot_rose(
         raise ValueError(
             f"bins={bins!r}: expected an even number of petals, as every link points both ways"
         )
-    flat = int(fc.attrs.get("dimension", 3)) == 2
-    plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
+    is_layer = int(fc.attrs.get("dimension", 3)) == 2
+    if plane is None:
+        plane = "xz"
+        if is_layer:
+            plane = str(fc.attrs.get("plane", "xy"))
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    (step,) = steps_of(step_at(fc, index), ["position", "link_chain", "contact_j", "contact_force"])
-    ax = new_axes("polar") if ax is None else ax
+    (step,) = steps_of(step_at(fc, index), ["position", *_OF_LINKS])
+    ax = ax or new_axes("polar")
     contact, _, _, branch = _links(step)
-    along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
+    along, up = branch[:, [COMPONENTS.index(axis) for axis in plane]].T
     angle = np.arctan2(up, along) % np.pi
     force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
     half, edges = np.histogram(angle, bins // 2, (0, np.pi), weights=force)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -18,14 +18,14 @@ from xcg.analysis.chain_results import (
     result_sizes,
     statistics_of,
 )
-from xcg.common.checks import is_finite, is_positive, is_whole, vector
+from xcg.common.checks import FINITE, POSITIVE, check, check_choice, vector, whole
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import require_known_times
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
-from xcg.steps.labels import format_call
+from xcg.steps.labels import call_of
 
 
 class Region:
@@ -70,13 +70,6 @@ class _Combined(Region):
         return self.combine(*(region.contains(frame, time, lattice) for region in self.regions))
 
 
-def _three(
-    name: str, given: Sequence[float], *, infinite: bool = False
-) -> tuple[float, float, float]:
-    x, y, z = vector(name, given, infinite=infinite).tolist()
-    return x, y, z
-
-
 def _moves(region: object) -> bool:
     """Return whether a region, or one that it is made of, has a velocity."""
     if isinstance(region, _Combined):
@@ -101,15 +94,17 @@ class _Moving(Region):
     follow: int | None
 
     def __post_init__(self) -> None:
-        if self.follow is not None and not is_whole(self.follow, 0):
-            raise ValueError(
-                f"follow={self.follow!r}: expected the id of a particle, a whole number"
-            )
+        check("follow", self.follow, whole(0), optional=True, hint=" for no particle")
         if self.follow is not None and np.any(self.velocity):
             raise ValueError(
                 f"velocity={self.velocity!r} and follow={self.follow!r}: expected one of the two"
             )
-        object.__setattr__(self, "velocity", _three("velocity", self.velocity))
+        self._keep("velocity")
+
+    def _keep(self, name: str, *, infinite: bool = False) -> None:
+        """Check that an attribute is three numbers, and keep them as a tuple."""
+        three = vector(name, getattr(self, name), infinite=infinite)
+        object.__setattr__(self, name, tuple(three.tolist()))
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Return a mask of the particles whose centre is inside; all False where the followed particle is missing."""
@@ -153,29 +148,24 @@ class BoxRegion(_Moving):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lower, upper = (
-            _three("lower", self.lower, infinite=True),
-            _three("upper", self.upper, infinite=True),
-        )
-        if not all(a <= b for a, b in zip(lower, upper, strict=True)):
+        self._keep("lower", infinite=True)
+        self._keep("upper", infinite=True)
+        if not np.less_equal(self.lower, self.upper).all():
             raise ValueError(
-                f"lower={lower}, upper={upper}: expected every lower edge below the upper"
+                f"lower={self.lower}, upper={self.upper}: expected every lower edge below the upper"
             )
-        object.__setattr__(self, "lower", lower)
-        object.__setattr__(self, "upper", upper)
 
     def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
-        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        lower = np.asarray(self.lower)
+        upper = np.asarray(self.upper)
         bounded = np.isfinite(lower) & np.isfinite(upper)
         # about its centre, so that a periodic image inside counts
-        middle = np.where(
-            bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0
-        )
+        middle = np.zeros(3)
+        middle[bounded] = 0.5 * (lower[bounded] + upper[bounded])
         away = position - (offset + middle)
         if lattice.vectors is not None:  # the image inside need not be the shortest
-            inside, _, _ = lattice.seen(bounded, "region").images(
-                away, lower - middle, upper - middle
-            )
+            seen = lattice.seen(bounded, "region")
+            inside, _, _ = seen.images(away, lower - middle, upper - middle)
             return np.bincount(inside, minlength=len(away)) > 0
         away = np.where(bounded, lattice.shortest(away), away)
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
@@ -209,17 +199,16 @@ class Sphere(_Moving):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not is_positive(self.radius):
-            raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
-        object.__setattr__(self, "centre", _three("centre", self.centre))
+        check("radius", self.radius, POSITIVE, "m")
+        self._keep("centre")
 
     def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
         away = lattice.shortest(position - (offset + np.asarray(self.centre)))
         return np.asarray((away**2).sum(axis=1) <= self.radius**2)
 
 
-_GRAINS = ("position", "major_stress")
-HOW = {"any": np.logical_or, "all": np.logical_and}
+How: TypeAlias = Literal["any", "all"]
+_HOW = {"any": np.logical_or, "all": np.logical_and}
 
 
 @takes_scene
@@ -228,7 +217,7 @@ def select_chains(
     region: Region | None = None,
     *,
     min_stress: float | None = None,
-    how: str = "any",
+    how: How = "any",
 ) -> xr.Dataset:
     """Keep the chains whose particles fulfil a condition; the others are dropped as if they had not been found.
 
@@ -260,21 +249,19 @@ def select_chains(
     ValueError
         If an argument is wrong.
     """
-    given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
+    call = call_of("select_chains", locals())
     require_chains(fc, "select_chains", whole=("chain", "length"))
-    if how not in HOW:
-        raise ValueError(f"how={how!r}: expected 'any' or 'all' of a chain's particles")
+    check_choice("how", how, How)
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
         )
     check_region(region, fc)
-    if min_stress is not None and not is_finite(min_stress):
-        raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
+    check("min_stress", min_stress, FINITE, "Pa", optional=True)
     analysis = _Selection(region, min_stress, how, int(fc.attrs.get("min_length", 3)))
     # a box that changes is not read to describe the scene
     scene = describe(fc.drop_vars(BOX, errors="ignore"))
-    return run(fc, analysis, call=format_call("select_chains", given), scene=scene)
+    return run(fc, analysis, call=call, scene=scene)
 
 
 @dataclass(frozen=True)
@@ -282,16 +269,16 @@ class _Selection(FrameAnalysis):
     """Chains whose particles fulfil a condition."""
 
     name = "select_chains"
+    optional = ("position", "major_stress", "time")
 
     region: Region | None
     min_stress: float | None
-    how: str
+    how: How
     min_length: int
 
     def reads(self, scene: Description) -> list[str]:
-        """Return the chains, and what the condition is about."""
-        of_grains = [n for n in (*_GRAINS, "time") if n in scene.columns or n in scene.times]
-        return [*of_grains, *MEMBERS, *CHAINS]
+        """Return the chains."""
+        return [*MEMBERS, *CHAINS]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return chains, their members, and the statistics of their lengths."""
@@ -307,24 +294,20 @@ class _Selection(FrameAnalysis):
         chain = frame["chain_id"]
         exists = frame["chain_particles"] > 0
         kept = np.full(len(exists), self.how == "all")
-        HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
+        _HOW[self.how].at(kept, chain[chain >= 0], fulfilled[chain >= 0])
         kept &= exists
         out: dict[str, Any] = {name: frame[name].copy() for name in (*MEMBERS, *CHAINS)}
-        _drop(out, kept)
+        # everything of the other chains is padding, or no chain
+        lost = (chain >= 0) & ~kept[chain]
+        for name, none in (("chain_id", -1), ("parent_id", -1), ("links", 0), ("branching", 0)):
+            out[name][lost] = none
+        link = out["link_chain"]
+        link[(link >= 0) & ~kept[link]] = -1
+        for name, row in CHAINS.items():
+            out[name][~kept] = row.fill
         bins = result_sizes(len(chain), 0, self.min_length)["length"]
         return out | statistics_of(out["chain_particles"][kept], self.min_length, bins)
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Return all variables of the chains."""
         return ds.assign(result.data_vars).assign_attrs(history=result.attrs["history"])
-
-
-def _drop(out: Mapping[str, NDArray], kept: NDArray) -> None:
-    """Replace everything of the other chains by padding, or by no chain."""
-    lost = (out["chain_id"] >= 0) & ~kept[out["chain_id"]]
-    for name, none in (("chain_id", -1), ("parent_id", -1), ("links", 0), ("branching", 0)):
-        out[name][lost] = none
-    link = out["link_chain"]
-    link[(link >= 0) & ~kept[link]] = -1
-    for name, row in CHAINS.items():
-        out[name][~kept] = row.fill

@@ -20,7 +20,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import require_times, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable, units_in
-from xcg.steps.labels import format_call, label
+from xcg.steps.labels import annotated, call_of, label
 from xcg.steps.mapping import each_step
 
 # intervals that are longer than the median by more than this share are gaps
@@ -141,12 +141,12 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
             if lag <= t:
                 survivors[t - lag, k] = (now.first <= t - lag).sum()
         before = now
-    call = format_call("contact_history", {"lags": list(chosen)})
+    call = call_of("contact_history", {"lags": chosen})
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
     system = str(ds.attrs.get("unit_system", "SI"))
-    about = {"units": units_in("s", system), "long_name": "lifetime of lost contacts"}
-    lost = xr.Variable("lost", np.concatenate([np.zeros(0), *lifetimes]), about)
+    ages = np.concatenate([np.zeros(0), *lifetimes])
+    lost = annotated("lost", ages, units_in("s", system), "lifetime of lost contacts")
     return result.assign(
         lifetime=lost, **_persistence(survivors, count, times, interval, chosen, system)
     )
@@ -183,8 +183,8 @@ class _Touching:
     def of(cls, frame: Frame, lattice: Lattice, source: str, step: int) -> _Touching:
         """Return the contacts of a frame, all of them first seen in it."""
         contacts = Contacts.of(frame, lattice, source)
-        ids = np.stack([contacts.key_i, contacts.key_j])
-        low, high = ids.min(axis=0), ids.max(axis=0)
+        low = np.minimum(contacts.key_i, contacts.key_j)
+        high = np.maximum(contacts.key_i, contacts.key_j)
         sign = np.where(contacts.key_i == low, 1.0, -1.0)[:, None]
         normal = sign * contacts.normal
         pairs = pd.DataFrame({"low": low, "high": high, "row": np.arange(len(low))})
@@ -197,11 +197,12 @@ class _Touching:
         all its images are.
         """
         both = self.pairs.merge(before.pairs, on=["low", "high"], suffixes=("", "_before"))
-        new, old = both["row"].to_numpy(), both["row_before"].to_numpy()
+        new = both["row"].to_numpy()
+        old = both["row_before"].to_numpy()
         same = ~lattice.numbers(self.branch[new] - before.branch[old]).any(axis=1)
         # several contact points of a pair go on together
-        new, one = np.unique(new[same], return_index=True)
-        return new, old[same][one]
+        new, first = np.unique(new[same], return_index=True)
+        return new, old[same][first]
 
 
 def _angle(one: NDArray, other: NDArray) -> NDArray:
@@ -219,7 +220,8 @@ def _persistence(
     system: str,
 ) -> dict[str, Any]:
     """Return the persistence by lag and its error, from survivors (first step, lag)."""
-    values, errors = [], []
+    values = []
+    errors = []
     for k, lag in enumerate(lags):
         even = times[lag:] - times[:-lag] <= lag * interval * (1 + _GAP / lag)
         samples = xr.Dataset(
@@ -227,17 +229,12 @@ def _persistence(
         ).astype(float)
         values.append(_share(samples.sum("first")).share)
         errors.append(block_errors(samples, "first", _share).share)
-    second = units_in("s", system)
     text = "share of contacts that last a lag"
     at = interval * np.array(lags)
     return {
-        "lag": ("lag", at, {"units": second, "long_name": "time between two steps"}),
-        "persistence": ("lag", np.array(values), {"units": "1", "long_name": text}),
-        "persistence_error": (
-            "lag",
-            np.array(errors),
-            {"units": "1", "long_name": f"standard error of the {text}"},
-        ),
+        "lag": annotated("lag", at, units_in("s", system), "time between two steps"),
+        "persistence": annotated("lag", values, "1", text),
+        "persistence_error": annotated("lag", errors, "1", f"standard error of the {text}"),
     }
 
 

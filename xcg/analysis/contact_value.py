@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -94,21 +94,16 @@ class ContactValue(RadialDistribution):
 
     name = "contact_value"
 
-    reach: float = field(default=1.2)
+    reach: float
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the contact value and its error."""
-        dims = () if self.by is None else ("phase", "other_phase")
+        dims = self.dims_of_pairs
         text = "pair correlation at contact"
         return {
             "contact_value": Variable(dims, "1", text, formula="g(r -> d)"),
             "contact_value_error": Variable(dims, "1", f"standard error of the {text}"),
         }
-
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
-        """Return the phases."""
-        coords = super().coords(scene)
-        return {dim: coords[dim] for dim in coords if dim in ("phase", "other_phase")}
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Fit g(s) of a step."""
@@ -129,6 +124,7 @@ class ContactValue(RadialDistribution):
             if a == b or 0 in (a, b):
                 both = counts[max(a, b), max(a, b), 0, beyond]
             errors[a, b] = np.sqrt(((normal[0] @ powers) ** 2 * (number + both)).sum())
-        if self.by is None:
-            return {"contact_value": values[0, 0], "contact_value_error": errors[0, 0]}
-        return {"contact_value": values, "contact_value_error": errors}
+        return {
+            "contact_value": self.of_pairs(values),
+            "contact_value_error": self.of_pairs(errors),
+        }

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import check, whole
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import (
@@ -19,7 +20,8 @@ from xcg.scene.frame import (
     with_time,
 )
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import annotated, format_call, labelled, provenance
+from xcg.steps.mapping import apply_along
 
 _TAIL = ("component", "direction")
 _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
@@ -75,7 +77,7 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    other = field if other is None else other
+    other = other or field
     f = with_facts(with_time(f))
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"
@@ -94,57 +96,67 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
             "spatial_correlation needs resolved axes of two nodes or more, and "
             f"{field!r} has the dimensions {a.dims}"
         )
-    length = f[axes[0]].attrs.get("units", "m")
-    spacing: list[float] = []
-    wraps: list[bool] = []
-    coords = {}
-    for axis in axes:
-        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
-        extent = step * f.sizes[axis]
-        whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
-        wrapped = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
-        lag = step * _lags(a.sizes[axis], wrapped)
-        attrs = {"units": length, "long_name": f"distance along {axis}"}
-        spacing.append(step)
-        wraps.append(wrapped)
-        coords[f"lag_{axis}"] = (f"lag_{axis}", lag, attrs)
-    lags = [lag for _, lag, _ in coords.values()]
-    tail = [dim for dim in _TAIL if dim in a.dims]
-    core = [*axes, *tail]
-    sizes = {dim: len(lag) for dim, lag in zip(coords, lags, strict=True)}
-    arrays = xr.apply_ufunc(
-        _products,
-        a.drop_vars(axes),
-        b.drop_vars(axes),
-        kwargs={"wraps": tuple(wraps), "rank": len(tail)},
-        input_core_dims=[core, core],
-        output_core_dims=[list(coords)] * 2 + [[]] * 4,
-        dask="parallelized",
-        output_dtypes=[float] * 6,
-        dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
-    )
-    sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(coords)
-    r, add_by_shell = _shells(lags, min(spacing))
-    for kind in ("products", "pairs"):
-        sums[f"radial_{kind}"] = xr.apply_ufunc(
-            add_by_shell,
-            sums[kind],
-            input_core_dims=[list(coords)],
-            output_core_dims=[["r"]],
-            dask="parallelized",
-            output_dtypes=[float],
-            dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
-        )
-    sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
+    sums = _sums_over_pairs(f, a, b, axes)
+    length = sums["r"].attrs["units"]
     about = {
         "correlation": ("1", f"correlation of {field} with {other}"),
         "radial_correlation": ("1", f"correlation of {field} with {other} by distance"),
         "correlation_length": (length, "distance at which the correlation falls to 1/e"),
     }
     call = format_call("spatial_correlation", {"field": field, "other": other})
-    result = _with_errors(sums, _correlation_in_space, about, f, call)
-    pairs = sums["pairs"].mean("time") if "time" in sums.dims else sums["pairs"]
-    return result.assign(pairs=_labelled(pairs, "1", "pairs of nodes in a step"))
+    series = sums
+    if "time" not in sums.dims:
+        series = sums.expand_dims("time")
+    of_steps = [name for name in series.coords if name not in series.dims or name == "time"]
+    series = series.drop_vars(of_steps)
+    mean = _correlation_in_space(series.mean("time"))
+    errors = block_errors(series, "time", _correlation_in_space)
+    data = {}
+    for name, (units, long_name) in about.items():
+        data[name] = labelled(mean[name], units, long_name)
+        data[f"{name}_error"] = labelled(errors[name], units, f"standard error of {name}")
+    result = xr.Dataset(data, attrs=provenance(f, call))
+    pairs = sums["pairs"]
+    if "time" in sums.dims:
+        pairs = pairs.mean("time")
+    return result.assign(pairs=labelled(pairs, "1", "pairs of nodes in a step"))
+
+
+def _sums_over_pairs(
+    f: xr.Dataset, a: xr.DataArray, b: xr.DataArray, axes: Sequence[str]
+) -> xr.Dataset:
+    """Return sums of each step over pairs of nodes, by lag along each axis and by distance."""
+    length = f[axes[0]].attrs.get("units", "m")
+    spacing = {}
+    wraps = {}
+    lags = {}
+    for axis in axes:
+        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
+        extent = step * f.sizes[axis]
+        whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
+        spacing[axis] = step
+        wraps[axis] = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
+        lag = step * _lags(a.sizes[axis], wraps[axis])
+        dim = f"lag_{axis}"
+        lags[dim] = annotated(dim, lag, length, f"distance along {axis}")
+    tail = [dim for dim in _TAIL if dim in a.dims]
+    core = [*axes, *tail]
+    arrays = apply_along(
+        _products,
+        a.drop_vars(axes),
+        b.drop_vars(axes),
+        along=[core, core],
+        to=[[*lags]] * 2 + [[]] * 4,
+        sizes={dim: len(lag) for dim, lag in lags.items()},
+        kwargs={"wraps": tuple(wraps.values()), "rank": len(tail)},
+    )
+    sums = xr.Dataset(dict(zip(_SUMS, arrays, strict=True))).assign_coords(lags)
+    r, add_by_shell = _shells([lag.values for lag in lags.values()], min(spacing.values()))
+    for kind in ("products", "pairs"):
+        sums[f"radial_{kind}"] = apply_along(
+            add_by_shell, sums[kind], along=[[*lags]], to=[["r"]], sizes={"r": len(r)}
+        )
+    return sums.assign_coords(r=annotated("r", r, length, "distance"))
 
 
 def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> xr.Dataset:
@@ -190,17 +202,16 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     steps = a.sizes.get("time", 1)
     if steps < 3:
         raise ValueError(f"time_correlation needs three steps or more, and {field!r} has {steps}")
-    last = steps // 2 if max_lag is None else max_lag
-    if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
-        raise ValueError(f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}")
+    check("max_lag", max_lag, whole(1, steps - 1), optional=True)
+    last = int(max_lag or steps // 2)
     require_known_times(f, "time_correlation")
     interval = evenly_spaced(f["time"].to_numpy(), "times")
     tail = [dim for dim in _TAIL if dim in a.dims]
     nodes = [str(dim) for dim in a.dims if dim in COMPONENTS]
-    whole = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
-    if whole.chunks is not None:
-        whole = whole.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
-    deviation = whole - whole.mean("time")
+    values = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
+    if values.chunks is not None:
+        values = values.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
+    deviation = values - values.mean("time")
     known = deviation.notnull().all(tail)
     deviation = deviation.where(known, 0.0)
     at_nodes = []
@@ -217,23 +228,19 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     second = f["time"].attrs.get("units", "s")
     lags = interval * np.arange(last + 1)
     coords = {
-        "lag": ("lag", lags, {"units": second, "long_name": "time between the steps"}),
-        "steps": ("lag", np.arange(last + 1), {"units": "1", "long_name": "steps between"}),
+        "lag": annotated("lag", lags, second, "time between the steps"),
+        "steps": annotated("lag", np.arange(last + 1), "1", "steps between"),
     }
     correlation = _by_lag(xr.concat(at_nodes, "lag"))["correlation"]
     series = xr.concat(by_time, "lag")
-    if series.chunks:
-        series = series.chunk(time=-1, lag=-1)
-    mean, error, duration, duration_error = xr.apply_ufunc(
+    mean, error, duration, duration_error = apply_along(
         _correlation_in_time,
         series["products"],
         series["pairs"],
+        along=[["lag", "time"]] * 2,
+        to=[["lag"], ["lag"], [], []],
         kwargs={"lags": lags},
-        input_core_dims=[["lag", "time"]] * 2,
-        output_core_dims=[["lag"], ["lag"], [], []],
         vectorize=True,
-        dask="parallelized",
-        output_dtypes=[float] * 4,
     )
     what = f"correlation of {field} with itself"
     about = {
@@ -243,8 +250,8 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
         "correlation_time": (duration, second, "time at which the mean correlation falls to 1/e"),
         "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
-    data = {key: _labelled(*entry) for key, entry in about.items()}
-    call = format_call("time_correlation", {"field": field, "max_lag": int(last)})
+    data = {key: labelled(*entry) for key, entry in about.items()}
+    call = format_call("time_correlation", {"field": field, "max_lag": last})
     return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
 
 
@@ -253,28 +260,6 @@ def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
         fields = ", ".join(map(str, f.data_vars))
         raise ValueError(f"{purpose}({name!r}): no such field; the result has {fields}")
     return f[name].astype(float)
-
-
-def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
-    labelled = values.copy(deep=False)
-    labelled.attrs = {"units": units, "long_name": long_name}
-    return labelled
-
-
-def _with_errors(
-    sums: xr.Dataset, function: Any, about: dict[str, tuple[str, str]], f: xr.Dataset, call: str
-) -> xr.Dataset:
-    """Return a function of the time mean of some sums, and its standard errors."""
-    series = sums if "time" in sums.dims else sums.expand_dims("time")
-    of_steps = [name for name in series.coords if name not in series.dims or name == "time"]
-    series = series.drop_vars(of_steps)
-    mean = function(series.mean("time"))
-    errors = block_errors(series, "time", function)
-    data = {}
-    for name, (units, long_name) in about.items():
-        data[name] = _labelled(mean[name], units, long_name)
-        data[f"{name}_error"] = _labelled(errors[name], units, f"standard error of {name}")
-    return xr.Dataset(data, attrs=provenance(f, call))
 
 
 # --- in space -------------------------------------------------------------------------------------
@@ -303,7 +288,9 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     padded: list[int] = []
     places: list[NDArray] = []  # of the lags in an inverse transform
     for count, wrapped in zip(nodes, wraps, strict=True):
-        size = count if wrapped else fft.next_fast_len(2 * count - 1)
+        size = count
+        if not wrapped:
+            size = fft.next_fast_len(2 * count - 1)
         padded.append(size)
         places.append(_lags(count, wrapped) % size)
 
@@ -364,14 +351,7 @@ def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
     product = mean("square", "count") * mean("other_square", "other_count")
     scale = np.sqrt(product.where(product > 0))
     by_distance = mean("radial_products", "radial_pairs") / scale
-    length = xr.apply_ufunc(
-        falls_to,
-        by_distance,
-        sums["r"],
-        input_core_dims=[["r"]] * 2,
-        dask="parallelized",
-        output_dtypes=[float],
-    )
+    length = apply_along(falls_to, by_distance, sums["r"], along=[["r"]] * 2, to=[[]])
     return xr.Dataset(
         {
             "correlation": mean("products", "pairs") / scale,

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import beta
 
-from xcg.common.checks import axis_vector, is_positive
+from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
@@ -84,19 +84,15 @@ def derive_director(
     parts = [
         sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows
     ]
-    found = {"director": _vector(parts).assign_attrs(units="1", long_name="director of the grain")}
-    if "angular_velocity" in ds:
-        omega = [
-            ds.angular_velocity.sel(component=c, drop=True).drop_attrs(deep=False)
-            for c in COMPONENTS
-        ]
-        along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
-        label = {
-            "units": ds.angular_velocity.attrs.get("units", "s^-1"),
-            "long_name": "angular velocity, body axes",
-        }
-        found["body_angular_velocity"] = _vector(along).assign_attrs(label)
-    return ds.assign(found)
+    director = _vector(parts).assign_attrs(units="1", long_name="director of the grain")
+    ds = ds.assign(director=director)
+    if "angular_velocity" not in ds:
+        return ds
+    spin = ds["angular_velocity"]
+    omega = [spin.sel(component=c, drop=True).drop_attrs(deep=False) for c in COMPONENTS]
+    along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
+    about = {"units": spin.attrs.get("units", "s^-1"), "long_name": "angular velocity, body axes"}
+    return ds.assign(body_angular_velocity=_vector(along).assign_attrs(about))
 
 
 @takes_scene
@@ -155,37 +151,36 @@ def derive_superquadric(
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
     axes = list(half_axes)
-    powers = (
-        [n if n in ds else 2.0 for n in ("exponent_1", "exponent_2")]
-        if exponents is None
-        else list(exponents)
-    )
+    if exponents is None:
+        defaults = {"exponent_1": 2.0, "exponent_2": 2.0}
+        exponents = [name if name in ds else number for name, number in defaults.items()]
+    powers: list[Any] = list(exponents)
     named = [power for power in powers if isinstance(power, str)]
     valid = all(power in named or is_positive(power) for power in powers)
     if len(axes) != 3 or len(powers) != 2 or not valid:
         raise ValueError(
             f"{half_axes=}, {exponents=}: expected three names, and two names or positive numbers"
         )
-    if density is not None and not is_positive(density):
-        raise ValueError(f"density={density!r}: expected a positive number (kg/m^3), or None")
-    known = [] if density is not None else ["mass" if "mass" in ds else "density"]
-    require_scene(ds, [*axes, *named, *known], "derive_superquadric")
-    a, b, c = (ds[name].drop_attrs(deep=False) for name in axes)
-    n1, n2 = (
-        ds[power].drop_attrs(deep=False) if isinstance(power, str) else power for power in powers
-    )
+    check("density", density, POSITIVE, "kg/m^3", optional=True)
+    keeps_mass = density is None and "mass" in ds
+    required = [*axes, *named]
+    if density is None and not keeps_mass:
+        required.append("density")
+    require_scene(ds, required, "derive_superquadric")
+    variables = {name: ds[name].drop_attrs(deep=False) for name in required}
+    a, b, c = (variables[name] for name in axes)
+    n1, n2 = (variables.get(power, power) for power in powers)
     volume, square_x, square_z = _moments(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}
-    if density is None and "mass" in ds:
+    if keeps_mass:
         new["mass"] = ds.mass.drop_attrs(deep=False)
         new["density"] = new["mass"] / volume
     else:
-        new["density"] = (
-            xr.full_like(volume, density)
-            if density is not None
-            else ds.density.drop_attrs(deep=False)
-        )
+        if density is None:
+            new["density"] = variables["density"]
+        else:
+            new["density"] = xr.full_like(volume, density)
         new["mass"] = new["density"] * volume
     per_volume = new["mass"] * (a * b * c) / volume
     squares = square_x * a**2, square_x * b**2, square_z * c**2
@@ -195,11 +190,10 @@ def derive_superquadric(
     for name, values in new.items():
         row = VARIABLES[name]
         new[name] = values.assign_attrs(units=units_in(row.units, system), long_name=row.long_name)
-    label = {
-        "units": units_in("kg m^2", system),
-        "long_name": "moments of inertia about the axes of the body",
-    }
-    return ds.assign(new | {"principal_inertia": _vector(inertia).assign_attrs(label)})
+    new["principal_inertia"] = _vector(inertia).assign_attrs(
+        units=units_in("kg m^2", system), long_name="moments of inertia about the axes of the body"
+    )
+    return ds.assign(new)
 
 
 def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
@@ -211,7 +205,8 @@ def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
 
 def _moments(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
     """Volume over abc, and the integrals of x^2 over a^3bc and of z^2 over abc^3, of superquadrics."""
-    e1, e2 = 2.0 / n1, 2.0 / n2
+    e1 = 2.0 / n1
+    e2 = 2.0 / n2
     return (
         2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2),
         0.5 * e1 * e2 * beta(1.5 * e2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1),
@@ -285,6 +280,7 @@ class _Velocity(FrameAnalysis):
     """Velocity of each particle from its places in the steps before and after."""
 
     name = "derive_velocity"
+    optional = MOTION
 
     @property
     def lags(self) -> tuple[int, ...]:
@@ -293,7 +289,7 @@ class _Velocity(FrameAnalysis):
 
     def reads(self, scene: Description) -> list[str]:
         """Return places and times."""
-        return ["position", "time", *(name for name in MOTION if name in scene.columns)]
+        return ["position", "time"]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the velocity."""

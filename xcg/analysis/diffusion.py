@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import floats
+from xcg.analysis.by_phase import with_bulk
+from xcg.common.checks import floats, is_whole
 from xcg.common.messages import plain
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.box import BoxMotion, partners
@@ -20,7 +21,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
-from xcg.steps.labels import format_call, provenance, with_phase_labels
+from xcg.steps.labels import annotated, call_of, phases_of, provenance, with_phase_labels
 from xcg.steps.mapping import each_step
 
 _TENSOR = ("component", "direction")
@@ -112,7 +113,8 @@ def mean_squared_displacement(
         {"sum": ((*dims, *_TENSOR), sums), "count": (dims, counts)},
         {"lag": at} | {dim: list(COMPONENTS) for dim in _TENSOR},
     )
-    samples = samples.isel(phase=0) if by is None else samples
+    if by is None:
+        samples = samples.isel(phase=0)
     plane = [a for a in COMPONENTS if a in scene.setup.plane]
 
     def means(sums: xr.Dataset) -> xr.Dataset:
@@ -129,49 +131,50 @@ def mean_squared_displacement(
             {"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)}
         )
 
-    found = means(samples.sum("first"))
-    errors = [
+    of_lags = [
         block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
         for k, lag in enumerate(chosen)
     ]
-    parts = [(found, xr.concat(errors, "lag"))]
+    values = means(samples.sum("first"))
+    errors = xr.concat(of_lags, "lag")
     if used.size:
-        common = samples.isel(first=slice(0, steps - max(chosen[k] for k in used)))
-        parts.append((slope(samples.sum("first")), block_errors(common, "first", slope)))
+        common = samples.isel(first=slice(0, steps - chosen[used[-1]]))
+        values = values.merge(slope(samples.sum("first")))
+        errors = errors.merge(block_errors(common, "first", slope))
     data = {}
-    for values, error in parts:
-        for name in map(str, values.data_vars):
-            data[name], data[f"{name}_error"] = values[name], error[name]
+    for name in map(str, values.data_vars):
+        data[name] = values[name]
+        data[f"{name}_error"] = errors[name]
     result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
-    given = {"lags": list(chosen), "by": by, "remove_drift": remove_drift, "fit": fit}
-    call = format_call(
-        "mean_squared_displacement", {k: v for k, v in given.items() if v is not None}
+    call = call_of(
+        "mean_squared_displacement",
+        {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit},
     )
-    return _label(result.assign_attrs(provenance(ds, call)), chosen, by, known)
+    result = _label(result.assign_attrs(provenance(ds, call)), chosen)
+    if by is not None:
+        result = result.assign_coords(phase=phases_of(by, known))
+    return with_phase_labels(result)
 
 
-def _label(
-    result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]
-) -> xr.Dataset:
+def _label(result: xr.Dataset, lags: Sequence[int]) -> xr.Dataset:
     system = result.attrs.get("unit_system", "SI")
     about = {
         "mean_squared_displacement": ("m^2", "mean squared displacement"),
         "displacement_products": ("m^2", "mean product of components of the displacement"),
         "self_diffusion": ("m^2 s^-1", "self-diffusion"),
         "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
+        "pair_count": ("1", "number of displacements"),
     }
     for name in map(str, result.data_vars):
-        units, long_name = about.get(name.removesuffix("_error"), ("1", "number of displacements"))
-        error = "standard error of the " if name.endswith("_error") else ""
-        result[name].attrs = {"units": units_in(units, system), "long_name": error + long_name}
-    second = {"units": units_in("s", system), "long_name": "time between the steps of a pair"}
-    coords: dict[str, Any] = {
-        "lag": ("lag", result["lag"].to_numpy(), second),
-        "steps": ("lag", list(lags), {"units": "1", "long_name": "steps between"}),
-    }
-    if by:
-        coords["phase"] = ("phase", ["bulk", *map(str, known)], {"long_name": f"phase by {by}"})
-    return with_phase_labels(result.assign_coords(coords))
+        units, long_name = about[name.removesuffix("_error")]
+        if name.endswith("_error"):
+            long_name = f"standard error of the {long_name}"
+        result[name].attrs = {"units": units_in(units, system), "long_name": long_name}
+    second = units_in("s", system)
+    return result.assign_coords(
+        lag=annotated("lag", result["lag"].to_numpy(), second, "time between the steps of a pair"),
+        steps=annotated("lag", lags, "1", "steps between"),
+    )
 
 
 def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
@@ -184,15 +187,15 @@ def chosen_lags(lags: int | Sequence[int] | None, steps: int, purpose: str) -> l
     if steps < 2:
         raise ValueError(f"{purpose} needs two steps or more, and the scene has {steps}")
     if lags is None:
-        lags = [2**k for k in range(64) if 2**k <= steps // 2]
-    given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
-    if not given or not all(
-        isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given
-    ):
+        return [2**k for k in range(64) if 2**k <= steps // 2]
+    numbers: Any = lags
+    if isinstance(lags, (int, np.integer)):
+        numbers = range(1, lags + 1)
+    if not len(numbers) or not all(is_whole(number, 1, steps - 1) for number in numbers):
         raise ValueError(
             f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}"
         )
-    return sorted({int(lag) for lag in given})
+    return sorted({int(number) for number in numbers})
 
 
 def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
@@ -200,12 +203,10 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     if fit is None:
         return np.zeros(0, int)
     ends = floats(fit)
-    hair = 1e-9 * at[-1]
-    used = (
-        np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair))
-        if ends.shape == (2,)
-        else np.zeros(0, int)
-    )
+    used = np.zeros(0, int)
+    if ends.shape == (2,):
+        hair = 1e-9 * at[-1]
+        used = np.flatnonzero((at >= ends[0] - hair) & (at <= ends[1] + hair))
     if used.size < 2:
         raise ValueError(
             f"fit={plain(fit)}: expected a range with two or more of the lags {at.tolist()} (s)"
@@ -230,17 +231,13 @@ def _ways(
     ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool
 ) -> Iterator[_Places]:
     """Follow the grains from step to step."""
-    names = [
-        n
-        for n in ("particle_id", "position", *MOTION, "frozen", by, *OF_STEP)
-        if n is not None and n in ds
-    ]
+    read = ("particle_id", "position", *MOTION, "frozen", str(by), *OF_STEP)
+    names = [name for name in read if name in ds]
     periodic = str(ds.attrs.get("periodic", ""))
     before = None
     for t, step in enumerate(each_step(ds[names])):
-        frame, lattice, source = next(
-            steps_in({name: step[name].to_numpy() for name in names}, periodic)
-        )
+        padded = {name: step[name].to_numpy() for name in names}
+        frame, lattice, source = next(steps_in(padded, periodic))
         frame = without_frozen(frame)
         ids = frame["particle_id"]
         position = frame["position"]
@@ -249,15 +246,17 @@ def _ways(
         if before is not None:
             old, old_frame, old_lattice, old_source = before
             rows = partners(old_frame, frame, (old_source, source))
-            stay = rows >= 0
+            stay = np.flatnonzero(rows >= 0)
+            rows = rows[stay]
             motion = BoxMotion.between(old_lattice, lattice)
-            moved = motion.relative(old_frame, frame, np.flatnonzero(stay), rows[stay])
+            moved = motion.relative(old_frame, frame, stay, rows)
             if remove_drift and len(moved):
                 moved -= moved.mean(axis=0)
-            place[rows[stay]], seen[rows[stay]] = old.place[stay] + moved, old.first_seen[stay]
-        found = _Places(ids, place, seen, phase_of(frame, by, known, source))
-        yield found
-        before = found, frame, lattice, source
+            place[rows] = old.place[stay] + moved
+            seen[rows] = old.first_seen[stay]
+        now = _Places(ids, place, seen, phase_of(frame, by, known, source))
+        yield now
+        before = now, frame, lattice, source
 
 
 def _sums(
@@ -266,7 +265,8 @@ def _sums(
     """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
     steps = ds.sizes["time"]
     phases = max(1, len(known))
-    sums, counts = np.zeros((steps, len(lags), phases, 3, 3)), np.zeros((steps, len(lags), phases))
+    sums = np.zeros((steps, len(lags), phases, 3, 3))
+    counts = np.zeros((steps, len(lags), phases))
     recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
     for t, now in enumerate(_ways(ds, by, known, remove_drift)):
         recent.append(now)
@@ -280,11 +280,6 @@ def _sums(
             moved = now.place[rows[stay]] - then.place[stay]
             for phase in range(phases):
                 of_phase = moved[then.phase[stay] == phase]
-                sums[t - lag, k, phase], counts[t - lag, k, phase] = (
-                    of_phase.T @ of_phase,
-                    len(of_phase),
-                )
-    sums, counts = (
-        np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts)
-    )
-    return sums, counts
+                sums[t - lag, k, phase] = of_phase.T @ of_phase
+                counts[t - lag, k, phase] = len(of_phase)
+    return with_bulk(sums, axis=2), with_bulk(counts, axis=2)

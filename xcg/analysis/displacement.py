@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import check, whole
 from xcg.common.messages import unknown
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import CoarseGraining, about
@@ -30,6 +31,7 @@ from xcg.scene.frame import (
 )
 from xcg.scene.schema import MOTION, Variable
 from xcg.steps.analysis import FrameAnalysis, Step, run
+from xcg.steps.labels import annotated
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
 BESIDE = (
@@ -41,7 +43,8 @@ BESIDE = (
     "effective_count",
     "fluctuation_density",
 )
-_GRADIENT, _TOTAL = "displacement_gradient", "deformation_gradient"
+_GRADIENT = "displacement_gradient"
+_TOTAL = "deformation_gradient"
 _MADE = ("velocity", "interval")
 _COUNTS = {
     "left": Variable((), "1", "number of grains in the first frame only", "int64"),
@@ -154,7 +157,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     require_scene(ds, ("mass",), "displacement")
     require_ids(ds, "displacement")
     call = asked.call("displacement")
-    ds, asked = prepare(with_measures(ds), asked)
+    ds, asked = prepare(with_measures(ds), replace(asked, lag=int(asked.lag)))
     if asked.accumulate:
         refuse_cylindrical(ds, "displacement(accumulate=True)")
         ds = ds.isel(time=slice(None, None, asked.lag))
@@ -197,7 +200,9 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
     result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
-    return result if asked.for_averages else result.set_coords(beside)
+    if asked.for_averages:
+        return result
+    return result.set_coords(beside)
 
 
 def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,8 +213,7 @@ def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> d
             coords[name] = ("time", ds[name].to_numpy()[1:], ds[name].attrs)
     times = ds["time"].to_numpy()
     long_name = of_interval["long_name"].replace("to the later", "since the first")
-    attrs = {"units": of_interval["units"], "long_name": long_name}
-    coords["interval"] = ("time", times[1:] - times[0], attrs)
+    coords["interval"] = annotated("time", times[1:] - times[0], of_interval["units"], long_name)
     return coords
 
 
@@ -217,40 +221,45 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     """Check the request, and return the names of its fields."""
     frames = ds.sizes.get("time", 1)
     lag = asked.lag
-    if not isinstance(lag, (int, np.integer)) or isinstance(lag, bool) or lag < 1:
-        raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
+    check("lag", lag, whole(1), hint="; 1 is the next frame")
     if lag >= frames:
         raise ValueError(
             f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 "
             "or more of them"
         )
-    for name, default in (("preset", None), ("by_pair", False)):
-        value = getattr(asked, name)
-        if value != default:
+    for name in ("preset", "by_pair"):
+        if value := getattr(asked, name):
             raise ValueError(f"{name}={value!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
+    return _fields(ds, asked.fields, accumulate=asked.accumulate)
+
+
+def _fields(
+    ds: xr.Dataset, fields: str | Sequence[str] | None, *, accumulate: bool
+) -> tuple[str, ...]:
+    """Return the names of the fields that are asked for; raise ValueError for one that is not known."""
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     timed = [name for name in known if "interval" in registry.FIELDS[name].moments]
-    if asked.fields is None:
+    if fields is None:
         names = ["sample_count", *(name for name in known if registry.FIELDS[name].default)]
         if not times_are_known(ds):
             names = [name for name in names if name not in timed]
-    elif isinstance(asked.fields, str):
-        names = [asked.fields]
+    elif isinstance(fields, str):
+        names = [fields]
     else:
-        names = [str(name) for name in asked.fields]
+        names = [str(name) for name in fields]
     if not names:
         raise ValueError(
-            f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements"
+            f"fields={fields!r}: expected at least one; leave it out for all of displacements"
         )
     for name in names:
         if name not in (*known, *BESIDE):
             raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
         if name in timed:
             require_known_times(ds, f"displacement({name!r})")
-    if asked.accumulate:
+    if accumulate:
         total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
-        if asked.fields is None:
+        if fields is None:
             names = total
         wrong = [name for name in names if name not in total]
         if wrong:
@@ -269,6 +278,7 @@ class _Displacements(FrameAnalysis):
     """Fields of displacements relative to the box, which take the place of velocities."""
 
     name = "displacement"
+    optional = MOTION
 
     fields: CoarseGraining
     lag: int
@@ -282,13 +292,14 @@ class _Displacements(FrameAnalysis):
     def reads(self, scene: Description) -> list[str]:
         """Return what the fields need of the first frame, and where grains are in both."""
         of_fields = [name for name in self.fields.reads(scene) if name not in _MADE]
-        moved = [name for name in MOTION if name in scene.columns]
-        return [*of_fields, "position", *moved, "time"]
+        return [*of_fields, "position", "time"]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the fields, the grains that are in one frame only, and the motion of the box."""
         rows = self.fields.rows(scene) | _COUNTS
-        return rows | _MOTION if self.box_changes else rows
+        if self.box_changes:
+            return rows | _MOTION
+        return rows
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the coordinates of the fields."""
@@ -302,28 +313,21 @@ class _Displacements(FrameAnalysis):
         """Compute the fields of the grains that are in both frames."""
         (later,) = others
         if later is None:  # the last frames are left out of the result
-            return {
-                name: np.full(shape, np.nan) for name, shape in self.fields.plan.shapes.items()
-            } | {
-                "left": 0,
-                "entered": 0,
-                "box_gradient": np.full((3, 3), np.nan),
-                "box_shift": np.full(3, np.nan),
-            }
+            shapes = {**self.fields.plan.shapes, "box_gradient": (3, 3), "box_shift": (3,)}
+            nothing = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+            return nothing | {"left": 0, "entered": 0}
         frame, lattice, source = now
         later_frame, later_lattice, later_source = later
         rows = partners(frame, later_frame, (source, later_source))
-        stays = rows >= 0
+        stays = np.flatnonzero(rows >= 0)
         motion = BoxMotion.between(lattice, later_lattice)
         of_both = {name: values[stays] for name, values in frame.items() if np.ndim(values)}
-        of_both["velocity"] = motion.relative(
-            frame, later_frame, np.flatnonzero(stays), rows[stays]
-        )
-        of_both["interval"] = np.full(stays.sum(), later_frame["time"] - frame["time"])
+        of_both["velocity"] = motion.relative(frame, later_frame, stays, rows[stays])
+        of_both["interval"] = np.full(len(stays), later_frame["time"] - frame["time"])
         fields = replace(self.fields, threads=self.threads).frame(of_both, lattice, source)
         return fields | {
-            "left": (~stays).sum(),
-            "entered": len(later_frame["position"]) - stays.sum(),
+            "left": len(rows) - len(stays),
+            "entered": len(later_frame["position"]) - len(stays),
             "box_gradient": motion.gradient,
             "box_shift": motion.shift,
         }
@@ -333,9 +337,11 @@ class _Displacements(FrameAnalysis):
         count = ds.sizes["time"] - self.lag
         result = self.fields.after(result, ds).isel(time=slice(0, count))
         times = ds["time"].to_numpy()
-        what = "time" if times_are_known(ds) else "steps of the simulation"
-        about = {"units": unit_of_times(ds), "long_name": f"{what} to the later frame"}
-        interval = xr.Variable("time", times[self.lag :] - times[:count], about)
+        what = "time"
+        if not times_are_known(ds):
+            what = "steps of the simulation"
+        apart = times[self.lag :] - times[:count]
+        interval = annotated("time", apart, unit_of_times(ds), f"{what} to the later frame")
         return result.assign_coords(interval=interval).set_coords([*_COUNTS])
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.pairs import PairMethod, check_search, pairs_of
-from xcg.common.checks import is_positive
+from xcg.common.checks import POSITIVE, above, check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
 from xcg.scene.complete import REPEAT, contact_points
@@ -18,10 +18,10 @@ from xcg.scene.description import Description, describe
 from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import unit_vectors
-from xcg.scene.schema import Frame, Setup, Variable, variable
+from xcg.scene.schema import Frame, Variable, variable
 from xcg.scene.spheres import warn_of_coincident
 from xcg.steps.analysis import FrameAnalysis, run
-from xcg.steps.labels import format_call
+from xcg.steps.labels import call_of
 from xcg.steps.mapping import is_lazy
 
 READ = ("particle_id", "position", "diameter")
@@ -54,18 +54,14 @@ class Stiffness:
     nu: float | None = None
 
     def __post_init__(self) -> None:
-        linear, hertz = self.k_n is not None, self.E is not None or self.nu is not None
-        whole = self.E is not None and self.nu is not None
-        positive = all(v is None or is_positive(v) for v in (self.k_n, self.E))
-        if (
-            (linear and hertz)
-            or (hertz and not whole)
-            or not positive
-            or not -1 < (self.nu or 0.0) <= 0.5
-        ):
+        check("k_n", self.k_n, POSITIVE, "N m-1", optional=True)
+        check("E", self.E, POSITIVE, "Pa", optional=True)
+        check("nu", self.nu, above(-1, 0.5), optional=True)
+        given = [name for name in ("k_n", "E", "nu") if getattr(self, name) is not None]
+        if given not in ([], ["k_n"], ["E", "nu"]):
             raise ValueError(
-                f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n > 0 (N m-1) for linear springs, or both "
-                "E > 0 (Pa) and -1 < nu <= 0.5 for Hertz contacts, or none of them"
+                f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n (N m-1) for linear springs, or both E "
+                "(Pa) and nu for Hertz contacts, or none of them"
             )
 
     @property
@@ -83,7 +79,8 @@ class Stiffness:
         depth = np.maximum(overlap, 0.0)
         if self.k_n is not None:
             return self.k_n * depth
-        E, nu = self.E or 0.0, self.nu or 0.0
+        E = self.E or 0.0
+        nu = self.nu or 0.0
         total = radius_i + radius_j
         reduced = np.divide(radius_i * radius_j, total, out=np.zeros_like(total), where=total > 0)
         return 4 / 3 * E / (2 * (1 - nu**2)) * np.sqrt(reduced) * depth**1.5
@@ -94,22 +91,24 @@ class _Search(FrameAnalysis):
     """Contacts of each step; `max_contacts` is the number of rows set aside, None for as many as needed."""
 
     name = "find_contacts"
+    optional = OPTIONAL
 
-    setup: Setup
     stiffness: Stiffness
     skin: float
     method: PairMethod
     levels: int | None
     max_contacts: int | None
 
-    def reads(self, scene: Description) -> list[str]:
-        """Return places, sizes, and the variables by which pairs are left out."""
-        return [*READ, *(name for name in OPTIONAL if name in scene.columns)]
+    def reads(self, scene: Description) -> tuple[str, ...]:
+        """Return places and sizes."""
+        return READ
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the variables of contacts, forces where a stiffness is given."""
-        names = (*FOUND, "contact_force") if self.stiffness.given else FOUND
-        return {name: variable(name) for name in names}
+        rows = {name: variable(name) for name in FOUND}
+        if self.stiffness.given:
+            rows["contact_force"] = variable("contact_force")
+        return rows
 
     def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
         """Return the number of rows of contacts."""
@@ -121,7 +120,7 @@ class _Search(FrameAnalysis):
         position = frame["position"]
         radius = frame["diameter"] / 2
         self._refuse_own_images(frame, lattice, source)
-        i, j = pairs_of(
+        pairs = pairs_of(
             position,
             radius,
             lattice,
@@ -131,17 +130,16 @@ class _Search(FrameAnalysis):
             threads=threads_for(len(position), self.threads),
             max_pairs=self.max_contacts,
             source=source,
-        ).T
+        )
         if "frozen" in frame:
-            moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)
-            i, j = i[moving], j[moving]
+            pairs = pairs[(frame["frozen"][pairs] != 1).any(axis=1)]
         if "body_id" in frame:
-            body = frame["body_id"]
-            apart = (body[i] != body[j]) | (body[i] < 0)  # negative for spheres of their own
-            i, j = i[apart], j[apart]
+            body_i, body_j = frame["body_id"][pairs].T
+            pairs = pairs[(body_i != body_j) | (body_i < 0)]  # negative for spheres of their own
+        i, j = pairs.T
         reach = radius[i] + radius[j] + self.skin
         rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
-        i, j = i[rows], j[rows]
+        i, j = pairs[rows].T
         if self.max_contacts is not None and len(i) > self.max_contacts:
             raise SceneError(
                 f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.max_contacts} rows "
@@ -153,7 +151,7 @@ class _Search(FrameAnalysis):
         warn_of_coincident(ids[i[same]], ids[j[same]], source)
         normal = unit_vectors(branch)
         overlap = radius[i] + radius[j] - length
-        found = {
+        contacts = {
             "contact_i": ids[i],
             "contact_j": ids[j],
             "contact_point": contact_points(position[i], branch, radius[i], radius[j]),
@@ -161,10 +159,9 @@ class _Search(FrameAnalysis):
             "overlap": overlap,
         }
         if self.stiffness.given:
-            found["contact_force"] = (
-                self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
-            )
-        return found
+            force = self.stiffness.force(overlap, radius[i], radius[j])
+            contacts["contact_force"] = force[:, None] * normal
+        return contacts
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Return the scene with these contacts in place of former ones."""
@@ -265,16 +262,15 @@ def find_contacts(
     >>> ds.sizes["contact"] / ds.sizes["particle"]
     3.0
     """
-    given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    call = call_of("find_contacts", locals())
     require_scene(ds, ("diameter",), "find_contacts")
     require_steps(ds, "find_contacts")
     check_search(skin, method, levels)
-    if max_contacts is not None and not (
-        isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0
-    ):
-        raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")
+    check("max_contacts", max_contacts, whole(0), optional=True)
     scene = describe(ds)
-    if max_contacts is None and is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
+    if max_contacts is not None:
+        max_contacts = int(max_contacts)
+    elif is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
         max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
-    analysis = _Search(scene.setup, Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
-    return run(ds, analysis, call=format_call("find_contacts", given), scene=scene)
+    analysis = _Search(Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
+    return run(ds, analysis, call=call, scene=scene)

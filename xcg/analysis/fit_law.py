@@ -19,7 +19,7 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import call_of, provenance
 
 # rounds of the effective variance: each takes the slope of the law from the fit before
 _ROUNDS = 4
@@ -115,8 +115,7 @@ def fit_law(
     >>> [round(float(fit[name]), 6) for name in ("mu_s", "mu_2", "I_0")]
     [0.38, 0.64, 0.28]
     """
-    given = {"law": law, "x": x, "y": y, "constants": constants, "guess": guess}
-    call = format_call("fit_law", {k: v for k, v in given.items() if v is not None})
+    call = call_of("fit_law", locals())
     f = with_facts(f)
     row = _law_of(law, x, y)
     table = _table(f, row)
@@ -149,29 +148,41 @@ def fit_law(
                 "or lie on the law without scatter"
             )
         )
-    system = f.attrs.get("unit_system", "SI")
-    units = row.units or [None] * len(fit.names)
+    data = _parameters(fit, row, len(points.x), f.attrs.get("unit_system", "SI"))
+    of_x = table["law_x"]
+    curve = of_x.copy(data=fit.function(of_x.to_numpy(), *fit.values))
+    curve.attrs = {"long_name": f"{row.y} by the law"}
+    if "units" in f[row.y].attrs:
+        curve.attrs["units"] = f[row.y].attrs["units"]
+    data["fitted"] = curve
+    of_parameters = ("parameter", "other_parameter")
+    result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
+    if not isinstance(law, str):
+        law = "custom"
+    return result.assign_attrs(provenance(f, call), law=law, formula=row.formula)
+
+
+def _parameters(fit: _Fit, row: Law, count: int, system: str) -> dict[str, Any]:
+    """Return the parameters of a fit of `count` points with their errors, and how well it fits."""
+    units = dict(zip(fit.names, row.units, strict=False))  # custom laws have none
     data: dict[str, Any] = {}
-    for name, value, deviation, unit in zip(fit.names, fit.values, fit.errors, units, strict=True):
-        about = {"units": units_in(unit, system)} if unit else {}
+    for name, value, deviation in zip(fit.names, fit.values, fit.errors, strict=True):
+        about = {}
+        if name in units:
+            about["units"] = units_in(units[name], system)
         data[name] = ((), value, {"long_name": f"{name} of the law"} | about)
         data[f"{name}_error"] = ((), deviation, {"long_name": f"standard error of {name}"} | about)
-    of_parameters = ("parameter", "other_parameter")
     numbers = {
         "chi_squared": (fit.chi_squared, "squared residuals over squared standard errors"),
-        "degrees_of_freedom": (len(points.x) - len(fit.names), "points less parameters"),
-        "point_count": (len(points.x), "number of points"),
+        "degrees_of_freedom": (count - len(fit.names), "points less parameters"),
+        "point_count": (count, "number of points"),
     }
     for name, (number, text) in numbers.items():
         data[name] = ((), number, {"units": "1", "long_name": text})
     # each of its elements has a unit of its own
-    data["covariance"] = (of_parameters, fit.covariance, {"long_name": "covariance"})
-    curve = table["y"].copy(data=fit.function(table["x"].to_numpy(), *fit.values))
-    about = {n: table["y"].attrs[n] for n in ("units",) if n in table["y"].attrs}
-    data["fitted"] = curve.drop_attrs().assign_attrs(about, long_name=f"{row.y} by the law")
-    result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
-    named = {"law": law if isinstance(law, str) else "custom", "formula": row.formula}
-    return result.assign_attrs(provenance(f, call) | named)
+    about = {"long_name": "covariance"}
+    data["covariance"] = (("parameter", "other_parameter"), fit.covariance, about)
+    return data
 
 
 def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> Law:
@@ -189,14 +200,17 @@ def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> 
 
 
 def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
-    """Return x, y and their standard errors (NaN if they are unknown) on the same nodes."""
+    """Return x, y and their standard errors (NaN if they are unknown) on the same nodes.
+
+    They are called ``law_x`` and ``law_y``, as axes are called x and y.
+    """
     columns = {}
-    for name, of in (("x", row.x), ("y", row.y)):
+    for name, of in (("law_x", row.x), ("law_y", row.y)):
         if of not in f.variables:
             raise ValueError(unknown("variable", of, f.variables))
         columns[name] = f[of].astype(float)
         columns[f"{name}_error"] = f.get(f"{of}_error", xr.DataArray(np.nan))
-    if vectors := {"component", "direction"} & {*columns["x"].dims, *columns["y"].dims}:
+    if vectors := {"component", "direction"} & {*columns["law_x"].dims, *columns["law_y"].dims}:
         raise ValueError(
             f"fit_law fits {row.y!r} over {row.x!r}, and one has {sorted(vectors)}: select a "
             "component first, f.sel(component='x')"
@@ -204,7 +218,6 @@ def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
     arrays = xr.broadcast(*(column.drop_vars(list(column.coords)) for column in columns.values()))
     table = xr.Dataset(dict(zip(columns, arrays, strict=True))).compute()
     table = table.assign_coords({d: f[d] for d in table.dims if d in f.coords})
-    table["y"].attrs = f[row.y].attrs
     along = [a for a in (*COMPONENTS, "r") if a in table.dims and a in f.coords]
     support = 2 * float(np.max(f.attrs.get("cutoff", 0.0)))
     return table.assign_attrs(shared=nodes_a_support(table, along, support))
@@ -239,9 +252,8 @@ class _Points:
     @classmethod
     def of(cls, table: xr.Dataset) -> _Points:
         """Select the points that are finite, and that have an error where others have."""
-        x, y, x_error, y_error = (
-            table[name].to_numpy().ravel() for name in ("x", "y", "x_error", "y_error")
-        )
+        columns = ("law_x", "law_y", "law_x_error", "law_y_error")
+        x, y, x_error, y_error = (table[name].to_numpy().ravel() for name in columns)
         is_known = np.isfinite(x) & np.isfinite(y)
         has_error = is_known & (y_error > 0) & np.isfinite(y_error)
         if has_error.any():
@@ -274,13 +286,20 @@ class _Points:
         if guess is None and row.guess is not None:
             with np.errstate(all="ignore"):
                 guess = row.guess(self.x, self.y)
-        values = np.ones(len(names)) if guess is None else floats(guess)
+        values = np.ones(len(names))
+        if guess is not None:
+            values = floats(guess)
         if values.shape != (len(names),) or not np.isfinite(values).all():
             raise ValueError(
                 f"guess={plain(guess)}: expected a finite number for each of {', '.join(names)}"
             )
-        sigma = self.y_error if self.are_weighted else None
-        for _ in range(_ROUNDS if self.x_error.any() else 1):
+        sigma = None
+        if self.are_weighted:
+            sigma = self.y_error
+        rounds = 1
+        if self.x_error.any():
+            rounds = _ROUNDS
+        for _ in range(rounds):
             with warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore", OptimizeWarning)
                 values, covariance = curve_fit(
@@ -295,7 +314,9 @@ class _Points:
             if sigma is not None:
                 sigma = np.hypot(self.y_error, _slope(function, self.x, values) * self.x_error)
         residual = self.y - function(self.x, *values)
-        chi_squared = np.nan if sigma is None else float(((residual / sigma) ** 2).sum())
+        chi_squared = np.nan
+        if sigma is not None:
+            chi_squared = float(((residual / sigma) ** 2).sum())
         return _Fit(function, names, values, self.shared * covariance, chi_squared)
 
     def _with_constants(
@@ -305,7 +326,9 @@ class _Points:
         arguments = inspect.signature(row.function).parameters.values()
         fixed = {a.name: a.default for a in arguments if a.kind is inspect.Parameter.KEYWORD_ONLY}
         names = tuple(a.name for a in arguments if a.name not in fixed)[1:]
-        values = fixed | {"first": self.x.min(initial=np.inf)} if "first" in fixed else dict(fixed)
+        values = dict(fixed)
+        if "first" in fixed:
+            values["first"] = self.x.min(initial=np.inf)
         if not names:
             raise ValueError(
                 "fit_law: the law has no parameters; expected a function of x and the parameters, "

@@ -21,7 +21,7 @@ from xcg.analysis.chain_results import (
 )
 from xcg.analysis.chain_selection import Region, check_region
 from xcg.analysis.particle_stress import StressRule, Volumes, carries
-from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
+from xcg.common.checks import FINITE, above, check, check_choice, whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts
@@ -32,7 +32,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import annotated, call_of, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
@@ -41,51 +41,6 @@ _ANGLE = 1e-9
 _SHARE = 1e-12
 # what a loop finds of each chain, in the order of its arguments
 _DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "normal")
-
-
-@dataclass(frozen=True)
-class SearchRule:
-    """Criteria of a chain.
-
-    Attributes
-    ----------
-    stress : StressRule
-        How the stress of a particle is made.
-    cosine : float
-        Of the largest angle between the major stress and the branch.
-    min_stress : float or "mean" or None
-        Least major stress (Pa).
-    min_length : int
-        Least number of particles.
-    linear : bool
-        Search without branches (Peters et al. 2005).
-    one_sided : bool
-        Go on only along the direction of travel.
-    region : Region or None
-        Where particles must be.
-    """
-
-    stress: StressRule
-    cosine: float
-    min_stress: float | Literal["mean"] | None
-    min_length: int
-    linear: bool
-    one_sided: bool
-    region: Region | None
-
-    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
-        """Return a mask of the particles that may be part of a chain."""
-        chosen = carries(stress)
-        if "frozen" in frame:
-            chosen &= frame["frozen"] != 1
-        if self.min_stress is not None and len(chosen):
-            major = stress["major_stress"]
-            least = major.mean() if isinstance(self.min_stress, str) else self.min_stress
-            chosen &= major >= least - _SHARE * abs(least)
-        if self.region is not None:
-            time = float(frame.get("time", 0.0))
-            chosen &= self.region.contains(frame, time, lattice)
-        return chosen
 
 
 @takes_scene
@@ -176,61 +131,72 @@ def force_chains(
     >>> fc.chain_id.dims
     ('time', 'particle')
     """
-    given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
-    if not (is_positive(alpha) and alpha <= 90):
-        raise ValueError(
-            f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
-        )
+    call = call_of("force_chains", locals())
+    check("alpha", alpha, above(0, 90), "degrees")
     if alpha < np.pi / 2:
         warn_user(
             f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?"
         )
-    if not (
-        min_stress is None
-        or is_finite(min_stress)
-        or (isinstance(min_stress, str) and min_stress == "mean")
-    ):
-        raise ValueError(
-            f"min_stress={min_stress!r}: expected a finite stress (Pa), 'mean', or None for no limit"
-        )
-    if not is_whole(min_length, 2):
-        raise ValueError(
-            f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
-        )
+    if not isinstance(min_stress, str) or min_stress != "mean":
+        check("min_stress", min_stress, FINITE, "Pa", optional=True, hint=", or 'mean'")
+    check("min_length", min_length, whole(2))
     check_choice("algorithm", algorithm, Algorithm)
     check_region(region, ds)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
-    cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
-    rule = SearchRule(
-        stress,
-        cosine,
-        min_stress,
-        int(min_length),
-        algorithm == "peters2005",
-        bool(one_sided),
-        region,
+    analysis = _ForceChains(
+        stress=stress,
+        alpha=float(alpha),
+        min_stress=min_stress,
+        min_length=int(min_length),
+        algorithm=algorithm,
+        one_sided=one_sided,
+        region=region,
+        lengths=result_sizes(ds.sizes["particle"], ds.sizes["contact"], int(min_length)),
     )
-    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    analysis = _ForceChains(rule, sizes, float(alpha), algorithm)
-    return run(ds, analysis, call=format_call("force_chains", given), on_error=on_error)
+    return run(ds, analysis, call=call, on_error=on_error)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _ForceChains(FrameAnalysis):
-    """Force chains of each step, with what is copied from the scene."""
+    """Force chains of each step, with what is copied from the scene.
+
+    Attributes
+    ----------
+    stress : StressRule
+        How the stress of a particle is made.
+    alpha : float
+        Largest angle between the major stress and the branch (degrees).
+    min_stress : float or "mean" or None
+        Least major stress (Pa).
+    min_length : int
+        Least number of particles.
+    algorithm : str
+        With branches, or without (Peters et al. 2005).
+    one_sided : bool
+        Go on only along the direction of travel.
+    region : Region or None
+        Where particles must be.
+    lengths : mapping
+        Upper bounds of the numbers of rows.
+    """
 
     name = "force_chains"
+    # regions move in time
+    optional = ("frozen", "time")
 
-    rule: SearchRule
-    lengths: Mapping[str, int]
+    stress: StressRule
     alpha: float
+    min_stress: float | Literal["mean"] | None
+    min_length: int
     algorithm: Algorithm
+    one_sided: bool
+    region: Region | None
+    lengths: Mapping[str, int]
 
     def reads(self, scene: Description) -> list[str]:
-        """Return what stress follows from, what is copied, and what regions take."""
-        optional = [n for n in ("frozen", "time") if n in scene.columns or n in scene.times]
-        return [*self.rule.stress.variables, *COPIED, *optional]
+        """Return what stress follows from, and what is copied."""
+        return [*self.stress.variables, *COPIED]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the rows of particles, contacts, chains, and statistics."""
@@ -238,9 +204,8 @@ class _ForceChains(FrameAnalysis):
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the lengths that chains can have."""
-        lengths = self.rule.min_length + np.arange(self.lengths["length"])
-        about = {"units": "1", "long_name": "particles of a chain"}
-        return {"length": xr.Variable("length", lengths, about)}
+        lengths = self.min_length + np.arange(self.lengths["length"])
+        return {"length": annotated("length", lengths, "1", "particles of a chain")}
 
     def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
         """Return upper bounds of the numbers of chains."""
@@ -248,85 +213,94 @@ class _ForceChains(FrameAnalysis):
 
     def attrs(self, scene: Description) -> dict[str, Any]:
         """Return the criteria."""
-        rule = self.rule
-        return {"alpha": self.alpha, "min_length": rule.min_length, "algorithm": self.algorithm}
-
-    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
-        """Find the chains of one step."""
-        rule = self.rule
-        found = find_chains(rule, frame, lattice, source, self.threads)
-        lengths = found["chain_particles"]
-        statistics = statistics_of(lengths, rule.min_length, self.lengths["length"])
-        return found | statistics | {name: frame[name] for name in COPIED}
+        return {name: getattr(self, name) for name in ("alpha", "min_length", "algorithm")}
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Add the box of the scene."""
         return result.assign({name: ds.variables[name] for name in BOX if name in ds})
 
+    def qualifies(self, frame: Frame, stress: Frame, lattice: Lattice) -> NDArray:
+        """Return a mask of the particles that may be part of a chain."""
+        chosen = carries(stress)
+        if "frozen" in frame:
+            chosen &= frame["frozen"] != 1
+        if self.min_stress is not None and len(chosen):
+            major = stress["major_stress"]
+            least = self.min_stress
+            if isinstance(least, str):
+                least = major.mean()
+            chosen &= major >= least - _SHARE * abs(least)
+        if self.region is not None:
+            chosen &= self.region.contains(frame, float(frame.get("time", 0.0)), lattice)
+        return chosen
 
-def find_chains(
-    rule: SearchRule, frame: Frame, lattice: Lattice, source: str, threads: int = 1
-) -> Frame:
-    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
+    def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, Any]:
+        """Find the chains of one step, with statistics of their lengths."""
+        chains = self.find_chains(frame, lattice, source)
+        lengths = chains["chain_particles"]
+        statistics = statistics_of(lengths, self.min_length, self.lengths["length"])
+        return chains | statistics | {name: frame[name] for name in COPIED}
 
-    Threads share the stress and the test of contacts; the search itself, of links alone, is one
-    thread's.
-    """
-    contacts = rule.stress.contacts(frame, lattice, source, threads)
-    stress = rule.stress.evaluate(frame, contacts, lattice, source)
-    major = stress["major_stress"]
-    onward = np.nan_to_num(stress["major_direction"])
-    qualifies = rule.qualifies(frame, stress, lattice)
-    i = contacts.i
-    j = contacts.j
-    particles = len(major)
-    branch = contacts.between
+    def find_chains(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
+        """Return arrays by particle, by contact and by chain, by the names in `RESULTS`.
 
-    aligned = np.empty(len(i), bool)
+        Threads share the stress and the test of contacts; the search itself, of links alone, is one
+        thread's.
+        """
+        contacts = self.stress.contacts(frame, lattice, source, self.threads)
+        stress = self.stress.evaluate(frame, contacts, lattice, source)
+        major = stress["major_stress"]
+        onward = np.nan_to_num(stress["major_direction"])
+        qualifies = self.qualifies(frame, stress, lattice)
+        i = contacts.i
+        j = contacts.j
+        particles = len(major)
+        branch = contacts.between
+        cosine = max(0.0, float(np.cos(np.deg2rad(self.alpha) + _ANGLE)))
+        aligned = np.empty(len(i), bool)
 
-    def test(first: int, last: int) -> None:
-        some = slice(first, last)
-        loops.aligned_contacts(
-            i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some]
-        )
+        def test(first: int, last: int) -> None:
+            some = slice(first, last)
+            loops.aligned_contacts(
+                i[some], j[some], branch[some], onward, qualifies, cosine, aligned[some]
+            )
 
-    for_parts(len(i), test, contacts.threads)
-    start, contact = loops.rows_of_contacts(i, j, aligned, particles)
-    seeds = np.flatnonzero(qualifies)
-    chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
-    members = np.empty(particles, int)
-    first = np.empty(particles + 1, int)
-    place = frame["position"].copy()
-    link = np.full(len(i), loops.UNSEEN)
-    found = (chain, parent, members, first, onward, place, link)
-    if rule.linear:
-        seeds = seeds[np.argsort(-major[seeds], kind="stable")]
-        count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
-    else:
-        count = loops.branching_chains(
-            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
-        )
-    links = np.empty(particles, int)
-    loops.count_links(i, j, start, contact, link, links)
-
-    by_chain = {
-        name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
-        for name, row in CHAINS.items()
-    }
-    loops.describe_chains(
-        members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)
-    )
-    dropped = chain == loops.TOO_SHORT
-    chain[dropped] = parent[dropped] = loops.UNSEEN
-    return by_chain | {
-        "chain_id": chain,
-        "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
-        "links": links,
-        "branching": (links > 2).astype(int),
-        "link_chain": link,
-        **{name: values for name, values in stress.items() if name in RESULTS},
-        "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
-    }
+        for_parts(len(i), test, contacts.threads)
+        start, contact = loops.rows_of_contacts(i, j, aligned, particles)
+        seeds = np.flatnonzero(qualifies)
+        chain = np.full(particles, loops.UNSEEN)
+        parent = np.full(particles, loops.UNSEEN)
+        members = np.empty(particles, int)
+        first = np.empty(particles + 1, int)
+        place = frame["position"].copy()
+        link = np.full(len(i), loops.UNSEEN)
+        links_of = (i, j, branch, start, contact)
+        out = (chain, parent, members, first, onward, place, link)
+        if self.algorithm == "peters2005":
+            seeds = seeds[np.argsort(-major[seeds], kind="stable")]
+            count = loops.linear_chains(*links_of, seeds, self.min_length, *out)
+        else:
+            one_sided = bool(self.one_sided)
+            count = loops.branching_chains(*links_of, seeds, one_sided, self.min_length, *out)
+        links = np.empty(particles, int)
+        loops.count_links(i, j, start, contact, link, links)
+        by_chain = {
+            name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+            for name, row in CHAINS.items()
+        }
+        described = (by_chain[f"chain_{name}"] for name in _DESCRIBED)
+        loops.describe_chains(members, first, place, major, links, *described)
+        dropped = chain == loops.TOO_SHORT
+        chain[dropped] = parent[dropped] = loops.UNSEEN
+        return by_chain | {
+            "chain_id": chain,
+            "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
+            "links": links,
+            "branching": (links > 2).astype(int),
+            "link_chain": link,
+            **{name: values for name, values in stress.items() if name in RESULTS},
+            "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
+        }
 
 
 # --- from step to step ------------------------------------------------------------------------------------
@@ -364,10 +338,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     """
     require_chains(fc, "track_chains", whole=("chain",))
     fc = with_time(fc)
-    if not (is_positive(overlap) and overlap <= 1):
-        raise ValueError(
-            f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
-        )
+    check("overlap", overlap, above(0, 1))
     if "time" not in fc.dims:
         raise ValueError(
             "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
@@ -393,41 +364,26 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         tracks += len(born)
         before = now
     number = (track >= 0).sum(axis=1)
-    births, deaths = number - survivors, np.append(0, number[:-1]) - survivors
+    births = number - survivors
+    deaths = np.append(0, number[:-1]) - survivors
     # a track is in all steps from its first to its last
     _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
     first = np.nonzero(track >= 0)[0][first]
-    birth, end = times[first], times[first + seen - 1]
+    birth = times[first]
+    end = times[first + seen - 1]
     unit = unit_of_times(fc)
+    by_chain = ("time", "chain")
     data = {
-        "track_id": (
-            ("time", "chain"),
-            track,
-            {"units": "1", "long_name": "track of the chain, -1 where there is none"},
+        "track_id": annotated(by_chain, track, "1", "track of the chain, -1 where there is none"),
+        "births": annotated("time", births, "1", "chains that continue none of the step before"),
+        "deaths": annotated("time", deaths, "1", "chains of the step before that none continues"),
+        "survivors": annotated(
+            "time", survivors, "1", "chains that continue one of the step before"
         ),
-        "births": (
-            "time",
-            births,
-            {"units": "1", "long_name": "chains that continue none of the step before"},
-        ),
-        "deaths": (
-            "time",
-            deaths,
-            {"units": "1", "long_name": "chains of the step before that none continues"},
-        ),
-        "survivors": (
-            "time",
-            survivors,
-            {"units": "1", "long_name": "chains that continue one of the step before"},
-        ),
-        "birth_time": ("track", birth, {"units": unit, "long_name": "first time of the track"}),
-        "last_time": ("track", end, {"units": unit, "long_name": "last time of the track"}),
-        "lifetime": (
-            "track",
-            end - birth,
-            {"units": unit, "long_name": "time from first to last step"},
-        ),
-        "steps": ("track", seen, {"units": "1", "long_name": "steps of the track"}),
+        "birth_time": annotated("track", birth, unit, "first time of the track"),
+        "last_time": annotated("track", end, unit, "last time of the track"),
+        "lifetime": annotated("track", end - birth, unit, "time from first to last step"),
+        "steps": annotated("track", seen, "1", "steps of the track"),
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import extra, is_finite
+from xcg.common.checks import is_finite
 from xcg.common.messages import plain, unknown
 from xcg.scene.conform import conform, require_scene
 from xcg.scene.frame import frame_at, step_at
@@ -65,9 +65,8 @@ def draw_grains(
     require_scene(ds, ("diameter",), "plot of a scene")
     if name is not None:
         _check_variable(ds, name)
-    frame, lattice, _ = frame_at(
-        ds, index, ["particle_id", "position", "diameter", *([name] if name else [])]
-    )
+    names = {"particle_id", "position", "diameter", name or "position"}
+    frame, lattice, _ = frame_at(ds, index, names)
     step = step_at(ds, index)
     plane = str(ds.attrs.get("plane", "xyz"))
     cut = _cut(plane, at, frame, lattice)
@@ -75,20 +74,20 @@ def draw_grains(
     offset, radius, rows = _circles(frame, axes, cut, lattice)
     if ax is None:
         ax = drawing.new_axes(ratio=drawing.ratio_of_circles(offset, radius))
-    circles = _collection(offset, radius, ax, options)
+    others = {key: value for key, value in options.items() if key != "norm"}
+    rim = {"linewidth": _RIM, "edgecolor": "black"}
+    circles = drawing.add_circles(ax, offset, radius, **(rim | others))
     if name is None:
         circles.set(**{"facecolor": _PLAIN, **options})
     else:
-        label = drawing.label_of(ds[name], name)
-        values = _values(frame[name], ds[name], component)[rows]
+        variable = ds[name]
+        values = _values(frame[name], variable, component)[rows]
         if frame[name].ndim > 1:
-            part = component or "magnitude"
-            label = drawing.label_of(
-                ds[name].assign_attrs(long_name=f"{drawing.long_name_of(ds[name], name)}, {part}"),
-                name,
-            )
+            text = f"{drawing.long_name_of(variable, name)}, {component or 'magnitude'}"
+            variable = variable.assign_attrs(long_name=text)
+        label = drawing.label_of(variable, name)
         known = values[np.isfinite(values)]
-        chosen = drawing.colours_of(known, colours["cmap"], colours["vmin"], colours["vmax"])
+        chosen = drawing.colours_of(known, **colours)
         circles.set_array(values)
         circles.set_cmap(chosen["cmap"])
         if "norm" in options:
@@ -105,41 +104,37 @@ def draw_grains(
 
 
 def _check_variable(ds: xr.Dataset, name: str) -> None:
-    known = [
-        str(n)
-        for n, v in ds.data_vars.items()
-        if v.dims[:2] == ("time", "particle") and v.ndim <= 3
-    ]
+    variables = ds.data_vars.items()
+    known = [str(n) for n, v in variables if v.dims[:2] == ("time", "particle") and v.ndim <= 3]
     if name not in known:
         way = (
             "fields are drawn after ds.cg.coarse_grain(...), and particles are coloured by one of "
+            + ", ".join(known)
         )
-        raise ValueError(
-            f"plot of a scene: {unknown('variable', name, known, way + ', '.join(known))}"
-        )
+        raise ValueError(f"plot of a scene: {unknown('variable', name, known, way)}")
 
 
 def _cut(
     plane: str, at: Mapping[str, float] | None, frame: Frame, lattice: Lattice
 ) -> dict[str, float]:
     """Return the axis and place of the plane that cuts a volume, by default in the middle of its shortest axis."""
-    given = dict(at or {})
+    if at and len(plane) == 2:
+        raise ValueError(
+            f"at={plain(at)}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
+        )
     if len(plane) == 2:
-        if given:
-            raise ValueError(
-                f"at={given!r}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
-            )
         return {}
-    if given:
-        if len(given) != 1 or not {*given} <= {*plane} or not all(map(is_finite, given.values())):
+    if at:
+        if len(at) != 1 or not {*at} <= {*plane} or not all(map(is_finite, at.values())):
             raise ValueError(
-                f"at={plain(given)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
+                f"at={plain(at)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
             )
-        return {axis: float(place) for axis, place in given.items()}
+        return {axis: float(place) for axis, place in at.items()}
     position = frame["position"]
     if not len(position):
         return {plane[1]: 0.0}
-    low, high = position.min(axis=0), position.max(axis=0)
+    low = position.min(axis=0)
+    high = position.max(axis=0)
     k = int(np.argmin(high - low))
     return {COMPONENTS[k]: float(0.5 * (low[k] + high[k]))}
 
@@ -161,28 +156,6 @@ def _circles(
         rows = np.flatnonzero(np.abs(away) < radius)
         radius = np.sqrt(radius[rows] ** 2 - away[rows] ** 2)
     return offset[rows], radius, rows
-
-
-def _collection(offset: NDArray, radius: NDArray, ax: Axes, options: Mapping[str, Any]) -> Any:
-    """Add circles in units of the axes, and make room for them."""
-    collections = extra("matplotlib.collections", "plot", "drawing")
-    others = {key: value for key, value in options.items() if key != "norm"}
-    circles = collections.EllipseCollection(
-        2 * radius,
-        2 * radius,
-        np.zeros(len(radius)),
-        units="xy",
-        offsets=offset,
-        offset_transform=ax.transData,
-        **{"linewidth": _RIM, "edgecolor": "black", **others},
-    )
-    ax.add_collection(circles, autolim=False)
-    if len(offset):
-        rim = radius[:, None]
-        ax.update_datalim(np.concatenate([offset - rim, offset + rim]))
-    ax.autoscale_view()
-    ax.set_aspect("equal")
-    return circles
 
 
 def _values(values: NDArray, variable: xr.DataArray, component: str | None) -> NDArray:

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.analysis.quantities import QUANTITIES
 from xcg.analysis.samples import Bounds, Measure
-from xcg.common.checks import check_choice, floats, is_finite, is_positive
-from xcg.common.messages import plain, unknown
+from xcg.common.checks import FINITE, check, check_choice, floats, is_positive, whole
+from xcg.common.messages import unknown
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import require_times, times_are_known
 from xcg.scene.schema import units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call
+from xcg.steps.labels import call_of, labelled
 
 NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)
@@ -243,7 +243,7 @@ def microstructure(
     >>> m.coordination_number.item()
     12.0
     """
-    given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    call = call_of("microstructure", locals())
     require_scene(ds, (), "microstructure")
     check_choice("rattlers", rattlers, RattlerRule)
     check_choice("strain", strain, StrainMeasure)
@@ -251,27 +251,15 @@ def microstructure(
     scene = describe(ds, by)
     setup = scene.setup
     regions = _regions(bounds, scene.setup.plane)
-    neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
-    counts = {
-        "min_contacts": min_contacts,
-        "max_connectivity": max_connectivity,
-        "neighbours": neighbours,
-    }
-    for name, value in counts.items():
-        if not (isinstance(value, (int, np.integer)) and value >= 1):
-            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
-    edges = dict(cell) if isinstance(cell, Mapping) else {setup.plane[0]: cell}
-    is_right = all(a in [*setup.plane] and is_positive(edge) for a, edge in edges.items())
-    if cell is not None and not (edges and is_right):
-        raise ValueError(
-            f"cell={cell!r}: expected the edge of a cell (m), such as three diameters, or edges by axis "
-            f"such as {{{setup.plane[-1]!r}: 0.01}} for layers"
-        )
+    check("min_contacts", min_contacts, whole(1))
+    check("max_connectivity", max_connectivity, whole(1))
+    check("neighbours", neighbours, whole(1), optional=True)
+    if cell is not None:
+        _check_cell(cell, setup.plane)
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
-    if axis is not None and axis not in setup.plane:
-        raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
     up = axis or setup.plane[-1]
+    setup.check_axis(up)
     if (
         "segregation_index" in names
         and up in setup.periodic
@@ -281,13 +269,11 @@ def microstructure(
             f"segregation_index: the box is periodic along {up!r}, and has no height there; name another axis=, "
             "or bounds= along it"
         )
-    measured = _measured(names, rate)
     measure = Measure(
-        names=measured,
-        setup=setup,
+        names=_measured(names, rate),
         regions=regions,
         by=by,
-        groups=scene.groups(by, groups),
+        groups=groups,
         depth=scene.layer_depth,
         min_contacts=int(min_contacts),
         iterative=rattlers == "iterative",
@@ -295,17 +281,30 @@ def microstructure(
         force_bins=_force_bins(force_bins),
         cell=cell,
         by_volume=mixing_weight == "volume",
-        neighbours=neighbours,
+        neighbours=int(neighbours or NEIGHBOURS[setup.dimension]),
         axis=up,
     )
     require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")
-    call = format_call("microstructure", given)
     result = run(ds, measure, call=call, scene=scene, on_error=on_error)
     return _with_series(ds, result, names, rate, strain, up)
 
 
+def _check_cell(cell: float | Mapping[str, float], plane: str) -> None:
+    edges = cell
+    if not isinstance(edges, Mapping):
+        edges = {plane[0]: edges}
+    fits = all(a in [*plane] and is_positive(edge) for a, edge in edges.items())
+    if not edges or not fits:
+        raise ValueError(
+            f"cell={cell!r}: expected the edge of a cell (m), such as three diameters, or edges by axis "
+            f"such as {{{plane[-1]!r}: 0.01}} for layers"
+        )
+
+
 def _force_bins(edges: ArrayLike | None) -> NDArray:
-    bins = FORCE_BINS if edges is None else floats(edges)
+    if edges is None:
+        return FORCE_BINS
+    bins = floats(edges)
     if bins.ndim != 1 or len(bins) < 2 or not ((np.diff(bins) > 0).all() and bins[0] >= 0):
         raise ValueError(
             f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
@@ -315,56 +314,56 @@ def _force_bins(edges: ArrayLike | None) -> NDArray:
 
 def _regions(bounds: Bounds | Mapping[str, Bounds] | None, plane: str) -> dict[str, Bounds]:
     """Bounds by name of the region; the name is empty where there is one region only."""
-    given: Any = {} if bounds is None else bounds
-    nested = (
-        isinstance(given, Mapping)
-        and given
-        and all(isinstance(value, Mapping) for value in given.values())
-    )
-    regions: dict[str, Any] = dict(given) if nested else {"": given}
+    regions: Any = {"": bounds or {}}
+    if isinstance(bounds, Mapping) and any(isinstance(ends, Mapping) for ends in bounds.values()):
+        regions = dict(bounds)
     for region in regions.values():
-        pairs = region.items() if isinstance(region, Mapping) else [("", region)]
-        for axis, edges in ((axis, floats(ends)) for axis, ends in pairs):
-            if axis not in [*plane] or edges.shape != (2,) or not edges[0] < edges[1]:
-                raise ValueError(
-                    f"bounds={bounds!r}: expected (low, high) for axes of the scene ({', '.join(plane)}), for example "
-                    f"{{{plane[-1]!r}: (0.0, 0.1)}}, or several such mappings by name of the region"
-                )
+        fits = isinstance(region, Mapping) and region.keys() <= set(plane)
+        if fits:
+            edges = [floats(ends) for ends in region.values()]
+            fits = all(ends.shape == (2,) and ends[0] < ends[1] for ends in edges)
+        if not fits:
+            raise ValueError(
+                f"bounds={bounds!r}: expected (low, high) for axes of the scene ({', '.join(plane)}), for example "
+                f"{{{plane[-1]!r}: (0.0, 0.1)}}, or several such mappings by name of the region"
+            )
     return regions
 
 
-def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
+def _rate_source(ds: xr.Dataset, rate: str | float | xr.DataArray | None) -> str | xr.DataArray:
     """Return the source of the strain rate: "box", "velocity", or the rate itself."""
-    if given is None:
+    if rate is None:
         deforms = "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
-        return "box" if deforms and times_are_known(ds) else "velocity"
-    if isinstance(given, str):
-        if given not in get_args(RateSource):
-            raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
-        if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
+        if deforms and times_are_known(ds):
+            return "box"
+        return "velocity"
+    if isinstance(rate, str):
+        if rate not in get_args(RateSource):
+            raise ValueError(f"strain_rate={rate!r}: expected a rate (s-1), 'box' or 'velocity'")
+        if rate == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
             raise ValueError(
                 "strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'"
             )
-        if given == "box" and "lattice" in ds:
+        if rate == "box" and "lattice" in ds:
             raise ValueError(
                 "strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'"
             )
-        return given
-    if isinstance(given, xr.DataArray):
-        return given
-    if not is_finite(given):
-        raise ValueError(
-            f"strain_rate={plain(given)}: expected one rate (s-1), or a DataArray of one for each time"
-        )
-    return xr.DataArray(float(given))
+        return rate
+    if isinstance(rate, xr.DataArray):
+        return rate
+    hint = ", or a DataArray of one for each time"
+    check("strain_rate", rate, FINITE, "s-1", hint=hint)
+    return xr.DataArray(float(rate))
 
 
 def _choose(
     ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
 ) -> tuple[str, ...]:
     """Names that were asked for, or all that the scene allows."""
+    if isinstance(asked, str):
+        asked = [asked]
     if asked is not None:
-        names = [asked] if isinstance(asked, str) else list(asked)
+        names = list(asked)
         if not names:
             raise ValueError(
                 f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows"
@@ -388,28 +387,27 @@ def _choose(
         if set(names) & set(STRAIN) and "box" not in ds:
             require_scene(ds, ("box",), "strain of the box")
         return tuple(dict.fromkeys(names))
-    return tuple(
-        name
-        for name in NAMES
-        if (name not in STRAIN or "box" in ds)
-        and not (name in QUANTITIES and QUANTITIES[name].of_phases)
-        and all(
-            set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate)
-        )
-    )
+    allowed = []
+    for name in NAMES:
+        parts = [QUANTITIES[part] for part in _measured([name], rate)]
+        has_all = all(set(part.needs) <= set(ds.data_vars) for part in parts)
+        of_phases = any(part.of_phases for part in parts)
+        if has_all and not of_phases and (name not in STRAIN or "box" in ds):
+            allowed.append(name)
+    return tuple(allowed)
 
 
 def _measured(names: Sequence[str], rate: str | xr.DataArray) -> tuple[str, ...]:
     """Quantities to measure step by step for these names; a rate that comes from elsewhere is not among them."""
-    found: list[str] = []
+    measured: list[str] = []
     for name in names:
         if name in INERTIAL:
-            found += [INERTIAL[name], "particle_density", "mean_stress", "strain_rate"]
+            measured += [INERTIAL[name], "particle_density", "mean_stress", "strain_rate"]
         elif name not in STRAIN:
-            found.append(name)
-    return tuple(
-        name for name in dict.fromkeys(found) if name != "strain_rate" or _is(rate, "velocity")
-    )
+            measured.append(name)
+    if not _is(rate, "velocity"):
+        measured = [name for name in measured if name != "strain_rate"]
+    return tuple(dict.fromkeys(measured))
 
 
 def _is(rate: str | xr.DataArray, source: str) -> bool:
@@ -427,45 +425,37 @@ def _with_series(
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
     setup = describe(ds).setup
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
-        lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(
-            component=list(setup.plane)
-        )
-        first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
+        lengths = ds["box"].isel(bound=1) - ds["box"].isel(bound=0)
+        lengths = lengths.sel(component=list(setup.plane))
+        first = lengths
+        if lengths.sizes["time"]:
+            first = lengths.isel(time=0, drop=True)
         stretch = xr.ufuncs.log(lengths / first)
         total = stretch.sum("component", skipna=False)
         axial = stretch.sel(component=axis, drop=True)
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
-            values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
-            attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
-            result[name] = values.drop_attrs(deep=False).assign_attrs(attrs)
+            values = 0.0 - logarithm
+            if strain == "engineering":
+                values = 1 - xr.ufuncs.exp(logarithm)
+            result[name] = labelled(values, "1", STRAIN[name]).assign_attrs(measure=strain)
         if _is(rate, "box"):
             require_times(ds, "the strain rate of the box")
-            # one chunk, as finite differences reach over chunks; a box is six numbers a step
-            whole = stretch.chunk(time=-1) if stretch.chunks else stretch
-            rate = _deviatoric(whole.differentiate("time"), len(setup.plane))
+            if stretch.chunks:  # finite differences reach over chunks; a box is six numbers a step
+                stretch = stretch.chunk(time=-1)
+            rates = stretch.differentiate("time")
+            deviator = rates - rates.mean("component")
+            factor = {2: 2, 3: 2 / 3}[setup.dimension]
+            rate = xr.ufuncs.sqrt(factor * (deviator**2).sum("component", skipna=False))
     if isinstance(rate, xr.DataArray):
-        attrs = {
-            "units": units_in("s^-1", setup.unit_system),
-            "long_name": QUANTITIES["strain_rate"].long_name,
-            "formula": QUANTITIES["strain_rate"].formula,
-        }
-        result["strain_rate"] = rate.drop_attrs(deep=False).assign_attrs(attrs)
+        row = QUANTITIES["strain_rate"]
+        rate = labelled(rate, units_in(row.units, setup.unit_system), row.long_name)
+        result["strain_rate"] = rate.assign_attrs(formula=row.formula)
     for name in set(INERTIAL) & set(names):
         pressure = result["mean_stress"]
         root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
         number = xr.ufuncs.fabs(result["strain_rate"]) * result[INERTIAL[name]] * root
-        attrs = {
-            "units": "1",
-            "long_name": f"inertial number with {INERTIAL[name]}",
-            "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
-        }
-        result[name] = number.transpose(*pressure.dims).drop_attrs(deep=False).assign_attrs(attrs)
+        size = INERTIAL[name]
+        number = labelled(number.transpose(*pressure.dims), "1", f"inertial number with {size}")
+        formula = f"strain_rate {size} sqrt(particle_density / mean_stress)"
+        result[name] = number.assign_attrs(formula=formula)
     return result[list(names)]
-
-
-def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
-    """Deviatoric strain rate from the rates of stretch along the axes."""
-    deviator = rates - rates.mean("component")
-    return xr.ufuncs.sqrt(
-        (2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False)
-    )

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.quantities import CONTACTS
-from xcg.common.checks import extra
+from xcg.common.checks import check_choice, extra
 from xcg.compiled.contacts import join_clusters
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 EdgeWeight: TypeAlias = Literal["contacts", "force", "overlap"]
+# variables that attributes of edges follow from
+_VARIABLES = {"force": "contact_force", "overlap": "overlap"}
 
 
 @takes_scene
@@ -74,20 +76,22 @@ def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = No
     """
     from scipy.sparse import csr_array
 
-    if weight is not None and weight not in get_args(EdgeWeight):
-        raise ValueError(
-            f"weight={weight!r}: expected None, {', '.join(map(repr, get_args(EdgeWeight)))}"
-        )
-    needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
+    if weight is not None:
+        check_choice("weight", weight, EdgeWeight)
+    needed = [name for part, name in _VARIABLES.items() if part == weight]
     require_scene(ds, [*CONTACTS, *needed], "adjacency")
     frame, contacts = _step_at(ds, index, needed)
     pairs = _edges(frame, contacts)
     count = len(frame["particle_id"])
-    i, j = pairs["i"], pairs["j"]
-    values = np.ones(len(i)) if weight is None else pairs[weight].astype(float)
-    values = np.linalg.norm(values, axis=1) if weight == "force" else values
-    rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
-    return csr_array((np.tile(values, 2), (rows, columns)), shape=(count, count))
+    i = pairs["i"]
+    j = pairs["j"]
+    values = np.ones(len(i))
+    if weight is not None:
+        values = pairs[weight].astype(float)
+    if weight == "force":
+        values = np.linalg.norm(values, axis=1)
+    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
+    return csr_array((np.tile(values, 2), ends), shape=(count, count))
 
 
 @takes_scene
@@ -152,7 +156,7 @@ def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = Fals
     nx = extra("networkx", "network", "contact_graph")
     require_scene(ds, CONTACTS, "contact_graph")
     of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
-    frame, contacts = _step_at(ds, index, [*of_grains, "contact_force", "overlap"])
+    frame, contacts = _step_at(ds, index, [*of_grains, *_VARIABLES.values()])
     pairs = _edges(frame, contacts, walls=include_walls)
     coords = step_at(ds, index).coords
     graph = nx.Graph(
@@ -163,24 +167,19 @@ def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = Fals
     for row, node in enumerate(ids[: len(frame["particle_id"])]):
         graph.add_node(node, wall=False, **{name: values[row] for name, values in columns.items()})
     graph.add_nodes_from(pairs["walls"].tolist(), wall=True)
-    given = {"force": "contact_force", "overlap": "overlap"}
-    names = [
-        name
-        for name in ("contacts", "force", "normal", "overlap")
-        if given.get(name, "particle_id") in frame
-    ]
-    attributes = {name: _entries(pairs[name]) for name in names}
+    names = ["contacts", "normal"] + [name for name, of in _VARIABLES.items() if of in frame]
+    columns = {name: _entries(pairs[name]) for name in names}
     for row, (i, j) in enumerate(zip(pairs["i"], pairs["j"], strict=True)):
-        one, other = ids[i], ids[j]
-        graph.add_edge(
-            one, other, i=one, j=other, **{name: values[row] for name, values in attributes.items()}
-        )
+        attributes = {name: values[row] for name, values in columns.items()}
+        graph.add_edge(ids[i], ids[j], i=ids[i], j=ids[j], **attributes)
     return graph
 
 
 def _entries(values: NDArray) -> Sequence[Any]:
     """Rows of an array: Python's numbers, or arrays."""
-    return values.tolist() if values.ndim == 1 else [row.copy() for row in values]
+    if values.ndim == 1:
+        return values.tolist()
+    return [row.copy() for row in values]
 
 
 def _step_at(ds: xr.Dataset, index: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
@@ -204,9 +203,10 @@ def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
     nodes = count + len(numbers)
     number = rows.min(axis=0) * nodes + rows.max(axis=0)
-    found, pair, many = np.unique(number, return_inverse=True, return_counts=True)
-    i, j = divmod(found, nodes)
-    force, normal = np.zeros((len(i), 3)), np.zeros((len(i), 3))
+    numbers_of_pairs, pair, many = np.unique(number, return_inverse=True, return_counts=True)
+    i, j = divmod(numbers_of_pairs, nodes)
+    force = np.zeros((len(i), 3))
+    normal = np.zeros((len(i), 3))
     np.add.at(force, pair, sign * contacts.force[kept])
     np.add.at(normal, pair, sign * contacts.normal[kept])
     overlap = np.full(len(i), -np.inf)
@@ -244,11 +244,11 @@ class Clusters:
         known = np.append(self.member, False)  # row -1 is that of a wall
         lattice = contacts.lattice
         count = len(self.member)
-        row_i, row_j = (np.where(known[row], row, -1) for row in (contacts.i, contacts.j))
+        row_i = np.where(known[contacts.i], contacts.i, -1)
+        row_j = np.where(known[contacts.j], contacts.j, -1)
         # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
-        crossed = np.rint(contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)).astype(
-            "int64"
-        )
+        numbers = contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)
+        crossed = np.rint(numbers).astype("int64")
         root = np.arange(count)
         moved = np.zeros((count, crossed.shape[1]), "int64")
         winds = np.zeros(moved.shape, bool)
@@ -268,7 +268,8 @@ class Clusters:
         touches walls on both sides, those whose contacts' normals have their largest component
         along this axis.
         """
-        (root, winds), contacts = self._joined, self.contacts
+        root, winds = self._joined
+        contacts = self.contacts
         through = np.zeros((len(root), 3), bool)
         periodic = np.isfinite(contacts.lattice.lengths)
         through[:, periodic] = winds

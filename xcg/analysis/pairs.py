@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import check_choice, is_finite
+from xcg.common.checks import NOT_NEGATIVE, check, check_choice, whole
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
@@ -36,7 +36,8 @@ CROWDED = 2.5  # particles in a cube of the reach
 CELLS_A_PARTICLE = 8
 # Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a
 # particle.
-MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
+MOST_A_PARTICLE = 200
+MOST_PAIRS = 1_000_000
 
 
 def _cells_of_levels(
@@ -48,11 +49,10 @@ def _cells_of_levels(
     for k in range(count):
         # a hair more than the reach, so that no rounding makes it span a cell more
         reach = (2 * largest[k] + skin + 2 * slack) * (1 + 1e-9)
-        held = (
-            members[k]
-            * np.minimum(np.divide(reach, length, out=np.ones(3), where=length > 0), 1).prod()
-        )
-        edges = EDGES if held > CROWDED else LONG_EDGES
+        share = np.divide(reach, length, out=np.ones(3), where=length > 0)
+        edges = LONG_EDGES
+        if members[k] * np.minimum(share, 1).prod() > CROWDED:
+            edges = EDGES
         reach = max(reach, _reach_for(length / edges, max(CELLS_A_PARTICLE * members[k], 64)))
         if reach > 0:
             cells[k] = np.maximum(np.minimum(length / (reach * edges), 2.0**31), 1).astype("int64")
@@ -68,7 +68,7 @@ def _reach_for(scaled: NDArray, count: float) -> float:
         reach = float(np.exp((np.log(rest).sum() - np.log(count)) / len(rest)))
         if reach <= scaled[k]:
             return reach
-    return float(scaled[-1]) if len(scaled) else 0.0
+    return float(scaled.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +132,9 @@ class CellLists:
         threads: int = 1,
     ) -> CellLists:
         """Sort particles into `levels` levels (None: as many as their sizes ask for)."""
-        # a layer is sorted along y, so that runs of cells stay long
-        axes = [2, 0, 1] if np.ptp(position[:, 2]) <= 2 * radius.max() + skin else [0, 1, 2]
+        axes = [0, 1, 2]
+        if np.ptp(position[:, 2]) <= 2 * radius.max() + skin:
+            axes = [2, 0, 1]  # a layer is sorted along y, so that runs of cells stay long
         position = position[:, axes]
         corner = corner[axes]
         period = period[axes]
@@ -141,11 +142,8 @@ class CellLists:
         lower, upper = _extent(position, corner, period)
         # coordinates as large as these are rounded by no more than this, and so are their
         # differences
-        slack = (
-            16
-            * np.finfo(float).eps
-            * float(max(np.abs(position).max(), np.abs(lower).max(), np.abs(upper).max()))
-        )
+        largest_size = max(np.abs(some).max() for some in (position, lower, upper))
+        slack = 16 * np.finfo(float).eps * float(largest_size)
         length = upper - lower
         cells = _cells_of_levels(largest, members, length, period, skin, slack)
         lower = np.broadcast_to(lower, cells.shape).copy()
@@ -222,7 +220,7 @@ class CellLists:
     def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of some records, only some of more than `max_pairs`, and the distances that took."""
         capacity = 4 * (last - first) + 64
-        left, right, found, tested = loops.find(
+        left, right, count, tested = loops.find(
             first,
             last,
             *self.for_loops,
@@ -231,7 +229,7 @@ class CellLists:
             np.empty(capacity, "int32"),
             *(None,) * 5,
         )
-        return left[:found], right[:found], tested
+        return left[:count], right[:count], tested
 
     def count(self, first: int, last: int, *histogram: Any) -> None:
         """Count pairs of some records in a histogram: the last arguments of the loop."""
@@ -242,12 +240,13 @@ class CellLists:
 def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray, NDArray, NDArray]:
     """Level of each particle by logarithmic spacing; largest radius and number of particles of the levels in use."""
     reach = radius + skin / 2
-    low, high = float(reach[reach > 0].min(initial=np.inf)), float(reach.max())
-    low = max(low, 1e-300 * high)  # as in damaged files: their ratio must stay a number
+    high = float(reach.max())
+    # as in damaged files: their ratio must stay a number
+    low = max(float(reach[reach > 0].min(initial=np.inf)), 1e-300 * high)
     if not low < high:
         return np.zeros(len(radius), "int64"), np.array([radius.max()]), np.array([len(radius)])
     span = np.log(high / low)
-    count = levels or 1 + int(span / np.log(LEVEL_RATIO))
+    count = int(levels or 1 + span / np.log(LEVEL_RATIO))
     step = np.log(np.maximum(reach, low) / low) * (count / span)
     level = np.minimum(step.astype("int64"), count - 1)
     members = np.bincount(level, minlength=count)
@@ -260,7 +259,7 @@ def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray,
 def _extent(position: NDArray, corner: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
     """Return the region of the cells: the box along periodic axes, else the particles without a few outliers."""
     sample = position[:: max(1, len(position) // 10_000)]
-    low, high = np.quantile(sample, 0.01, axis=0), np.quantile(sample, 0.99, axis=0)
+    low, high = np.quantile(sample, (0.01, 0.99), axis=0)
     margin = 0.05 * (high - low)
     lower = np.maximum(position.min(axis=0), low - margin)
     upper = np.minimum(position.max(axis=0), high + margin)
@@ -367,8 +366,8 @@ def pairs_of(
     lattice: Lattice,
     *,
     skin: float,
-    method: str,
-    levels: int | None,
+    method: str = "hierarchical",
+    levels: int | None = None,
     threads: int | None,
     max_pairs: int | None,
     source: str = "find_pairs",
@@ -377,11 +376,12 @@ def pairs_of(
     if len(centres) < 2:
         return np.empty((0, 2), "int64")
     count = len(centres)
-    levels = 1 if method == "linked-cell" else levels
+    if method == "linked-cell":
+        levels = 1
     lists, whose = cells_of(
         centres, radii, lattice, skin=skin, levels=levels, threads=threads, source=source
     )
-    workers = threads or threads_for(len(whose), THREADS)
+    workers = int(threads or threads_for(len(whose), THREADS))
     max_pairs = max(MOST_PAIRS, MOST_A_PARTICLE * len(whose), max_pairs or 0)
     counts = [0]
 
@@ -392,14 +392,15 @@ def pairs_of(
         return left, right
 
     # more parts than threads, as large particles take longer than small ones
-    found = for_parts(len(whose), find, workers, each=8)
+    parts = for_parts(len(whose), find, workers, each=8)
     if sum(counts) > max_pairs:
         raise SceneError(
             f"more than {max_pairs} pairs of near particles among {len(whose)}: positions coincide, "
             "or diameters or skin= are too large for their unit. Where so many are meant, give max_pairs= "
             "(max_contacts= of find_contacts)"
         )
-    low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
+    low = np.concatenate([left for left, _ in parts])
+    high = np.concatenate([right for _, right in parts])
     pairs = np.empty((len(low), 2), "int64")
     for_parts(
         len(whose),
@@ -432,28 +433,36 @@ def cells_of(
     array
         Row of the particle that each of them is, or is an image of: first the particles in order.
     """
-    corner = np.zeros(3)
-    if lattice.edges is not None:
-        corner = np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
+    corner = lattice.corner
     whose = np.arange(len(centres))
     if lattice.vectors is not None:
         centres = lattice.wrapped(centres, corner, source)
         reach = 2 * radii.max() + skin
-        low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+        low = centres.min(axis=0) - reach
+        high = centres.max(axis=0) + reach
         row, shift, _ = lattice.images(centres, low, high, source)
         others = shift.any(axis=1)
         centres = np.concatenate([centres, centres[row[others]] + shift[others]])
         whose = np.concatenate([whose, row[others]])
-    workers = threads or threads_for(len(centres), THREADS)
+    workers = int(threads or threads_for(len(centres), THREADS))
     lists = CellLists.of(
         centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
     )
     return lists, whose
 
 
+def other_rows(near: NDArray, itself: NDArray) -> NDArray:
+    """Return the rows (n, k) of the nearest particles but the particle itself, from rows (n, k + 1)."""
+    is_itself = near == itself[:, None]
+    # particles at the same place may push the particle itself out of the list
+    is_itself[~is_itself.any(axis=1), -1] = True
+    return near[~is_itself].reshape(len(near), -1)
+
+
 def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
     """Centres (n, 3) and radii (n,), checked."""
-    centres, radii = np.asarray(position, float), np.ascontiguousarray(radius, float)
+    centres = np.asarray(position, float)
+    radii = np.ascontiguousarray(radius, float)
     if centres.size == 0:
         centres = centres.reshape(0, 3)
     if centres.ndim != 2 or centres.shape[1] not in (2, 3) or radii.shape != (len(centres),):
@@ -476,12 +485,6 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
     """Raise ValueError for invalid options of the search."""
     check_choice("method", method, PairMethod)
-    if not (is_finite(skin) and skin >= 0):
-        raise ValueError(
-            f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
-        )
-    for name, value in (("levels", levels), ("threads", threads)):
-        if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
-            raise ValueError(
-                f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
-            )
+    check("skin", skin, NOT_NEGATIVE, "m")
+    check("levels", levels, whole(1), optional=True)
+    check("threads", threads, whole(1), optional=True)

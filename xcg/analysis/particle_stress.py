@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
+from xcg.common.checks import check_choice, is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
@@ -22,7 +22,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call
+from xcg.steps.labels import call_of
 
 Volumes: TypeAlias = Literal["particle", "disc"]
 _CONTACTS = ("position", "contact_i", "contact_j", "contact_point", "contact_force")
@@ -49,8 +49,6 @@ class StressRule:
 
     Attributes
     ----------
-    periodic : str
-        Periodic axes of the scene.
     symmetric : bool
         Whether the symmetric part is taken.
     thickness : float or str or None
@@ -58,48 +56,41 @@ class StressRule:
     spheres : tuple of str
         Variables that the branches of spheres follow from; empty where all follow from contact
         points.
+    variables : tuple of str
+        Variables of the scene that the stress is made from.
     """
 
-    periodic: str
     symmetric: bool
     thickness: float | str | None
     spheres: tuple[str, ...]
+    variables: tuple[str, ...]
 
     @classmethod
     def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
         """Check that a scene holds what the stress needs, without reading any of it."""
-        if volume not in get_args(Volumes):
-            raise ValueError(
-                f"volume={volume!r}: expected 'particle' (the scene's volumes) or 'disc' (pi d^2/4 x thickness)"
-            )
-        disc = volume == "disc"
-        require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
-        scene = describe(ds)
-        thickness = scene.layer_depth if disc else None
-        if disc and thickness is None:
-            raise SceneError(
-                "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
-            )
-        given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
-        spheres = given if {"diameter", "overlap"} <= set(given) else ()
-        return cls(scene.setup.periodic, symmetric, thickness, spheres)
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Variables of the scene that the stress is made from."""
-        size = "volume" if self.thickness is None else "diameter"
-        return tuple(dict.fromkeys(("particle_id", *_CONTACTS, size, *self.spheres)))
+        check_choice("volume", volume, Volumes)
+        size = {"particle": "volume", "disc": "diameter"}[volume]
+        require_scene(ds, (*_CONTACTS, size), purpose)
+        thickness = None
+        if volume == "disc":
+            thickness = describe(ds).layer_depth
+            if thickness is None:
+                raise SceneError(
+                    "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
+                )
+        spheres = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
+        if not {"diameter", "overlap"} <= set(spheres):
+            spheres = ()
+        variables = dict.fromkeys(("particle_id", *_CONTACTS, size, *spheres))
+        return cls(symmetric, thickness, spheres, tuple(variables))
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
-        contacts = Contacts.of(
-            frame, lattice, source, threads_for(len(frame["particle_id"]), threads)
-        )
-        return (
-            contacts.with_overlaps(frame["diameter"], frame["overlap"])
-            if self.spheres
-            else contacts
-        )
+        threads = threads_for(len(frame["particle_id"]), threads)
+        contacts = Contacts.of(frame, lattice, source, threads)
+        if self.spheres:
+            contacts = contacts.with_overlaps(frame["diameter"], frame["overlap"])
+        return contacts
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Volume of each particle (m3)."""
@@ -117,9 +108,10 @@ class StressRule:
     def evaluate(self, frame: Frame, contacts: Contacts, lattice: Lattice, source: str) -> Frame:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
-        values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
+        values = np.empty((len(stress), 3))
+        vectors = np.empty((len(stress), 3, 3))
         volumes = self.volumes(frame, lattice, source)
-        axes_of = principal if self.symmetric else principal_of_any
+        axes_of = {True: principal, False: principal_of_any}[bool(self.symmetric)]
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
@@ -203,8 +195,8 @@ def particle_stress(
     >>> float(particle_stress(ds).major_stress[0, 0].round(3))  # 1/V sum f a = 6 / pi for d = f = 1
     1.91
     """
+    call = call_of("particle_stress", locals())
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
-    call = format_call("particle_stress", {"symmetric": symmetric, "volume": volume})
     return run(ds, _ParticleStress(rule), call=call, on_error=on_error)
 
 

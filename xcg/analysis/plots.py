@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
-from xcg.common.checks import check_choice, extra, is_positive
+from xcg.common.checks import POSITIVE, check, check_choice, extra
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, order_of
@@ -136,43 +137,21 @@ def plot(
     """
     extra("matplotlib.pyplot", "plot", "drawing")
     _check_options(options)
+    ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
     if "particle_id" in f:
         _check_grains(direction, phase, arrows, shading)
-        ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
         try:
             picture, ax = draw_grains(f, field, index, component, at, ax, ends, options)
         except AttributeError as error:  # of matplotlib, about keywords
             raise TypeError(f"plot: {error}") from None
         drawing.set_title(ax, _title(picture))
         return ax
-    part = _part(with_time(f), field, component, direction, at, arrows, shading)
-    (picture,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
-    name = picture.attrs["drawn"]
-    axes = axes_of(picture)
-    values = _known([picture[name]])
-    shown_values = values
-    if vmax is None and "norm" not in options:
-        (picture,), shown_values = _without_tail([picture], values)
-    ax = drawing.new_axes(ratio=_ratio(picture, axes)) if ax is None else ax
+    choice = _Shown(field, component, direction, phase, at, arrows, shading)
+    frames = _Frames.of([choice.picture(f, index)], shading, ends, options)
+    (picture,) = frames.pictures
+    ax = ax or drawing.new_axes(ratio=frames.ratio)
     try:
-        if len(axes) == 1:
-            before = _limits(ax, axes[0]) if ax.has_data() else ()
-            _draw_profile(picture, name, axes[0], ax, options)
-            if shown_values is not values:
-                _set_limits(ax, axes[0], np.concatenate([shown_values, before]))
-        else:
-            colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
-            if "color" in options:
-                raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
-            if "norm" in options:
-                ends = {"vmin": vmin, "vmax": vmax}
-                colours = {"cmap": cmap or "viridis"} | {
-                    end: number for end, number in ends.items() if number is not None
-                }
-            mesh = _draw_map(picture, name, axes, ax, colours | options, _fastest(picture), shading)
-            if "norm" in options:  # its ends are those of the drawn numbers
-                values = np.ma.compressed(mesh.get_array())
-            _draw_colour_bar(picture, name, mesh, values)
+        frames.draw(picture, ax)
     except AttributeError as error:  # of matplotlib, about keywords
         raise TypeError(f"plot: {error}") from None
     drawing.set_title(ax, _title(picture))
@@ -197,13 +176,11 @@ _OTHER_OPTIONS = {
 
 def _check_options(options: Mapping[str, Any]) -> None:
     """Raise TypeError for keywords that are done in another way."""
+    known = [name for name in inspect.signature(plot).parameters if len(name) > 2]
     for name in options:
         if name in _OTHER_OPTIONS:
             raise TypeError(f"plot has no argument {name!r}: {_OTHER_OPTIONS[name]}")
-        near = did_you_mean(
-            name, [p for p in inspect.signature(plot).parameters if len(p) > 2], 0.8
-        )
-        if near:
+        if near := did_you_mean(name, known, 0.8):
             raise TypeError(f"plot has no argument {name!r}{near}")
 
 
@@ -211,11 +188,9 @@ def _check_grains(
     direction: str | None, phase: int | str | None, arrows: str | None, shading: Shading
 ) -> None:
     """Raise ValueError for arguments that pictures of grains have not."""
-    given = {"direction": direction, "phase": phase}
-    given["arrows"] = None if arrows == "auto" else arrows
-    given["shading"] = None if shading == "smooth" else shading
-    for name, value in given.items():
-        if value is not None:
+    options = {"direction": direction, "phase": phase, "arrows": arrows, "shading": shading}
+    for name, value in options.items():
+        if value not in (None, "auto", "smooth"):
             raise ValueError(
                 f"{name}={value!r}: this is a scene, whose grains are drawn without it; fields are drawn by "
                 "ds.cg.coarse_grain(...).cg.plot()"
@@ -277,9 +252,8 @@ def movie(
     path = Path(path)
     if path.suffix not in (".gif", ".mp4"):
         raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
-    for what, number in (("fps", fps), ("dpi", dpi)):
-        if not is_positive(number):
-            raise ValueError(f"{what}={number!r}: expected a positive number")
+    check("fps", fps, POSITIVE)
+    check("dpi", dpi, POSITIVE)
     matplotlib = extra("matplotlib", "plot", "a movie")
     maps = matplotlib.colormaps
     if cmap is not None and not (isinstance(cmap, str) and cmap in maps):
@@ -293,60 +267,49 @@ def movie(
         )
     require_steps(f, "movie")
     animation = extra("matplotlib.animation", "plot", "a movie")
+    program = "pillow"
     settings = {}
     if path.suffix == ".mp4":
+        program = "ffmpeg"
         settings["animation.ffmpeg_path"] = _ffmpeg(path)
-    part = _part(f, field, component, direction, at, arrows, shading)
+    choice = _Shown(field, component, direction, phase, at, arrows, shading)
+    part = choice.part(f)
     count = part.sizes["time"]
-    name = part.attrs["drawn"]
     steps = []
     with shown(count, progress, what="steps computed") as bar:
         for step in each_step(part):
-            steps.append(_one_step(step, 0, phase))
+            steps.append(choice.step(step, 0))
             bar.update()
-    steps = _without_empty_parts(steps, f)
-    with shown(count, progress, what="frames drawn") as bar:
-        values = _known([step[name] for step in steps])
-        shown_values = values
-        if vmax is None:
-            steps, shown_values = _without_tail(steps, values)
-        fastest = max(_fastest(step) for step in steps)
-        colours = drawing.colours_of(shown_values, cmap, vmin, vmax)
-        axes = axes_of(steps[0])
-        ratio = _ratio(steps[0], axes)
-        size = FRAME if ratio is None else drawing.size_of_figure(FRAME, ratio)
-        figure = extra("matplotlib.figure", "plot", "a movie").Figure(
-            figsize=size, layout="constrained"
-        )
-        ax = figure.add_subplot()
-
-        def draw(k: int) -> None:
-            ax.clear()
-            if len(axes) == 1:
-                _draw_profile(steps[k], name, axes[0], ax)
-                _set_limits(ax, axes[0], shown_values)
-            else:
-                mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
-                if k == 0 and len(figure.axes) == 1:
-                    _draw_colour_bar(steps[k], name, mesh, values)
-            drawing.set_title(ax, _title(steps[k]))
-            if k == 0:  # frames keep the layout of the first: it would take half of their time
-                figure.draw_without_rendering()
-                figure.set_layout_engine(None)
-            bar.update()
-
-        part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
-        try:
-            with matplotlib.rc_context(settings):
-                writer = animation.writers["pillow" if path.suffix == ".gif" else "ffmpeg"](fps=fps)
-                # FuncAnimation would draw each frame twice
-                with writer.saving(figure, part_of_file, dpi):
-                    for k in range(count):
-                        draw(k)
-                        writer.grab_frame()
-            part_of_file.replace(path)
-        finally:
-            part_of_file.unlink(missing_ok=True)
+    ends = {"cmap": cmap, "vmin": vmin, "vmax": vmax}
+    frames = _Frames.of(_without_empty_parts(steps, f), shading, ends, {})
+    size = FRAME
+    if frames.ratio is not None:
+        size = drawing.size_of_figure(FRAME, frames.ratio)
+    figures = extra("matplotlib.figure", "plot", "a movie")
+    figure = figures.Figure(figsize=size, layout="constrained")
+    ax = figure.add_subplot()
+    part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        with (
+            shown(count, progress, what="frames drawn") as bar,
+            matplotlib.rc_context(settings),
+        ):
+            writer = animation.writers[program](fps=fps)
+            # FuncAnimation would draw each frame twice
+            with writer.saving(figure, part_of_file, dpi):
+                for picture in frames.pictures:
+                    ax.clear()
+                    frames.draw(picture, ax)
+                    drawing.set_title(ax, _title(picture))
+                    if picture is frames.pictures[0]:
+                        # frames keep the layout of the first: it would take half of their time
+                        figure.draw_without_rendering()
+                        figure.set_layout_engine(None)
+                    writer.grab_frame()
+                    bar.update()
+        part_of_file.replace(path)
+    finally:
+        part_of_file.unlink(missing_ok=True)
     return path
 
 
@@ -369,82 +332,136 @@ def _ffmpeg(path: Path) -> str:
 # --- what is drawn ---------------------------------------------------------------------------------------
 
 
-def _part(
-    f: xr.Dataset,
-    field: str | None,
-    component: str | None,
-    direction: str | None,
-    at: Mapping[str, float] | None,
-    arrows: str | None,
-    shading: str,
-) -> xr.Dataset:
-    """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
-    check_choice("shading", shading, Shading)
-    name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
-    if "particle_id" in f:
-        raise ValueError(
-            "movie draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.movie(path)"
-        )
-    if name is None or name not in f:
+@dataclass(frozen=True)
+class _Shown:
+    """Numbers of a result that a picture shows, by the arguments of `plot`."""
+
+    field: str | None
+    component: str | None
+    direction: str | None
+    phase: int | str | None
+    at: Mapping[str, float] | None
+    arrows: str | None
+    shading: Shading
+
+    def picture(self, f: xr.Dataset, index: int) -> xr.Dataset:
+        """Return the numbers of one step, in memory."""
+        step = self.step(self.part(with_time(f)), index).compute()
+        (picture,) = _without_empty_parts([step], f)
+        return picture
+
+    def step(self, part: xr.Dataset, index: int) -> xr.Dataset:
+        """Select a step, and of maps a phase."""
+        part = step_at(part, index)
+        phase = self.phase
+        if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
+            phase = "bulk"
+        if phase is None:
+            return part
+        return _labelled(part, "phase", phase)
+
+    def part(self, f: xr.Dataset) -> xr.Dataset:
+        """Return the field, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
+        check_choice("shading", self.shading, Shading)
+        name = self._name_in(f)
+        cut = _slice(f, self.at)
+        axes = axes_of(cut)
+        if not 1 <= len(axes) <= 2 or "point" in cut.dims:
+            raise ValueError(_other_way(f, cut[name]))
+        value = cut[name]
+        if len(axes) == 2:
+            value = without_air(cut, name)
+        self._check(value, axes, str(f.attrs.get("plane", _AXES)))
+        parts = {name: self._component(value, name)}
+        error = f"{name}{ERROR}"
+        if len(axes) == 1 and error in cut:
+            parts[error] = self._component(cut[error], name)
+        if len(axes) == 2:
+            parts |= self._arrows(cut, axes, parts[name])
+            if "component" in parts[name].dims:
+                size = (parts[name] ** 2).sum("component", skipna=False) ** 0.5
+                text = f"magnitude of {drawing.long_name_of(value, name)}"
+                parts[name] = size.assign_attrs(value.attrs, long_name=text)
+        return xr.Dataset(parts, attrs={"drawn": name})
+
+    def _name_in(self, f: xr.Dataset) -> str:
+        """Return the name of the field; raise ValueError if the result has none."""
+        name = self.field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
+        if "particle_id" in f:
+            raise ValueError(
+                "movie draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.movie(path)"
+            )
+        if name is not None and name in f:
+            return name
         fields = list(map(str, f.data_vars))
-        hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
-        hint = hint if name in FIELDS else did_you_mean(str(name), fields, synonyms=OTHER_NAMES)
+        hint = did_you_mean(str(name), fields, synonyms=OTHER_NAMES)
+        if name in FIELDS:
+            hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
         raise ValueError(f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}{hint}")
-    cut = _slice(f, at)
-    axes = axes_of(cut)
-    if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        drawn = ", ".join(_AXES)
-        dims = [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")]
-        own = next((dim for dim in dims if dim not in ("time", "phase")), dims[0] if dims else None)
-        step = ".isel(time=-1)" if "time" in dims and own != "time" else ""
-        raise ValueError(
-            f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
-            + (
-                f"; xarray draws others, such as f[{name!r}]{step}.plot.line(x={own!r})"
-                if own
-                else ""
+
+    def _check(self, value: xr.DataArray, axes: list[str], plane: str) -> None:
+        """Raise ValueError for a tensor without a part, and for dimensions that a map has not."""
+        if "direction" in value.dims and (self.component is None or self.direction is None):
+            labels = [label for label in map(str, value["component"].values) if label in plane]
+            raise ValueError(
+                f"{value.name} is a tensor: name a part of it, for example component={labels[0]!r}, "
+                f"direction={labels[-1]!r}"
             )
-        )
-    value = without_air(cut, name) if len(axes) == 2 else cut[name]
-    if "direction" in value.dims and (component is None or direction is None):
-        labels = [
-            str(label)
-            for label in value["component"].values
-            if str(label) in f.attrs.get("plane", _AXES)
-        ]
-        x, z = labels[0], labels[-1]
-        raise ValueError(
-            f"{name} is a tensor: name a part of it, for example component={x!r}, direction={z!r}"
-        )
-    spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
-    if len(axes) == 2 and spare:
-        dim = str(min(spare, key=str))
-        raise ValueError(
-            f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
-        )
-    chosen = {
-        dim: x for dim, x in (("component", component), ("direction", direction)) if x is not None
-    }
-    found = {name: _component(value, name, chosen)}
-    if len(axes) == 1 and f"{name}{ERROR}" in cut:
-        found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
-    if len(axes) == 2:
-        unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
-        if arrows == "auto":
-            arrows = name if "component" in found[name].dims and not unrolled else None
-        if arrows is not None:
-            if unrolled or arrows not in cut or cut[arrows].dims[-1:] != ("component",):
-                raise ValueError(
-                    f"arrows={arrows!r}: expected a vector field of the result, on a map that is not unrolled"
+        spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
+        if len(axes) == 2 and spare:
+            dim = str(min(spare, key=str))
+            raise ValueError(
+                f"a map of {value.name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
+            )
+
+    def _component(self, value: xr.DataArray, name: str) -> xr.DataArray:
+        """Select the part of a vector or tensor, and name it."""
+        text = drawing.long_name_of(value, name)
+        chosen = {"component": self.component, "direction": self.direction}
+        labels = {dim: label for dim, label in chosen.items() if label is not None}
+        if not labels:
+            return value
+        for dim, label in labels.items():
+            if dim in value.dims and not isinstance(label, str):
+                raise TypeError(
+                    f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}"
                 )
-            for axis in axes:
-                found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
-        if "component" in found[name].dims:
-            size = (found[name] ** 2).sum("component", skipna=False) ** 0.5
-            found[name] = size.assign_attrs(
-                value.attrs, long_name=f"magnitude of {drawing.long_name_of(value, name)}"
+            value = _labelled(value, dim, label).drop_vars(dim)
+        return value.assign_attrs(value.attrs, long_name=f"{text}, {''.join(labels.values())}")
+
+    def _arrows(
+        self, cut: xr.Dataset, axes: list[str], value: xr.DataArray
+    ) -> dict[str, xr.DataArray]:
+        """Return the components that arrows show on a map, if there are any."""
+        unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
+        arrows = self.arrows
+        if arrows == "auto":
+            arrows = None
+            if "component" in value.dims and not unrolled:
+                arrows = str(value.name)
+        if arrows is None:
+            return {}
+        if unrolled or arrows not in cut or cut[arrows].dims[-1:] != ("component",):
+            raise ValueError(
+                f"arrows={arrows!r}: expected a vector field of the result, on a map that is not unrolled"
             )
-    return xr.Dataset(found, attrs={"drawn": name})
+        return {f"{_ARROW}{a}": cut[arrows].sel(component=a, drop=True) for a in axes}
+
+
+def _other_way(f: xr.Dataset, value: xr.DataArray) -> str:
+    """Return the message for a result that has no axes to draw along: xarray may draw it."""
+    text = (
+        f"plot draws along one or two of {', '.join(_AXES)}; this result has the dimensions "
+        f"{', '.join(map(str, f.dims))}"
+    )
+    dims = [str(dim) for dim in value.dims if dim not in ("component", "direction")]
+    if not dims:
+        return text
+    along = next((dim for dim in dims if dim not in ("time", "phase")), dims[0])
+    step = ""
+    if "time" in dims and along != "time":
+        step = ".isel(time=-1)"
+    return f"{text}; xarray draws others, such as f[{value.name!r}]{step}.plot.line(x={along!r})"
 
 
 def numbers_of(
@@ -461,9 +478,8 @@ def numbers_of(
 
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
-    part = _part(with_time(f), field, component, direction, at, None, "flat")
-    (step,) = _without_empty_parts([_one_step(part, index, phase).compute()], f)
-    return step[field].transpose(*axes_of(step)[::-1], ...)
+    picture = _Shown(field, component, direction, phase, at, None, "flat").picture(f, index)
+    return picture[field].transpose(*axes_of(picture)[::-1], ...)
 
 
 def without_air(f: xr.Dataset, name: str) -> xr.DataArray:
@@ -503,36 +519,17 @@ def _is_sum(name: str) -> bool:
     return row.additive or (bool(row.fields) and all(map(_is_sum, row.fields)))
 
 
-def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
-    for dim, label in chosen.items():
-        if dim in value.dims and not isinstance(label, str):
-            raise TypeError(
-                f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}"
-            )
-        value = _labelled(value, dim, label).drop_vars(dim)
-    part = f"{drawing.long_name_of(value, name)}, {''.join(chosen.values())}"
-    return value.assign_attrs(value.attrs, long_name=part) if chosen else value
-
-
 def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
     if set(at or ()) - set(axes_of(f)):
         raise ValueError(
             f"at={dict(at or {})!r}: the axes of this result are {', '.join(axes_of(f)) or 'none'}"
         )
-    cut = f.sel(at, method="nearest") if at else f
+    cut = f.sel(at or {}, method="nearest")
     if len(axes := axes_of(cut)) < 3:
         return cut
     shortest = min(axes, key=lambda a: abs(float(cut[a][-1] - cut[a][0])))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
-
-
-def _one_step(part: xr.Dataset, index: int, phase: int | str | None) -> xr.Dataset:
-    """Select a step, and of maps a phase."""
-    part = step_at(part, index)
-    if phase is None and "phase" in part.dims and len(axes_of(part)) == 2:
-        phase = "bulk"
-    return part if phase is None else _labelled(part, "phase", phase)
 
 
 def _without_empty_parts(steps: list[xr.Dataset], f: xr.Dataset) -> list[xr.Dataset]:
@@ -565,34 +562,10 @@ def axes_of(f: xr.Dataset) -> list[str]:
     return [a for a in _AXES if a in f.dims]
 
 
-def _known(steps: list[Any]) -> NDArray:
+def _known(steps: Iterable[Any]) -> NDArray:
     """Return the finite numbers of all steps."""
     values = np.concatenate([np.ravel(step) for step in steps])
     return values[np.isfinite(values)]
-
-
-def _fastest(picture: xr.Dataset) -> float:
-    """Return the speed whose arrow is as long as arrows are apart."""
-    parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
-    size = _known([np.hypot(*parts)] if parts else [[]])
-    return float(np.percentile(size, FASTEST)) if size.size else 0.0
-
-
-def _without_tail(steps: list[xr.Dataset], values: NDArray) -> tuple[list[xr.Dataset], NDArray]:
-    """Return steps that say on their label where a picture ends, and the numbers (n,) up to there.
-
-    A field that is divided by the pressure, such as the inertial number, is thousands of times
-    larger at a free surface than elsewhere.
-    """
-    name = steps[0].attrs["drawn"]
-    label = drawing.long_name_of(steps[0][name], name)
-    shown, note = drawing.without_tail(values) if may_diverge(steps[0][name]) else (values, "")
-    if not note:
-        return steps, values
-    steps = [
-        step.assign({name: step[name].assign_attrs(long_name=f"{label}{note}")}) for step in steps
-    ]
-    return steps, shown
 
 
 def may_diverge(value: xr.DataArray) -> bool:
@@ -606,149 +579,225 @@ def may_diverge(value: xr.DataArray) -> bool:
     return name in REGISTERED or "pressure" in order_of((name,), Options())
 
 
-def _limits(ax: Axes, axis: str) -> tuple[float, float]:
-    """Return the ends of the numbers in a profile along an axis."""
-    low, high = ax.get_xlim() if axis == "z" else ax.get_ylim()
-    return low, high
-
-
-def _set_limits(ax: Axes, axis: str, values: NDArray) -> None:
-    """Let a profile along an axis end at the smallest and the largest of some numbers."""
-    low, high = drawing.ends_of(values)
-    margin = 0.05 * (high - low)
-    (ax.set_xlim if axis == "z" else ax.set_ylim)(low - margin, high + margin)
-
-
 # --- drawing ---------------------------------------------------------------------------------------------
 
 
-def _draw_profile(
-    picture: xr.Dataset, name: str, axis: str, ax: Axes, options: Mapping[str, Any] | None = None
-) -> None:
-    nodes = picture[axis].to_numpy()
-    value, error = picture[name], picture.get(f"{name}{ERROR}")
-    others = [dim for dim in value.dims if dim != axis]
-    upright = axis == "z"
-    for labels in product(*(value[dim].to_numpy() for dim in others)):
-        place = dict(zip(others, labels, strict=True))
-        y = value.sel(place).to_numpy()
-        label = ", ".join(map(str, labels)) or None
-        points = (y, nodes) if upright else (nodes, y)
-        (line,) = ax.plot(*points, **{"label": label, **(options or {})})
-        if error is not None:
-            e = error.sel(place).to_numpy()
-            fill = ax.fill_betweenx if upright else ax.fill_between
-            fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
-    along, up = (axis, name)[:: -1 if upright else 1]
-    drawing.set_label(ax.xaxis, drawing.label_of(picture[along], along))
-    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
-    if others:
-        ax.legend(title=", ".join(map(str, others)))
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """Pictures of one field that share axes, colours and their ends.
 
+    Attributes
+    ----------
+    pictures : list of Dataset
+        Numbers of each step, with errors and arrows.
+    name : str
+        The field.
+    axes : list of str
+        Across, then up; one of profiles.
+    values : array (n,)
+        All numbers.
+    limits : array (n,) or None
+        Numbers that profiles extend over; None lets matplotlib choose.
+    keywords : mapping
+        Keywords of matplotlib: colours and their ends, and options of the caller.
+    fastest : float
+        Speed whose arrow is as long as arrows are apart.
+    """
 
-def _draw_map(
-    picture: xr.Dataset,
-    name: str,
-    axes: list[str],
-    ax: Axes,
-    colours: Mapping[str, Any],
-    fastest: float,
-    shading: Shading,
-) -> Any:
-    across, up = axes
-    picture = picture.sortby(axes)
-    value = picture[name].transpose(up, across)
-    if axes == ["r", "theta"]:
-        return _draw_circle(picture, value, ax, colours, fastest, shading)
-    x, y, values = drawing.cells_of(value, shading)
-    mesh = ax.pcolormesh(x, y, values, **{"rasterized": shading == "smooth", **colours})
-    if fastest > 0:
-        every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
-        some = picture.isel({a: slice(every // 2, None, every) for a in axes})
-        along, rise = (some[f"{_ARROW}{a}"].transpose(up, across).to_numpy() for a in axes)
-        apart = min(
-            (float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0
+    pictures: list[xr.Dataset]
+    name: str
+    axes: list[str]
+    shading: Shading
+    values: NDArray
+    limits: NDArray | None
+    keywords: Mapping[str, Any]
+    fastest: float
+
+    @classmethod
+    def of(
+        cls,
+        pictures: list[xr.Dataset],
+        shading: Shading,
+        ends: Mapping[str, Any],
+        options: Mapping[str, Any],
+    ) -> _Frames:
+        """Find what pictures share; pictures of several steps have the same limits.
+
+        A field that is divided by the pressure, such as the inertial number, is thousands of times
+        larger at a free surface than elsewhere: the pictures end before, and their labels say so.
+        """
+        name = pictures[0].attrs["drawn"]
+        axes = axes_of(pictures[0])
+        values = _known(picture[name] for picture in pictures)
+        drawn = values
+        note = ""
+        if ends["vmax"] is None and "norm" not in options and may_diverge(pictures[0][name]):
+            drawn, note = drawing.without_tail(values)
+        if note:
+            label = f"{drawing.long_name_of(pictures[0][name], name)}{note}"
+            pictures = [p.assign({name: p[name].assign_attrs(long_name=label)}) for p in pictures]
+        limits = None
+        if note or len(pictures) > 1:
+            limits = drawn
+        if len(axes) == 1:
+            return cls(pictures, name, axes, shading, values, limits, options, 0.0)
+        if "color" in options:
+            raise TypeError("plot: a map has many colours, and color= is for lines; give cmap=")
+        if "norm" in options:
+            colours = {"cmap": "viridis"}
+            colours |= {end: value for end, value in ends.items() if value is not None}
+        else:
+            colours = drawing.colours_of(drawn, **ends)
+        keywords = {"rasterized": shading == "smooth", **colours, **options}
+        fastest = max(map(_fastest, pictures))
+        return cls(pictures, name, axes, shading, values, limits, keywords, fastest)
+
+    @property
+    def ratio(self) -> float | None:
+        """Height over width of a map; None of profiles and unrolled maps, which have any."""
+        if len(self.axes) == 1 or self.axes == ["theta", "z"]:
+            return None
+        if self.axes == ["r", "theta"]:
+            return 1.0
+        return drawing.ratio_of(self.pictures[0][self.name].transpose(*self.axes[::-1]))
+
+    def draw(self, picture: xr.Dataset, ax: Axes) -> None:
+        """Draw a picture; a map of a figure's first with its colour bar."""
+        if len(self.axes) == 1:
+            self._draw_profile(picture, ax)
+            return
+        if self.axes == ["r", "theta"]:
+            mesh = self._draw_circle(picture.sortby(self.axes), ax)
+        else:
+            mesh = self._draw_map(picture.sortby(self.axes), ax)
+        if picture is self.pictures[0]:
+            values = self.values
+            if "norm" in self.keywords:  # its ends are those of the drawn numbers
+                values = np.ma.compressed(mesh.get_array())
+            _draw_colour_bar(picture, self.name, mesh, values)
+
+    def _draw_profile(self, picture: xr.Dataset, ax: Axes) -> None:
+        axis = self.axes[0]
+        upright = axis == "z"
+        fill: Any = ax.fill_between
+        limits: Any = ax.get_ylim
+        set_limits: Any = ax.set_ylim
+        names = [axis, self.name]
+        if upright:
+            fill = ax.fill_betweenx
+            limits = ax.get_xlim
+            set_limits = ax.set_xlim
+            names.reverse()
+        before: Any = ()
+        if ax.has_data():
+            before = limits()
+        nodes = picture[axis].to_numpy()
+        value = picture[self.name]
+        error = picture.get(f"{self.name}{ERROR}")
+        others = [dim for dim in value.dims if dim != axis]
+        for labels in product(*(value[dim].to_numpy() for dim in others)):
+            place = dict(zip(others, labels, strict=True))
+            y = value.sel(place).to_numpy()
+            points = [nodes, y]
+            if upright:
+                points.reverse()
+            label = ", ".join(map(str, labels)) or None
+            (line,) = ax.plot(*points, **{"label": label, **self.keywords})
+            if error is not None:
+                e = error.sel(place).to_numpy()
+                fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
+        for name, of_axis in zip(names, (ax.xaxis, ax.yaxis), strict=True):
+            drawing.set_label(of_axis, drawing.label_of(picture[name], name))
+        if others:
+            ax.legend(title=", ".join(map(str, others)))
+        if self.limits is not None:
+            low, high = drawing.ends_of(np.concatenate([self.limits, before]))
+            margin = 0.05 * (high - low)
+            set_limits(low - margin, high + margin)
+
+    def _draw_map(self, picture: xr.Dataset, ax: Axes) -> Any:
+        across, up = self.axes
+        x, y, values = drawing.cells_of(picture[self.name].transpose(up, across), self.shading)
+        mesh = ax.pcolormesh(x, y, values, **self.keywords)
+        if self.fastest > 0:
+            every = max(1, round(max(picture.sizes[a] for a in self.axes) / ARROWS))
+            some = picture.isel({a: slice(every // 2, None, every) for a in self.axes})
+            along = some[f"{_ARROW}{across}"].transpose(up, across).to_numpy()
+            rise = some[f"{_ARROW}{up}"].transpose(up, across).to_numpy()
+            steps = [float(some[a][1] - some[a][0]) for a in self.axes if some.sizes[a] > 1]
+            x, y = np.meshgrid(some[across], some[up])
+            self._draw_arrows(ax, x, y, along, rise, min(steps, default=1.0))
+        if across != "theta":
+            ax.set_aspect("equal")
+        ax.apply_aspect()
+        wide = ax.get_window_extent().width / ax.figure.dpi
+        if wide < NARROW:
+            ticker = extra("matplotlib.ticker", "plot", "drawing")
+            ax.xaxis.set_major_locator(ticker.MaxNLocator(max(1, int(1.5 * wide))))
+        drawing.set_label(ax.xaxis, drawing.label_of(picture[across], across))
+        drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
+        return mesh
+
+    def _draw_circle(self, picture: xr.Dataset, ax: Axes) -> Any:
+        """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
+        value = picture[self.name].transpose("theta", "r")
+        rim, turn, values = drawing.cells_of(value, self.shading)
+        rim = rim.clip(0)
+        across = rim * np.cos(turn[:, None])
+        up = rim * np.sin(turn[:, None])
+        mesh = ax.pcolormesh(across, up, values, **self.keywords)
+        if self.fastest > 0:
+            apart = 2 * rim[-1] / ARROWS
+            line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
+            x, y = (a.ravel() for a in np.meshgrid(line, line))
+            away = np.hypot(x, y)
+            angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+            inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
+            x, y, away, angle = (a[inside] for a in (x, y, away, angle))
+            places = {
+                "r": xr.DataArray(away, dims="arrow"),
+                "theta": xr.DataArray(angle, dims="arrow"),
+            }
+            nearest = picture.sel(places, method="nearest")
+            outward = nearest[f"{_ARROW}r"].to_numpy()
+            around = nearest[f"{_ARROW}theta"].to_numpy()
+            along = outward * np.cos(angle) - around * np.sin(angle)
+            rise = outward * np.sin(angle) + around * np.cos(angle)
+            self._draw_arrows(ax, x, y, along, rise, apart)
+        ax.set_aspect("equal")
+        unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
+        drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
+        drawing.set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
+        return mesh
+
+    def _draw_arrows(self, ax: Axes, x: Any, y: Any, along: Any, rise: Any, apart: float) -> None:
+        """Draw arrows; the longest are as long as their spacing, and slow places have none."""
+        moving = np.hypot(along, rise) >= AT_REST * self.fastest
+        ax.quiver(
+            x[moving],
+            y[moving],
+            along[moving],
+            rise[moving],
+            pivot="mid",
+            color="white",
+            edgecolor="black",
+            linewidth=0.5,
+            angles="xy",
+            scale_units="xy",
+            scale=self.fastest / apart,
+            width=0.006,
         )
-        _draw_arrows(ax, *np.meshgrid(some[across], some[up]), along, rise, fastest, apart)
-    ax.set_aspect("auto" if across == "theta" else "equal")
-    ax.apply_aspect()
-    wide = ax.get_window_extent().width / ax.figure.dpi
-    if wide < NARROW:
-        ax.xaxis.set_major_locator(
-            extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide)))
-        )
-    drawing.set_label(ax.xaxis, drawing.label_of(picture[across], across))
-    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
-    return mesh
 
 
-def _ratio(picture: xr.Dataset, axes: list[str]) -> float | None:
-    """Return height over width of a map; None of profiles and unrolled maps, which have any."""
-    if len(axes) == 1 or axes == ["theta", "z"]:
-        return None
-    if axes == ["r", "theta"]:
-        return 1.0
-    return drawing.ratio_of(picture[picture.attrs["drawn"]].transpose(*axes[::-1]))
-
-
-def _draw_circle(
-    picture: xr.Dataset,
-    value: xr.DataArray,
-    ax: Axes,
-    colours: Mapping[str, Any],
-    fastest: float,
-    shading: Shading,
-) -> Any:
-    """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
-    rim, turn, values = drawing.cells_of(value, shading)
-    rim = rim.clip(0)
-    mesh = ax.pcolormesh(
-        rim * np.cos(turn[:, None]),
-        rim * np.sin(turn[:, None]),
-        values,
-        **{"rasterized": shading == "smooth", **colours},
-    )
-    if fastest > 0:
-        apart = 2 * rim[-1] / ARROWS
-        line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
-        x, y = (a.ravel() for a in np.meshgrid(line, line))
-        away = np.hypot(x, y)
-        angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
-        inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
-        x, y, away, angle = (a[inside] for a in (x, y, away, angle))
-        there = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
-        outward, around = (
-            picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta")
-        )
-        along = outward * np.cos(angle) - around * np.sin(angle)
-        rise = outward * np.sin(angle) + around * np.cos(angle)
-        _draw_arrows(ax, x, y, along, rise, fastest, apart)
-    ax.set_aspect("equal")
-    unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
-    drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
-    drawing.set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
-    return mesh
-
-
-def _draw_arrows(
-    ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float
-) -> None:
-    """Draw arrows; the longest are as long as their spacing, and slow places have none."""
-    there = np.hypot(along, rise) >= AT_REST * fastest
-    ax.quiver(
-        x[there],
-        y[there],
-        along[there],
-        rise[there],
-        pivot="mid",
-        color="white",
-        edgecolor="black",
-        linewidth=0.5,
-        angles="xy",
-        scale_units="xy",
-        scale=fastest / apart,
-        width=0.006,
-    )
+def _fastest(picture: xr.Dataset) -> float:
+    """Return the speed whose arrow is as long as arrows are apart; 0 without arrows."""
+    parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
+    if not parts:
+        return 0.0
+    speeds = _known([np.hypot(*parts)])
+    if not speeds.size:
+        return 0.0
+    return float(np.percentile(speeds, FASTEST))
 
 
 def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray) -> None:
@@ -765,12 +814,13 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
 def _title(picture: xr.Dataset) -> str:
     """Return the time and the position of a slice, as text."""
     parts = []
-    for name in (
-        a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim
-    ):
+    names = ("time", "phase", *_AXES)
+    for name in [a for a in names if a in picture.coords and not picture[a].ndim]:
         value = picture[name].item()
         unit = drawing.unit_text(str(picture[name].attrs.get("units", "")))
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        text = str(value)
+        if isinstance(value, float):
+            text = f"{value:.4g}"
         if picture[name].attrs.get("long_name") == NUMBERED:
             name = "step"
             text = f"{value:.0f}"

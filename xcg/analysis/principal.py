@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_whole
+from xcg.common.checks import check, whole
 from xcg.common.messages import plain, unknown
 from xcg.fields.formulas.registry import OTHER_NAMES
 from xcg.scene.frame import step_at
 from xcg.scene.schema import COMPONENTS
+from xcg.steps.mapping import apply_along
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,28 +55,21 @@ def principal(f: xr.Dataset, field: str = "stress") -> xr.Dataset:
     ('time', 'z', 'principal')
     """
     tensor = _tensor_of(f, field)
-    values, axes = xr.apply_ufunc(
+    values, axes = apply_along(
         _values_and_axes,
         tensor,
-        input_core_dims=[_TENSOR],
-        output_core_dims=[["principal"], ["principal", "component"]],
+        along=[_TENSOR],
+        to=[["principal"], ["principal", "component"]],
+        sizes={"principal": 3, "component": 3},
         exclude_dims={"component"},
-        dask="parallelized",
-        output_dtypes=[float, float],
-        dask_gufunc_kwargs={
-            "output_sizes": {"principal": 3, "component": 3},
-            "allow_rechunk": True,
-        },
     )
     text = tensor.attrs.get("long_name", field)
-    about: dict[str, Any] = {"units": tensor.attrs.get("units", "1")}
-    about["long_name"] = f"principal values of the {text}, largest first"
-    along = {"units": "1", "long_name": f"principal directions of the {text}"}
+    values.attrs["units"] = tensor.attrs.get("units", "1")
+    values.attrs["long_name"] = f"principal values of the {text}, largest first"
+    axes.attrs["units"] = "1"
+    axes.attrs["long_name"] = f"principal directions of the {text}"
     return xr.Dataset(
-        {
-            f"{field}_principal": values.assign_attrs(about),
-            f"{field}_axes": axes.assign_attrs(along),
-        },
+        {f"{field}_principal": values, f"{field}_axes": axes},
         {"principal": [1, 2, 3], "component": f["component"]},
         f.attrs,
     )
@@ -153,8 +147,7 @@ def plot_principal(
     from matplotlib.colors import is_color_like
     from matplotlib.pyplot import subplots
 
-    if not is_whole(every, 1):
-        raise ValueError(f"every={plain(every)}: expected a number of nodes, 1 for all of them")
+    check("every", every, whole(1), hint=", 1 for all nodes")
     if not is_color_like(color):
         raise ValueError(f"color={plain(color)}: expected a colour of matplotlib, such as 'black'")
     f = step_at(f, index)
@@ -164,7 +157,9 @@ def plot_principal(
     if "phase" in f.dims:
         f = f.sel(phase="bulk")
     of_plane = dict.fromkeys(_TENSOR, plane)
-    tensor = _tensor_of(f, field).sel(of_plane).isel({a: slice(None, None, every) for a in plane})
+    tensor = (
+        _tensor_of(f, field).sel(of_plane).isel({a: slice(None, None, int(every)) for a in plane})
+    )
     tensor = tensor.transpose(*plane, *_TENSOR).compute()
     values, axes = _values_and_axes(tensor.to_numpy())
     x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")

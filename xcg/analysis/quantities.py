@@ -71,7 +71,9 @@ TENSOR = ("component", "direction")
 
 def ratio(a: Any, b: float) -> Any:
     """Return a / b, NaN where b is not positive."""
-    return a / b if b > 0 else np.full(np.shape(a), np.nan)
+    if b > 0:
+        return a / b
+    return np.full(np.shape(a), np.nan)
 
 
 def _mechanical(s: Any) -> float:
@@ -89,14 +91,13 @@ def _mean_force(force: str, s: Any) -> float:
 
 
 def _force_pdf(force: str, s: Any) -> NDArray:
-    contacts = s.pushing.sum() if _mean_force(force, s) > 0 else 0.0
+    contacts = s.pushing.sum() * (_mean_force(force, s) > 0)
     return ratio(_force_count(force, s), contacts) / np.diff(s.force_bins)
 
 
 def _force_count(force: str, s: Any) -> NDArray:
-    return np.histogram(
-        ratio(getattr(s, force), _mean_force(force, s)), s.force_bins, weights=s.pushing
-    )[0]
+    ratios = ratio(getattr(s, force), _mean_force(force, s))
+    return np.histogram(ratios, s.force_bins, weights=s.pushing)[0]
 
 
 def _fabric(s: Any) -> NDArray:
@@ -105,9 +106,9 @@ def _fabric(s: Any) -> NDArray:
 
 
 def _percolation(s: Any) -> NDArray:
-    found = np.full(3, np.nan)
-    found[s.plane] = s.clusters.spans[s.plane]
-    return found
+    reaches = np.full(3, np.nan)
+    reaches[s.plane] = s.clusters.spans[s.plane]
+    return reaches
 
 
 def _plane(tensor: NDArray, s: Any) -> NDArray:
@@ -124,14 +125,12 @@ def _norm(tensor: NDArray) -> float:
 
 
 def _anisotropy(s: Any) -> float:
-    fabric = _deviator(_plane(_fabric(s), s))
+    fabric = _norm(_deviator(_plane(_fabric(s), s)))
     # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in
     # a plane
-    return (
-        np.sqrt(3 / 2) * 7.5 * _norm(fabric)
-        if len(s.plane) == 3
-        else np.sqrt(0.5) * 4 * _norm(fabric)
-    )
+    if len(s.plane) == 3:
+        return np.sqrt(3 / 2) * 7.5 * fabric
+    return np.sqrt(0.5) * 4 * fabric
 
 
 def _stress(s: Any) -> NDArray:
@@ -143,25 +142,25 @@ def _mean_stress(s: Any) -> float:
 
 
 def _deviator_stress(s: Any) -> float:
-    return np.sqrt(3 / 2 if len(s.plane) == 3 else 2) * _norm(_deviator(_plane(_stress(s), s)))
+    factor = {3: 3 / 2, 2: 2}[len(s.plane)]
+    return np.sqrt(factor) * _norm(_deviator(_plane(_stress(s), s)))
 
 
 def _velocity_rate(s: Any) -> float:
     """Deviatoric strain rate of the affine flow that fits the velocities best."""
-    x, v = s.position[:, s.plane], s.velocity[:, s.plane]
-    if len(x) <= len(s.plane):
+    if s.count <= len(s.plane):
         return np.nan
-    away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
+    x = s.position[:, s.plane]
+    away = x - x.mean(axis=0)
+    v = s.velocity[:, s.plane]
+    relative = v - v.mean(axis=0)
     # LAPACK would not come to an end
     if not (np.isfinite(away).all() and np.isfinite(relative).all()):
         return np.nan
     gradient = np.linalg.lstsq(away, relative, rcond=None)[0].T
     rate = _deviator((gradient + gradient.T) / 2)
-    return np.sqrt(2 / 3 if len(rate) == 3 else 2) * _norm(rate)
-
-
-def _d_max(s: Any) -> float:
-    return float(s.diameter.max()) if s.count else np.nan
+    factor = {3: 2 / 3, 2: 2}[len(rate)]
+    return np.sqrt(factor) * _norm(rate)
 
 
 def _d50(s: Any) -> float:
@@ -178,7 +177,9 @@ def _d_bar(s: Any) -> float:
 
 
 def _of_mixture(method: str, s: Any) -> float:
-    return getattr(s.mixture, method)(s.which) if len(s.mixture.phase) else np.nan
+    if not len(s.mixture.phase):
+        return np.nan
+    return getattr(s.mixture, method)(s.which)
 
 
 def _centre_of_mass(s: Any) -> NDArray:
@@ -189,9 +190,8 @@ def _centre_of_mass(s: Any) -> NDArray:
 
 def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
     compute = partial(_of_mixture, method)
-    return PackingQuantity(
-        long_name, formula, compute, needs=("diameter", "volume"), of_phases=True
-    )
+    needs = ("diameter", "volume")
+    return PackingQuantity(long_name, formula, compute, needs=needs, of_phases=True)
 
 
 def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
@@ -323,7 +323,13 @@ QUANTITIES: dict[str, PackingQuantity] = {
         lambda s: ratio(_deviator_stress(s), _mean_stress(s)),
         needs=FORCES,
     ),
-    "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, units="m", needs=("diameter",)),
+    "d_max": PackingQuantity(
+        "largest diameter",
+        "max d_i",
+        lambda s: max(s.diameter, default=np.nan),
+        units="m",
+        needs=("diameter",),
+    ),
     "d50": PackingQuantity(
         "diameter below which half of the volume lies",
         "d50",

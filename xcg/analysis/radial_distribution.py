@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.pairs import cells_of
 from xcg.analysis.samples import Bounds, images_in
-from xcg.common.checks import is_positive, is_whole, rising_pair
+from xcg.common.checks import POSITIVE, check, rising_pair, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
-from xcg.scene.frame import check_finite, phase_of, without_frozen
+from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
-from xcg.steps.analysis import FrameAnalysis, run
+from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import phases_of
+from xcg.steps.labels import annotated
 
 HALF_BOX = 1 + 1e-12  # share of half a period that distances may reach
 
@@ -137,7 +138,7 @@ def radial_distribution(
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadialDistribution(FrameAnalysis):
+class RadialDistribution(PhaseAnalysis):
     """Radial distribution of a step, see `radial_distribution`."""
 
     name = "radial_distribution"
@@ -148,31 +149,25 @@ class RadialDistribution(FrameAnalysis):
     axis: str | None = None
     angles: int = 18
     bounds: Bounds | None = None
-    by: str | None = None
-    groups: Sequence[int] | None = None
-    plane: str = field(default="xyz", repr=False)
-    periodic: str = field(default="", repr=False)
 
     def prepare(self, scene: Description) -> Self:
-        """Check the options, and find groups and axes."""
-        plane = scene.setup.plane
-        if not is_positive(self.r_max):
-            raise ValueError(f"r_max={plain(self.r_max)}: expected a positive distance (m)")
-        for name in ("bins", "angles"):
-            if not is_whole(getattr(self, name), 1, 1e7):
-                given = plain(getattr(self, name))
-                raise ValueError(f"{name}={given}: expected a whole number of at least 1")
-        turning = COMPONENTS if len(plane) == 3 else set(COMPONENTS) - set(plane)
-        if self.axis is not None and self.axis not in [*turning]:
+        """Check the options, and find groups."""
+        plane = self.setup.plane
+        check("r_max", self.r_max, POSITIVE, "m")
+        check("bins", self.bins, whole(1, 1e7))
+        check("angles", self.angles, whole(1, 1e7))
+        # of a layer only that across it
+        turning = [a for a in COMPONENTS if len(plane) == 3 or a not in plane]
+        if self.axis is not None and self.axis not in turning:
             raise ValueError(f"axis={self.axis!r}: expected one of {', '.join(turning)}")
-        bounds = {} if self.bounds is None else self.bounds
+        bounds = self.bounds or {}
         if not isinstance(bounds, Mapping) or not bounds.keys() <= set(plane):
             raise ValueError(
                 f"bounds={plain(bounds)}: expected (low, high) for axes of the scene "
                 f"({', '.join(plane)}), for example {{{plane[-1]!r}: (0.0, 0.1)}}"
             )
         bounds = {a: rising_pair(f"bounds[{a!r}]", ends) for a, ends in bounds.items()}
-        if is_open := [a for a in plane if a not in scene.setup.periodic and a not in bounds]:
+        if is_open := [a for a in plane if a not in self.setup.periodic and a not in bounds]:
             missing = ", ".join(f"{a!r}: (low, high)" for a in is_open)
             extent = ""
             if scene.corners is not None:
@@ -183,24 +178,15 @@ class RadialDistribution(FrameAnalysis):
                 f"{self.name}: not periodic along {', '.join(is_open)}: give the part that "
                 f"particles fill, bounds={{{missing}}}{extent}"
             )
-        return replace(
-            self,
-            bounds=bounds,
-            groups=scene.groups(self.by, self.groups),
-            plane=plane,
-            periodic="".join(a for a in plane if a in scene.setup.periodic and a not in bounds),
-        )
+        return replace(super().prepare(scene), bounds=bounds)
 
     def reads(self, scene: Description) -> list[str]:
-        """Return position, and what sizes, phases and frozen particles are known by."""
-        read = ["position", "frozen"] if "frozen" in scene.columns else ["position"]
-        if self.scaled:
-            read.append("diameter")
-        return read if self.by is None else [*read, self.by]
+        """Return positions, groups, and sizes if distances are scaled by them."""
+        return [*super().reads(scene), *(["diameter"] * self.scaled)]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return g(r) and numbers of pairs."""
-        dims = ("phase", "other_phase") if self.by is not None else ()
+        dims = self.dims_of_pairs
         if self.axis is not None:
             dims = (*dims, "theta")
         dims = (*dims, "r")
@@ -214,43 +200,37 @@ class RadialDistribution(FrameAnalysis):
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return phases, and the middle of the bins of angle and distance."""
-        coords = {}
-        if self.by is not None:
-            phase = phases_of(self.by, self.groups or ())
-            coords["phase"] = phase
-            coords["other_phase"] = xr.Variable("other_phase", phase, phase.attrs)
-        if self.axis is not None:
-            theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles
-            about = {"units": "rad", "long_name": f"angle of the pair about {self.axis}"}
-            coords["theta"] = xr.Variable("theta", theta, about)
+        coords = super().coords(scene)
+        theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles
+        coords["theta"] = annotated("theta", theta, "rad", f"angle of the pair about {self.axis}")
         r = self.r_max * (np.arange(self.bins) + 0.5) / self.bins
-        unit = "1" if self.scaled else units_in("m", scene.setup.unit_system)
-        text = "distance over mean diameter" if self.scaled else "distance"
-        coords["r"] = xr.Variable("r", r, {"units": unit, "long_name": text})
+        coords["r"] = annotated("r", r, units_in("m", self.setup.unit_system), "distance")
+        if self.scaled:
+            coords["r"] = annotated("r", r, "1", "distance over mean diameter")
         return coords
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Compute g(r) of a step."""
         counts, expected = self.pairs(frame, lattice, source)
         g = np.divide(counts, expected, out=np.full(counts.shape, np.nan), where=expected > 0)
-        dims = [length for length in counts.shape[:2] if self.by is not None]
-        dims += [self.angles] if self.axis is not None else []
-        shape = (*dims, self.bins)
-        return {"radial_distribution": g.reshape(shape), "pair_count": counts.reshape(shape)}
+        results = {"radial_distribution": g, "pair_count": counts}
+        if self.axis is None:
+            results = {name: values[:, :, 0] for name, values in results.items()}
+        return {name: self.of_pairs(values) for name, values in results.items()}
 
     def pairs(self, frame: Frame, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Count pairs, and compute their expected numbers: (phases, phases, angles, bins)."""
-        frame = without_frozen(frame)
+        frame, group = self.moving(frame, source)
         check_finite("position", frame, source)
         position, inside = images_in(self.bounds or {}, frame["position"], lattice, source)
-        in_plane = np.isin([*COMPONENTS], [*self.plane])
+        in_plane = np.isin(np.arange(3), self.setup.axes)
         position = np.where(in_plane, position[inside], 0.0)
         if len(position) < 2:
             raise SceneError(
                 f"{source}: {self.name} needs two particles, and the region holds {len(position)}; "
                 "take wider bounds, or leave this step out by on_error='skip'"
             )
-        group = phase_of(frame, self.by, self.groups or (), source)[inside]
+        group = group[inside]
         # distances are counted in units of the sum of two radii, which are half a metre unless
         # they are those of the particles
         radius = np.full(len(position), 0.5)
@@ -262,19 +242,18 @@ class RadialDistribution(FrameAnalysis):
                     f"{source}: {self.name} divides distances by diameters, and all diameters are "
                     "zero; assign those of the particles"
                 )
-        region = self._region(lattice, in_plane, 2 * float(radius.max()), source)
+        region = self._region(lattice, 2 * float(radius.max()), source)
         counts = self._counted(position, radius, group, region, source)
-        expected = self._expected(radius, group, region)
         counts = counts + counts.swapaxes(0, 1)
-        if self.by is None:
-            return counts, expected
-        return _with_bulk(counts), _with_bulk(expected)
+        expected = self._expected(radius, group, region)
+        counts = self.with_bulk(self.with_bulk(counts), axis=1)
+        return counts, self.with_bulk(self.with_bulk(expected), axis=1)
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:
         """Numbers of groups (twice), angles and bins."""
-        groups = max(1, len(self.groups or ()))
-        return groups, groups, 1 if self.axis is None else self.angles, self.bins
+        angles = 1 if self.axis is None else self.angles
+        return self.phase_count, self.phase_count, angles, self.bins
 
     @property
     def _lengths(self) -> dict[int, float]:
@@ -285,32 +264,33 @@ class RadialDistribution(FrameAnalysis):
     @property
     def _turning(self) -> tuple[int, int, int]:
         """Numbers of the axis that directions are about, and of the two others."""
-        (default,) = set(COMPONENTS) - set(self.plane) or "z"
+        (default,) = set(COMPONENTS) - set(self.setup.plane) or "z"
         axis = COMPONENTS.index(self.axis or default)
         first, second = (k for k in range(3) if k != axis)
         return axis, first, second
 
-    def _region(self, lattice: Lattice, in_plane: NDArray, largest: float, source: str) -> Lattice:
+    def _region(self, lattice: Lattice, largest: float, source: str) -> Lattice:
         """Return the images of the region along its periodic axes; check that r_max fits into it."""
+        setup = self.setup
+        bounds = self.bounds or {}
+        periodic = "".join(a for a in setup.plane if a in setup.periodic and a not in bounds)
         box = {"box": lattice.edges, "lattice": lattice.cell}
-        region = Lattice.of(
-            {name: values for name, values in box.items() if values is not None},
-            self.periodic,
-            source,
-        )
-        removed = ~np.isin([*COMPONENTS], [*self.periodic])
-        if np.abs(region.basis[:, removed]).max(initial=0.0) > 1e-9 * np.abs(region.basis).max(
-            initial=0.0
-        ):
+        known = {name: values for name, values in box.items() if values is not None}
+        region = Lattice.of(known, periodic, source)
+        lengths = np.abs(region.basis)
+        removed = ~np.isin([*COMPONENTS], [*periodic])
+        if lengths[:, removed].max(initial=0.0) > 1e-9 * lengths.max(initial=0.0):
             raise SceneError(
-                f"{source}: the box is tilted, so that its images along {self.periodic!r} are "
+                f"{source}: the box is tilted, so that its images along {periodic!r} are "
                 "shifted across the region; bound other axes, or none"
             )
         reach = self.r_max * largest
         distance, along = region.closest
         widest = min([distance / 2, *self._lengths.values()])
         if reach > widest * HALF_BOX:
-            limit = f"{distance:g} {along}" if distance / 2 == widest else f"{widest:g} of bounds"
+            limit = f"{distance:g} {along}"
+            if widest < distance / 2:
+                limit = f"{widest:g} of bounds"
             most = widest / largest
             raise SceneError(
                 f"{source}: r_max={self.r_max:g} is beyond half the distance to the nearest image, "
@@ -327,16 +307,18 @@ class RadialDistribution(FrameAnalysis):
             position, self.r_max * radius, region, threads=workers, source=source
         )
         particle = whose[lists.row]
-        is_original = lists.row < len(position) if region.vectors is not None else None
+        images = None
+        is_original = None
+        if region.vectors is not None:
+            images = particle
+            is_original = lists.row < len(position)
         across = None
         if self.axis is not None:
-            _, first, second = self._turning
-            across = np.array([lists.axes.index(first), lists.axes.index(second)])
+            across = np.array([lists.axes.index(k) for k in self._turning[1:]])
         of_record = group[particle]
 
         def count(first: int, last: int) -> NDArray:
             counts = np.zeros(self._shape, "int64")
-            images = None if is_original is None else particle
             lists.count(first, last, of_record, images, is_original, across, counts)
             return counts
 
@@ -345,11 +327,10 @@ class RadialDistribution(FrameAnalysis):
     def _expected(self, radius: NDArray, group: NDArray, region: Lattice) -> NDArray:
         """Compute the mean number of pairs of particles that are anywhere in the region."""
         groups, _, angles, bins = self._shape
-        in_plane = [COMPONENTS.index(a) for a in self.plane]
         sides = [length * np.eye(3)[k] for k, length in self._lengths.items()]
-        vectors = np.concatenate([region.basis, np.reshape(sides, (-1, 3))])[:, in_plane]
-        volume = abs(np.linalg.det(vectors))
-        dimension = len(self.plane)
+        vectors = np.concatenate([region.basis, np.reshape(sides, (-1, 3))])
+        volume = abs(np.linalg.det(vectors[:, self.setup.axes]))
+        dimension = self.setup.dimension
         # over pairs of different particles, sums of powers of the sum of their radii
         powers = [np.bincount(group, radius**n, minlength=groups) for n in range(2 * dimension + 1)]
 
@@ -381,19 +362,13 @@ class RadialDistribution(FrameAnalysis):
         sines = inverse[second] * np.diff(1 - np.cos(turn)) / step
         square = np.where(is_late, 1 - sine**2 / 2, sine**2 / 2)
         both = inverse[first] * inverse[second] * np.diff(square) / step
-        one = np.ones(angles)
-        if len(self.plane) == 2:
-            return [one, -(cosines + sines), both]
+        ones = np.ones(angles)
+        if self.setup.dimension == 2:
+            return [ones, -(cosines + sines), both]
         along = inverse[axis]
         return [
-            one,
+            ones,
             -(np.pi / 4 * (cosines + sines) + along / 2),
             2 / 3 * both + along / 3 * (cosines + sines),
             -along / 4 * both,
         ]
-
-
-def _with_bulk(groups: NDArray) -> NDArray:
-    """Add sums over all groups as the first of them, along the first two axes."""
-    rows = np.concatenate([groups.sum(axis=0, keepdims=True), groups])
-    return np.concatenate([rows.sum(axis=1, keepdims=True), rows], axis=1)

@@ -43,16 +43,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.network import Clusters
+from xcg.analysis.pairs import other_rows
 from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description
-from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame, Setup, Variable
-from xcg.steps.analysis import FrameAnalysis
-from xcg.steps.labels import phases_of
+from xcg.scene.schema import COMPONENTS, Frame, Variable
+from xcg.steps.labels import annotated
 
 Bounds = Mapping[str, Sequence[float]]
 
@@ -64,7 +64,7 @@ NOISY = 0.1  # scatter of Lacey's index in a random mixture from which a warning
 
 
 @dataclass(frozen=True, eq=False)
-class Measure(FrameAnalysis):
+class Measure(PhaseAnalysis):
     """Quantities of each step, by region and phase.
 
     Attributes
@@ -74,8 +74,6 @@ class Measure(FrameAnalysis):
     regions : mapping
         Bounds by name of the region; the name is empty where there is one region only, and no
         bounds mean the whole scene.
-    groups : tuple of int
-        Values of `by`; empty without phases.
     depth : float or str or None
         Thickness of a one-layer scene (m), or the axis whose box extent it is.
     axis : str
@@ -85,10 +83,7 @@ class Measure(FrameAnalysis):
     name = "microstructure"
 
     names: tuple[str, ...]
-    setup: Setup
     regions: Mapping[str, Bounds]
-    by: str | None
-    groups: tuple[int, ...]
     depth: float | str | None
     min_contacts: int
     iterative: bool
@@ -106,72 +101,77 @@ class Measure(FrameAnalysis):
 
     def reads(self, scene: Description) -> list[str]:
         """Return what the quantities need, what groups follow from, and normals if there are any."""
-        read = self.needs | {"position", "frozen", self.by}
+        read = self.needs | {"position", self.by}
         if self.needs & set(CONTACTS):
             read.add("contact_normal")
         return [name for name in scene.columns if name in read]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the quantities by region and phase, as far as there are several."""
-        dims = ["region"] if "" not in self.regions else []
-        if self.by is not None:
-            dims.append("phase")
         rows = {}
         for name in self.names:
             row = QUANTITIES[name]
-            rows[name] = Variable((*dims, *row.dims), row.units, row.long_name, formula=row.formula)
+            dims = (*self._lengths, *row.dims)
+            rows[name] = Variable(dims, row.units, row.long_name, formula=row.formula)
         return rows
+
+    @property
+    def _lengths(self) -> dict[str, int]:
+        """Numbers of regions and phases, as far as these are dimensions of the results."""
+        lengths = {}
+        if "" not in self.regions:
+            lengths["region"] = len(self.regions)
+        if self.by is not None:
+            lengths["phase"] = 1 + self.phase_count
+        return lengths
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return regions, phases, and the bins of distributions."""
         bins = self.force_bins
-        middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
+        middle = (bins[1:] + bins[:-1]) / 2
+        if bins[0] > 0:
+            middle = np.sqrt(bins[1:] * bins[:-1])
         counts = np.arange(self.max_connectivity + 1)
-        of_counts = {"long_name": "number of contact partners", "units": "1"}
-        of_bins = {"long_name": "force over its mean", "units": "1"}
-        of_widths = {"long_name": "width of the bin", "units": "1"}
-        coords = {
-            "partners": xr.Variable("partners", counts, of_counts),
-            "force_ratio": xr.Variable("force_ratio", middle, of_bins),
-            "force_ratio_width": xr.Variable("force_ratio", np.diff(bins), of_widths),
+        return super().coords(scene) | {
+            "partners": annotated("partners", counts, "1", "number of contact partners"),
+            "force_ratio": annotated("force_ratio", middle, "1", "force over its mean"),
+            "force_ratio_width": annotated("force_ratio", np.diff(bins), "1", "width of the bin"),
             "region": xr.Variable("region", list(self.regions)),
-            "phase": phases_of(self.by, self.groups),
         }
-        used = {dim for row in self.rows(scene).values() for dim in row.dims}
-        return {name: coord for name, coord in coords.items() if coord.dims[0] in used}
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the quantities of one step."""
-        frame = without_frozen(frame)
-        contacts = Contacts.of(frame, lattice, source) if "contact_i" in frame else None
-        shared = _shared(self, frame, contacts)
-        phase = phase_of(frame, self.by, self.groups, source)
+        frame, phase = self.moving(frame, source)
+        contacts = None
+        if "contact_i" in frame:
+            contacts = Contacts.of(frame, lattice, source)
+        shared = _shared(self, contacts)
         samples = []
         for bounds in self.regions.values():
             position, inside = images_in(bounds, frame["position"], lattice, source)
-            volume = self._volume(bounds, lattice.edges)
+            volume = self._volume(bounds, lattice)
             images = frame | {"position": position}
             if "velocity" in frame:
                 drift = lattice.drift(position - frame["position"])
                 images["velocity"] = frame["velocity"] + drift
             mixture = self._mixture(bounds, lattice, images, inside, phase, source)
-            for p in range(1 + len(self.groups)):
-                member = inside if p == 0 else inside & (phase == p - 1)
+            members = [inside]
+            if self.by is not None:
+                members += [inside & (phase == p) for p in range(self.phase_count)]
+            for which, member in enumerate(members):
                 sample = _sample(self, images, contacts, shared, member, volume)
                 sample.mixture = mixture
-                sample.which = p
+                sample.which = which
                 sample.is_endless = [
                     a in self.setup.periodic and a not in bounds for a in COMPONENTS
                 ]
                 samples.append(sample)
-        lengths = [] if "" in self.regions else [len(self.regions)]
-        if self.by is not None:
-            lengths.append(1 + len(self.groups))
-        found = {}
+        shape = self._lengths.values()
+        results = {}
         for name in self.names:
             values = np.array([QUANTITIES[name].compute(sample) for sample in samples], float)
-            found[name] = values.reshape((*lengths, *values.shape[1:]))
-        return found
+            results[name] = values.reshape((*shape, *values.shape[1:]))
+        return results
 
     def _mixture(
         self,
@@ -190,52 +190,66 @@ class Measure(FrameAnalysis):
             return None
         position = frame["position"][inside]
         size = frame["diameter"][inside]
-        axes = [COMPONENTS.index(a) for a in self.setup.plane]
+        axes = self.setup.axes
         x = position[:, axes]
-        edges = np.full((3, 2), np.nan) if lattice.edges is None else lattice.edges
-        lower, upper = np.array([bounds.get(COMPONENTS[k], edges[k]) for k in axes], float).T
+        ends = _ends(bounds, lattice)
+        lower, upper = np.array([ends[a] for a in self.setup.plane], float).T
         if len(x):
             lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
             upper = np.where(np.isfinite(upper), upper, x.max(axis=0))
         lengths = np.where(upper > lower, upper - lower, 1.0)
         whole = np.isclose(lengths, lattice.lengths[axes], rtol=1e-9)
 
-        def images(reach: float) -> tuple[NDArray, NDArray]:
-            low, high = position.min(axis=0), position.max(axis=0)
-            low[axes] = np.minimum(low[axes], lower) - np.where(whole, reach, 0.0)
-            high[axes] = np.maximum(high[axes], upper) + np.where(whole, reach, 0.0)
+        def images_within(reach: float) -> tuple[NDArray, NDArray]:
+            low = position.min(axis=0)
+            high = position.max(axis=0)
+            margin = np.where(whole, reach, 0.0)
+            low[axes] = np.minimum(low[axes], lower) - margin
+            high[axes] = np.maximum(high[axes], upper) + margin
             row, shift, _ = lattice.images(position, low, high, source)
             return row, (position[row] + shift)[:, axes] - lower
 
+        images = None
+        if lattice.vectors is not None:
+            images = images_within
         cell = self.cell or CELL * float(ratio((size**4).sum(), (size**3).sum()))
-        of_axes = cell if isinstance(cell, Mapping) else dict.fromkeys(self.setup.plane, cell)
+        if not isinstance(cell, Mapping):
+            cell = dict.fromkeys(self.setup.plane, cell)
+        weight = np.ones(len(x))
+        if self.by_volume:
+            weight = frame["volume"][inside]
         return Mixture(
             position=x - lower,
             phase=phase[inside],
-            weight=frame["volume"][inside] if self.by_volume else np.ones(len(x)),
+            weight=weight,
             lengths=lengths,
             wraps=whole,
-            cell=np.array([of_axes.get(a, np.inf) for a in self.setup.plane], float),
+            cell=np.array([cell.get(a, np.inf) for a in self.setup.plane], float),
             neighbours=self.neighbours,
             height=x[:, self.setup.plane.index(self.axis)],
             volume=frame["volume"][inside],
-            images=None if lattice.vectors is None else images,
+            images=images,
         )
 
-    def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
+    def _volume(self, bounds: Bounds, lattice: Lattice) -> float:
         """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
-        edges = np.full((3, 2), np.nan) if box is None else box
-        axes = self.setup.plane
-        thickness = 1.0
+        ends = _ends(bounds, lattice)
+        volume = 1.0
+        for axis in self.setup.plane:
+            volume *= ends[axis][1] - ends[axis][0]
         if isinstance(self.depth, str):
-            axes += self.depth
+            volume *= lattice.length(self.depth)
         elif self.depth is not None:
-            thickness = self.depth
-        lengths = []
-        for axis in axes:
-            low, high = bounds.get(axis, edges[COMPONENTS.index(axis)])
-            lengths.append(high - low if np.isfinite(high - low) else np.nan)
-        return float(np.prod(lengths)) * thickness
+            volume *= self.depth
+        return float(volume) if np.isfinite(volume) else np.nan
+
+
+def _ends(bounds: Bounds, lattice: Lattice) -> Bounds:
+    """Return lower and upper end of a region along each axis (m): its bounds, or the box; NaN for neither."""
+    edges = lattice.edges
+    if edges is None:
+        edges = np.full((3, 2), np.nan)
+    return {**dict(zip(COMPONENTS, edges, strict=True)), **bounds}
 
 
 def images_in(
@@ -245,8 +259,7 @@ def images_in(
 
     Along periodic axes, images begin at the bounds, or else at the box.
     """
-    corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
-    first = corner.copy()
+    first = lattice.corner.copy()
     for k, axis in enumerate(COMPONENTS):
         if axis in bounds:
             first[k], high = bounds[axis]
@@ -258,7 +271,7 @@ def images_in(
                     f"narrower bounds, or none along {axis!r} for the whole period"
                 )
     # into the box first: grains there keep their rounding if the bounds are in the box, too
-    position = lattice.wrapped(position, corner, source)
+    position = lattice.wrapped(position, lattice.corner, source)
     position = lattice.wrapped(position, first, source)
     inside = np.ones(len(position), bool)
     for k, axis in enumerate(COMPONENTS):
@@ -267,7 +280,7 @@ def images_in(
     return position, inside
 
 
-def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> SimpleNamespace:
+def _shared(measure: Measure, contacts: Contacts | None) -> SimpleNamespace:
     """Return partners, rattlers, forces and virials of a frame, which all its groups share."""
     if contacts is None:
         return SimpleNamespace()
@@ -277,9 +290,12 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     tangential[~(tangential > _ROUNDING * total)] = 0.0
     virial_i = contacts.force[:, :, None] * contacts.branch_i[:, None, :]
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
+    backbone = contacts.partners >= least
+    if measure.iterative:
+        backbone = contacts.k_core(least)
     return SimpleNamespace(
         partners=contacts.partners,
-        backbone=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
+        backbone=backbone,
         normal_force=contacts.normal_force,
         tangential_force=tangential,
         virial=contacts.sum_over_particles(virial_i, virial_j),
@@ -302,7 +318,7 @@ def _sample(
     sample = SimpleNamespace(
         count=int(member.sum()),
         region_volume=volume,
-        plane=[COMPONENTS.index(a) for a in measure.setup.plane],
+        plane=measure.setup.axes,
         min_contacts=measure.min_contacts,
         max_connectivity=measure.max_connectivity,
         force_bins=measure.force_bins,
@@ -389,8 +405,10 @@ class Mixture:
         """
         if which == 0:
             return self.phase == np.unique(self.phase)[:, None]
-        in_phase = (self.phase == which - 1)[None]
-        return np.concatenate([in_phase, ~in_phase]) if rest else in_phase
+        in_phase = self.phase == which - 1
+        if rest:
+            return np.stack([in_phase, ~in_phase])
+        return in_phase[None]
 
     def shares(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return W_k / W (k,), c_ka (parts, k) and p_a (parts,)."""
@@ -434,7 +452,7 @@ class Mixture:
         """
         count = len(self.phase)
         apart = self.segregated_variance(which)
-        cells = self.cells.max() + 1 if count else 0
+        cells = self.cells.max(initial=-1) + 1
         if count > 1 and len(np.unique(self.phase)) == 1:
             warn_once(
                 "one phase",
@@ -504,7 +522,9 @@ class Mixture:
         if which == 0 or not members.any() or members.all():
             return math.nan
         apart = self._rise(members * self.volume)
-        order = np.argsort(self.height if apart < 0 else -self.height)
+        order = np.argsort(-self.height)
+        if apart < 0:
+            order = np.argsort(self.height)
         volume = self.volume[order]
         # the outermost places that the phase fills, the last of them in part
         left = self.volume[members].sum() - (np.cumsum(volume) - volume)
@@ -534,10 +554,7 @@ class Mixture:
         else:
             tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
             near = np.asarray(tree.query(self.position, count + 1)[1])
-            is_itself = near == np.arange(len(near))[:, None]
-            # coincident grains may push the grain itself out of the list
-            is_itself[~is_itself.any(axis=1), -1] = True
-            others = near[~is_itself].reshape(len(near), count)
+            others = other_rows(near, np.arange(len(near)))
         return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
 
     def neighbour_index(self, which: int) -> float:

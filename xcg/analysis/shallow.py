@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite, is_positive
+from xcg.common.checks import POSITIVE, between, check
 from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
@@ -20,7 +19,8 @@ from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import call_of, format_call, labelled, provenance
+from xcg.steps.mapping import apply_along
 
 
 def free_surface(
@@ -72,36 +72,32 @@ def free_surface(
     if axis not in f[field].dims:
         axes = [a for a in COMPONENTS if a in f.dims]
         raise ValueError(f"free_surface({axis!r}): the result has the axes {axes}")
-    if not (is_finite(share) and 0 < share < 1):
-        raise ValueError(
-            f"share={share!r}: expected a share of the bulk value between 0 and 1, such as 0.5"
-        )
+    check("share", share, between(0, 1), hint=", such as 0.5")
     values = f[field].sortby(axis)
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
-    crossings = xr.apply_ufunc(
-        partial(_crossings, z=values[axis].to_numpy()),
-        values.chunk({axis: -1}) if values.chunks else values,
+    crossings = apply_along(
+        _crossings,
+        values,
         share * bulk,
-        input_core_dims=[[axis], []],
-        output_core_dims=[["end"]],
-        dask="parallelized",
-        output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"end": 2}},
+        along=[[axis], []],
+        to=[["end"]],
+        sizes={"end": 2},
+        kwargs={"z": values[axis].to_numpy()},
     )
     attrs = {"units": f[axis].attrs.get("units", "m"), "surface_axis": axis}
     if "cutoff" in f.attrs:
         attrs["cutoff"] = f.attrs["cutoff"]
     where = f"along {axis}, where {field} is {share:g} of its bulk value"
-    height = crossings.isel(end=1).drop_attrs(deep=False)
-    height.attrs = attrs | {"long_name": f"free surface {where}"}
-    base = crossings.isel(end=0).drop_attrs(deep=False)
-    base.attrs = attrs | {"long_name": f"base {where}"}
+    data = {}
+    for end, (name, text) in enumerate({"base": "base", "height": "free surface"}.items()):
+        data[name] = crossings.isel(end=end).drop_attrs(deep=False)
+        data[name].attrs = attrs | {"long_name": f"{text} {where}"}
     call = format_call("free_surface", {"axis": axis, "share": share, "field": field})
     of_result = f.attrs | provenance(f, call) | {"surface_axis": axis}
-    return xr.Dataset({"height": height, "base": base}, attrs=of_result)
+    return xr.Dataset(data, attrs=of_result)[["height", "base"]]
 
 
 def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
@@ -158,11 +154,13 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     >>> round(float(fit_slope(xr.DataArray(0.5 - 0.3 * x, {"x": x})).angle), 6)
     16.699244
     """
-    if isinstance(surface, xr.Dataset) and "height" not in surface:
-        raise ValueError(
-            "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
-        )
-    height = surface["height"] if isinstance(surface, xr.Dataset) else surface
+    height: Any = surface
+    if isinstance(surface, xr.Dataset):
+        if "height" not in surface:
+            raise ValueError(
+                "fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields"
+            )
+        height = surface["height"]
     facts = with_facts(height.to_dataset(name="height").assign_attrs(surface.attrs))
     facts = facts.assign_attrs(height.attrs)
     if isinstance(surface, xr.Dataset):
@@ -175,14 +173,13 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     places = np.stack([grid.ravel() for grid in grids], axis=1)
     support = 2 * float(np.max(facts.attrs.get("cutoff", 0.0)))
     count = len(axes)
-    fit = xr.apply_ufunc(
-        partial(_fitted, places=places, shared=nodes_a_support(height, axes, support)),
-        height.chunk(dict.fromkeys(axes, -1)) if height.chunks else height,
-        input_core_dims=[axes],
-        output_core_dims=[["number"]],
-        dask="parallelized",
-        output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {"number": 2 * count + 3}},
+    fit = apply_along(
+        _fitted,
+        height,
+        along=[axes],
+        to=[["number"]],
+        sizes={"number": 2 * count + 3},
+        kwargs={"places": places, "shared": nodes_a_support(height, axes, support)},
     )
     unit = str(height.attrs.get("units", "m"))
     parts: dict[str, tuple[int | slice, str, str]] = {
@@ -232,11 +229,13 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
         coefficients = np.linalg.lstsq(matrix, z, rcond=None)[0]
         residual = z - matrix @ coefficients
         freedom = len(matrix) - count - 1
-        variance = shared * (residual @ residual) / freedom if freedom else np.nan
+        variance = np.nan
+        if freedom:
+            variance = shared * (residual @ residual) / freedom
         covariance = variance * np.linalg.inv(matrix.T @ matrix)[1:, 1:]
         slope = coefficients[1:]
         steepness = np.linalg.norm(slope)
-        along = slope / steepness if steepness else np.zeros(count)
+        along = slope / (steepness or 1.0)
         angle_error = np.sqrt(along @ covariance @ along) / (1 + steepness**2)
         slope_error = np.sqrt(np.diag(covariance))
         angle = np.degrees([np.arctan(steepness), angle_error])
@@ -304,11 +303,11 @@ def depth_average(
     >>> d.mass_per_area.dims
     ('time', 'x')
     """
+    call = call_of("depth_average", locals())
     require_scene(ds, ("velocity", "mass"), "depth_average")
     scene = describe(ds)
     plane = scene.setup.plane
-    if axis not in plane:
-        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {plane!r}")
+    scene.setup.check_axis(axis)
     if axis in scene.setup.periodic:
         raise SceneError(
             f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth "
@@ -318,21 +317,15 @@ def depth_average(
         axes = "".join(a for a in plane if a != axis)
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
-    arguments: dict[str, Any] = {"axis": axis, "axes": axes, "width": width, "kernel": kernel}
-    optional = {"spacing": spacing, "bounds": bounds, "extent": extent}
-    arguments |= {name: value for name, value in optional.items() if value is not None}
-    call = format_call("depth_average", arguments)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
-    if spacing is not None and not is_positive(spacing):
-        raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
-    steps = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))
+    check("spacing", spacing, POSITIVE, "m", optional=True)
+    steps = dict.fromkeys(axes, float(spacing or smooth.width))
     lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
     shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
 
     # integrals of sums, by the kernel's marginal
-    has_forces = "contact_force" in scene.columns
     names = ["density", "momentum_density", "volume_fraction"]
-    if has_forces:
+    if "contact_force" in scene.columns:
         names += ["stress", "wall_traction"]
     sums = coarse_grain(
         ds, names, axes=axes, spacing=steps or None, extent=lengths | {axis: 1.0}, **shared
@@ -347,8 +340,18 @@ def depth_average(
         extent=lengths or None,
         **shared,
     )
-    transport = _transport(profile).integrate(axis)
+    rows = _of_depth(sums, _transport(profile).integrate(axis), axis)
+    data = {}
+    for name, (values, units, text) in rows.items():
+        data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
+    result = with_time(xr.Dataset(data, attrs=sums.attrs))
+    return result.assign_attrs(provenance(ds, call), depth_axis=axis)
 
+
+def _of_depth(
+    sums: xr.Dataset, transport: xr.DataArray, axis: str
+) -> dict[str, tuple[xr.DataArray, str, str]]:
+    """Return integrals over the depth with units and long names; `transport` is that of rho u u."""
     mass = sums["density"]
     momentum = sums["momentum_density"]
     velocity = momentum / mass.where(mass > 0)
@@ -360,7 +363,7 @@ def depth_average(
         "depth_averaged_velocity": (velocity, "m s^-1", "depth-averaged velocity"),
         "shape_factor": (shape, "1", "shape factor of the velocity"),
     }
-    if has_forces:
+    if "stress" in sums:
         # the kinetic stress of the column is about its mean velocity, that of the flow about u
         stress = sums["stress"] + _transport(sums) - transport
         normal = _diagonal(stress)
@@ -372,13 +375,7 @@ def depth_average(
             "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),
             "basal_traction": (traction, "Pa", "force of walls on the grains per area"),
         }
-    data = {}
-    for name, (values, units, text) in rows.items():
-        data[name] = values.drop_attrs(deep=False)
-        data[name].attrs["units"] = units_in(units, scene.setup.unit_system)
-        data[name].attrs["long_name"] = text
-    result = with_time(xr.Dataset(data, attrs=sums.attrs))
-    return result.assign_attrs(provenance(ds, call), depth_axis=axis)
+    return rows
 
 
 def _transport(f: xr.Dataset) -> xr.DataArray:

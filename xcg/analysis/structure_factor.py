@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import floats, is_positive, is_whole
+from xcg.analysis.by_phase import PhaseAnalysis
+from xcg.common.checks import POSITIVE, check, floats, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts
 from xcg.compiled.structure_factor import sum_waves
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
-from xcg.scene.frame import check_finite, phase_of, without_frozen
+from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
-from xcg.steps.analysis import FrameAnalysis, run
+from xcg.scene.schema import Frame, Variable, units_in
+from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import phases_of
+from xcg.steps.labels import annotated
 
 MOST_NUMBERS = 3e8  # wave vectors that are looked at in a step
 
@@ -106,7 +107,7 @@ def structure_factor(
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructureFactor(FrameAnalysis):
+class StructureFactor(PhaseAnalysis):
     """Structure factor of a step, see `structure_factor`."""
 
     name = "structure_factor"
@@ -115,23 +116,18 @@ class StructureFactor(FrameAnalysis):
     bins: int = 100
     samples: int | None = 100
     vectors: ArrayLike | None = None
-    by: str | None = None
-    groups: Sequence[int] | None = None
-    plane: str = field(default="xyz", repr=False)
 
     def prepare(self, scene: Description) -> Self:
-        """Check the options, and find groups and axes."""
-        plane = scene.setup.plane
+        """Check the options, and find groups."""
+        plane = self.setup.plane
         if (self.k_max is None) == (self.vectors is None):
             raise ValueError(
                 "structure_factor takes one of k_max= (largest wavenumber, m-1) and vectors= "
                 "(whole numbers of reciprocal lattice vectors)"
             )
-        if self.k_max is not None and not is_positive(self.k_max):
-            raise ValueError(f"k_max={plain(self.k_max)}: expected a positive wavenumber (m-1)")
-        for name, value in (("bins", self.bins), ("samples", self.samples)):
-            if value is not None and not is_whole(value, 1, 1e7):
-                raise ValueError(f"{name}={plain(value)}: expected a whole number of at least 1")
+        check("k_max", self.k_max, POSITIVE, "m-1", optional=True)
+        check("bins", self.bins, whole(1, 1e7))
+        check("samples", self.samples, whole(1, 1e7), optional=True)
         vectors = None
         if self.vectors is not None:
             vectors = floats(self.vectors)
@@ -142,44 +138,31 @@ class StructureFactor(FrameAnalysis):
                     f"such as {[tuple(int(k == 0) for k in range(len(plane)))]}"
                 )
             vectors = vectors.astype("int64")
-        if is_open := [a for a in plane if a not in scene.setup.periodic]:
+        if is_open := [a for a in plane if a not in self.setup.periodic]:
             raise SceneError(
                 f"structure_factor needs periodic axes; open: {', '.join(is_open)}. "
                 "radial_distribution takes open axes by bounds="
             )
-        groups = scene.groups(self.by, self.groups)
-        return replace(self, vectors=vectors, groups=groups, plane=plane)
-
-    def reads(self, scene: Description) -> list[str]:
-        """Return position, and what phases and frozen particles are known by."""
-        read = ["position", "frozen"] if "frozen" in scene.columns else ["position"]
-        return read if self.by is None else [*read, self.by]
+        return replace(super().prepare(scene), vectors=vectors)
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return S(k), and wave vectors or their number."""
-        dims = () if self.by is None else ("phase", "other_phase")
-        along = "k" if self.vectors is None else "wave"
+        along = "k"
+        rows = {"wave_count": Variable(("k",), "1", "number of wave vectors", "int64")}
+        if self.vectors is not None:
+            along = "wave"
+            rows = {"wave_vector": Variable(("wave", "component"), "m^-1", "wave vector")}
         formula = "Re rho_a rho_b^* / sqrt(N_a N_b)"
-        rows = {
-            "structure_factor": Variable((*dims, along), "1", "structure factor", formula=formula),
-        }
-        if self.vectors is None:
-            rows["wave_count"] = Variable(("k",), "1", "number of wave vectors", "int64")
-        else:
-            rows["wave_vector"] = Variable(("wave", "component"), "m^-1", "wave vector")
-        return rows
+        dims = (*self.dims_of_pairs, along)
+        return {"structure_factor": Variable(dims, "1", "structure factor", formula=formula)} | rows
 
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return phases, and the middle of the bins of wavenumbers or the numbers of the waves."""
-        coords = {}
-        if self.by is not None:
-            phase = phases_of(self.by, self.groups or ())
-            coords["phase"] = phase
-            coords["other_phase"] = xr.Variable("other_phase", phase, phase.attrs)
+        coords = super().coords(scene)
         if self.k_max is not None:
             k = self.k_max * (np.arange(self.bins) + 0.5) / self.bins
-            unit = units_in("m^-1", scene.setup.unit_system)
-            coords["k"] = xr.Variable("k", k, {"units": unit, "long_name": "wavenumber"})
+            unit = units_in("m^-1", self.setup.unit_system)
+            coords["k"] = annotated("k", k, unit, "wavenumber")
         else:
             labels = [" ".join(map(str, numbers)) for numbers in np.asarray(self.vectors).tolist()]
             about = {"long_name": "numbers of reciprocal lattice vectors"}
@@ -188,14 +171,14 @@ class StructureFactor(FrameAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Compute S(k) of a step."""
-        frame = without_frozen(frame)
+        frame, phase = self.moving(frame, source)
         check_finite("position", frame, source)
         if not len(frame["position"]):
             raise SceneError(
                 f"{source}: structure_factor needs a particle, and the step holds none; leave it "
                 "out by on_error='skip'"
             )
-        axes = [COMPONENTS.index(a) for a in self.plane]
+        axes = self.setup.axes
         edges = lattice.given[np.isin(lattice.axes, axes)][:, axes]
         inverse = np.linalg.inv(edges)
         if self.k_max is None:
@@ -205,29 +188,23 @@ class StructureFactor(FrameAnalysis):
             numbers, bins = self._drawn(edges, inverse, source)
         share = frame["position"][:, axes] @ inverse
         angle = 2 * np.pi * (share - np.floor(share))
-        phase = phase_of(frame, self.by, self.groups or (), source)
-        count = max(1, len(self.groups or ()))
-        waves = np.array([self._sums(angle[phase == k], numbers) for k in range(count)])
-        particles = np.bincount(phase, minlength=count)
-        if self.by is not None:
-            waves = np.concatenate([waves.sum(axis=0, keepdims=True), waves])
-            particles = np.concatenate([[particles.sum()], particles])
+        groups = range(self.phase_count)
+        waves = self.with_bulk(np.array([self._sums(angle[phase == k], numbers) for k in groups]))
+        particles = self.with_bulk(np.bincount(phase, minlength=self.phase_count))
         products = (waves[:, None] * waves.conj()[None]).real
         scale = np.sqrt(np.multiply.outer(particles, particles).astype(float))[:, :, None]
         ratio = np.divide(products, scale, out=np.full(products.shape, np.nan), where=scale > 0)
+        ratio = self.of_pairs(ratio)
         if self.k_max is None:
-            of_waves = ratio if self.by is not None else ratio[0, 0]
             vectors = np.zeros((len(numbers), 3))
             vectors[:, axes] = 2 * np.pi * numbers @ inverse.T
-            return {"structure_factor": of_waves, "wave_vector": vectors}
+            return {"structure_factor": ratio, "wave_vector": vectors}
         waves_a_bin = np.bincount(bins, minlength=self.bins)
         flat = ratio.reshape(-1, len(numbers))
         sums = [np.bincount(bins, values, minlength=self.bins) for values in flat]
-        mean = np.reshape(sums, (*ratio.shape[:2], self.bins)) / np.where(
-            waves_a_bin > 0, waves_a_bin, np.nan
-        )
+        mean = np.array(sums) / np.where(waves_a_bin > 0, waves_a_bin, np.nan)
         return {
-            "structure_factor": mean if self.by is not None else mean[0, 0],
+            "structure_factor": mean.reshape(*ratio.shape[:-1], self.bins),
             "wave_count": waves_a_bin,
         }
 

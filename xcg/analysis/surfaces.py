@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import axis_vector, is_positive
+from xcg.common.checks import POSITIVE, axis_vector, check
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import unknown, warn_once
 from xcg.fields.coarse_grain import coarse_grain
@@ -26,10 +26,10 @@ from xcg.scene.description import Description, describe
 from xcg.scene.facts import SETUP
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Setup, Variable, units_in
+from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import annotated, call_of, provenance
 
 Flow: TypeAlias = Literal["mass", "number", "volume", "momentum", "energy"]
 _UNITS = {"mass": "kg s^-1", "number": "s^-1", "volume": "m^3 s^-1", "momentum": "N", "energy": "W"}
@@ -105,56 +105,73 @@ def flow_rate(
     >>> flow_rate(ds, xcg.Plane((0, 0, 1.5), (0, 0, 1))).mass_flow_rate.dims
     ('time',)
     """
-    if not isinstance(surface, Wall):
-        raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
-    flows: list[Any] = [quantities] if isinstance(quantities, str) else list(quantities)
-    for flow in flows:
-        if flow not in get_args(Flow):
-            raise ValueError(unknown("flow", flow, get_args(Flow)))
-    call = format_call(
+    call = call_of(
         "flow_rate",
         {"surface": surface, "quantities": quantities, "width": width, "kernel": kernel, "by": by},
     )
+    _check_surface(surface)
+    if isinstance(quantities, str):
+        quantities = [quantities]
+    for flow in quantities:
+        if flow not in get_args(Flow):
+            raise ValueError(unknown("flow", flow, get_args(Flow)))
+    check("spacing", spacing, POSITIVE, "m", optional=True)
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
-    if "momentum" in flows:
+    if "momentum" in quantities:
         squared = ds["velocity"] * ds["velocity"].rename(component="direction")
         squared.attrs["units"] = units_in("m^2 s^-2", "SI")
         ds = ds.assign(velocity_squared=squared)
-    fields = [field for flow in flows for field in _fields(flow, scene)]
+    parts = {flow: _parts_of(flow, scene) for flow in quantities}
+    fields = [field for of_flow in parts.values() for field in of_flow]
     shared = {"kernel": smooth, "by": by, "groups": groups, "on_error": on_error}
     if isinstance(surface, Plane) and surface.bounds is None:
         flux = _through_plane(ds, scene, surface, fields, shared)
     else:
-        spacing = smooth.width * _FINE if spacing is None else spacing
-        flux = _through_points(ds, scene, surface, fields, shared, spacing)
-    result = xr.Dataset({f"{flow}_flow_rate": _rate(flux, flow, scene) for flow in flows})
+        distance = float(spacing or smooth.width * _FINE)
+        flux = _through_points(ds, scene, surface, fields, shared, distance)
+    rates = {f"{flow}_flow_rate": _rate(flux, flow, parts[flow], scene) for flow in quantities}
+    result = xr.Dataset(rates)
     # the place of the plane, and the options of fields
     result = result.drop_vars([*COMPONENTS, "direction", SETUP], errors="ignore")
-    return result.assign_attrs(
-        provenance(ds, call),
-        kernel=smooth.name,
-        width=smooth.width,
-        cutoff=smooth.cutoff,
-        surface=repr(surface),
-    )
+    return result.assign_attrs(provenance(ds, call) | _attrs_of(smooth, surface))
 
 
-def _fields(flow: Flow, scene: Description) -> list[str | Sum]:
+def _attrs_of(kernel: Kernel, surface: Wall) -> dict[str, Any]:
+    return {
+        "kernel": kernel.name,
+        "width": kernel.width,
+        "cutoff": kernel.cutoff,
+        "surface": repr(surface),
+    }
+
+
+def _check_surface(surface: object) -> None:
+    if not isinstance(surface, Wall):
+        raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
+
+
+def _parts_of(flow: Flow, scene: Description) -> list[str | Sum]:
     """Densities of the flux of a quantity, whose last axis is that of the surface's normal."""
-    has_forces = "contact_force" in scene.columns
     if flow == "momentum":
-        transport = Sum("velocity_squared", "mass", "momentum_transport")
-        return [transport, "contact_stress"] if has_forces else [transport]
-    if flow == "energy":
-        return ["kinetic_energy_flux", *(["contact_energy_flux"] if has_forces else [])]
-    return [Sum("velocity", flow, f"{flow}_transport")]
+        carried: str | Sum = Sum("velocity_squared", "mass", "momentum_transport")
+        by_contacts = "contact_stress"
+    elif flow == "energy":
+        carried = "kinetic_energy_flux"
+        by_contacts = "contact_energy_flux"
+    else:
+        return [Sum("velocity", flow, f"{flow}_transport")]
+    if "contact_force" in scene.columns:
+        return [carried, by_contacts]
+    return [carried]
 
 
-def _rate(flux: xr.Dataset, flow: Flow, scene: Description) -> xr.DataArray:
+def _rate(
+    flux: xr.Dataset, flow: Flow, parts: Sequence[str | Sum], scene: Description
+) -> xr.DataArray:
     """Add up the parts of a flow, and label their sum."""
-    names = [field if isinstance(field, str) else field.name for field in _fields(flow, scene)]
+    names = [getattr(part, "name", part) for part in parts]
     rate = sum((flux[name] for name in names[1:]), start=flux[names[0]]).drop_attrs(deep=False)
     rate.attrs["units"] = units_in(_UNITS[flow], scene.setup.unit_system)
     rate.attrs["long_name"] = f"flow rate of {flow} along the normal"
@@ -173,9 +190,11 @@ def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
     """Contract the last axis of vectors and tensors with a normal, (3,) or (places, 3)."""
     contracted = {}
     for name, values in flux.data_vars.items():
-        dim = "direction" if "direction" in values.dims else "component"
-        dims = ("place", dim) if normal.ndim == 2 else (dim,)
-        contracted[name] = (values * xr.Variable(dims, normal)).sum(dim, skipna=False)
+        dim = "component"
+        if "direction" in values.dims:
+            dim = "direction"
+        factor = xr.Variable(("place", dim)[-normal.ndim :], normal)
+        contracted[name] = (values * factor).sum(dim, skipna=False)
     return xr.Dataset(contracted, flux.drop_dims("direction", errors="ignore").coords)
 
 
@@ -203,16 +222,19 @@ def _through_plane(
         flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **shared) * _depth(scene)
         return _across(flux, normal)
     # rotated axes: one is the normal, and the axis across a scene of one layer stays
-    axes = {a: np.eye(3)[COMPONENTS.index(a)].tolist() for a in COMPONENTS if a not in plane}
-    along = plane[0] if axes else "z"
+    along = "z"
+    axes = {}
+    if scene.setup.dimension == 2:
+        along = plane[0]
+        (across,) = {0, 1, 2} - set(scene.setup.axes)
+        axes[COMPONENTS[across]] = np.eye(3)[across].tolist()
     axes[along] = normal.tolist()
     frame = Rotated(**axes, origin=surface.point)
     rotation = np.asarray(frame.axes)
     extent = {a: 1.0 for a in plane if a != along}
-    flux = coarse_grain(
-        ds, fields, axes="", at={along: 0.0}, extent=extent, frame=frame, **shared
-    ) * _depth(scene)
-    flux = _across(flux, rotation @ normal)
+    at = {along: 0.0}
+    flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, frame=frame, **shared)
+    flux = _across(flux * _depth(scene), rotation @ normal)
     # momentum back to the axes of the scene
     back = xr.DataArray(rotation, dims=("component", "of_scene"))
     for name in ("momentum_transport", "contact_stress"):
@@ -233,16 +255,15 @@ def _through_points(
 ) -> xr.Dataset:
     """Sum over points of the surface, each with its share of the area."""
     cells = _points(surface, scene, spacing)
-    centre, area = cells.centre, cells.area
+    centre = cells.centre
     at = {a: xr.DataArray(centre[:, COMPONENTS.index(a)], dims="place") for a in scene.setup.plane}
     flux = _across(coarse_grain(ds, fields, at=at, **shared), surface.normals_at(centre))
-    flux = (flux * xr.Variable("place", area)).sum("place", skipna=False)
+    flux = (flux * xr.Variable("place", cells.area)).sum("place", skipna=False)
     ends = _open_ends(surface, cells, scene)
     if not ends or is_in_memory(ds["position"].variable):
         return flux
-    checked = run(
-        ds, _Ends(surface, ends, shared["kernel"].cutoff), scene=scene, on_error=shared["on_error"]
-    )
+    analysis = _Ends(surface, ends, shared["kernel"].cutoff)
+    checked = run(ds, analysis, scene=scene, on_error=shared["on_error"])
     return flux + checked["beyond"].reset_coords(drop=True)
 
 
@@ -287,7 +308,9 @@ def _open_ends(
     ends = dict(zip(dims, map(tuple, cells.bounds), strict=False))
     if isinstance(surface, Cylinder):
         k = axis_of(axis_vector("axis", surface.axis))
-        return {} if k is not None and COMPONENTS[k] in scene.periods else ends
+        if k is not None and COMPONENTS[k] in scene.periods:
+            return {}
+        return ends
     return {dim: end for dim, end in ends.items() if dim not in scene.periods}
 
 
@@ -295,7 +318,9 @@ def _points(surface: Wall, scene: Description, spacing: float) -> SurfaceCells:
     """Return small cells of a surface."""
     if isinstance(surface, Surface):
         return SurfaceCells({}, *_parts_of_triangles(surface, spacing), COMPONENTS)
-    corners = np.full((2, 3), np.nan) if scene.corners is None else np.array(scene.corners)
+    corners = np.full((2, 3), np.nan)
+    if scene.corners is not None:
+        corners = np.array(scene.corners)
     lower, upper = corners
     for a in scene.periods:
         k = COMPONENTS.index(a)
@@ -317,12 +342,12 @@ def _points(surface: Wall, scene: Description, spacing: float) -> SurfaceCells:
 
 def _parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDArray]:
     """Centres (n, 3) and areas (n,) of equal parts of triangles, no wider than `spacing`."""
-    centres, areas = [], []
+    centres = []
+    areas = []
     for a, b, c in surface.corners:
         longest = max(np.linalg.norm(edge) for edge in (b - a, c - b, a - c))
         count = max(1, int(np.ceil(longest / spacing)))
-        grid = np.stack(np.meshgrid(np.arange(count), np.arange(count), indexing="ij"), axis=-1)
-        grid = grid.reshape(-1, 2)
+        grid = np.indices((count, count)).reshape(2, -1).T
         upright = grid.sum(axis=1) < count
         turned = grid.sum(axis=1) < count - 1
         share = np.concatenate([grid[upright] + 1 / 3, grid[turned] + 2 / 3]) / count
@@ -416,23 +441,20 @@ def wall_stress(
     >>> f.normal_traction.dims
     ('time', 'x', 'y')
     """
-    call = format_call(
+    call = call_of(
         "wall_stress", {"surface": surface, "width": width, "walls": walls, "within": within}
     )
     require_scene(ds, _NEEDS, "wall_stress")
-    if not isinstance(surface, Wall):
-        raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
+    _check_surface(surface)
+    check("spacing", spacing, POSITIVE, "m", optional=True)
+    check("within", within, POSITIVE, "m", optional=True)
     if walls is not None:
         ds = select_walls(ds, walls)
     scene = describe(ds)
     smooth = kernel_of(kernel, width, scene.sizes, 2)
-    for name, value in (("spacing", spacing), ("within", within)):
-        if value is not None and not is_positive(value):
-            raise ValueError(f"{name}={value!r}: expected a positive length (m)")
     low, high = _box_of_grains(scene)
-    cells = surface.cells(low, high, smooth.width / 2 if spacing is None else float(spacing))
-    reach = smooth.width if within is None else float(within)
-    analysis = _WallStress(surface, cells, smooth, reach, scene.setup)
+    cells = surface.cells(low, high, float(spacing or smooth.width / 2))
+    analysis = _WallStress(surface, cells, smooth, float(within or smooth.width))
     return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
@@ -458,17 +480,16 @@ class _WallStress(FrameAnalysis):
     """Traction of the grains on the cells of a surface."""
 
     name = "wall_stress"
+    optional = ("diameter", "frozen")
 
     surface: Wall
     cells: SurfaceCells
     kernel: Kernel
     within: float
-    setup: Setup
 
     def reads(self, scene: Description) -> list[str]:
-        """Return the contacts, and what their branches and walls follow from."""
-        optional = [name for name in ("diameter", "frozen") if name in scene.columns]
-        return ["position", *_NEEDS, *optional]
+        """Return the positions and contacts."""
+        return ["position", *_NEEDS]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return tractions on the cells, and the sum and number of the forces of a step."""
@@ -491,12 +512,7 @@ class _WallStress(FrameAnalysis):
 
     def attrs(self, scene: Description) -> dict[str, Any]:
         """Return kernel and surface, and where the cells end if the surface goes on."""
-        attrs = {
-            "kernel": self.kernel.name,
-            "width": self.kernel.width,
-            "cutoff": self.kernel.cutoff,
-            "surface": repr(self.surface),
-        }
+        attrs = _attrs_of(self.kernel, self.surface)
         ends = [
             f"{dim} from {low:.6g} to {high:.6g}"
             for dim, (low, high) in _open_ends(self.surface, self.cells, scene).items()
@@ -604,16 +620,15 @@ def _smear(task: _WallStress, point: NDArray, values: NDArray, lattice: Lattice)
 
 def _coordinates(cells: SurfaceCells, system: str) -> dict[str, xr.Variable]:
     """Return places and areas of the cells, and the axes of shear."""
+    metre = units_in("m", system)
     units = {"theta": "rad", "triangle": "1"}
     coords: dict[str, xr.Variable] = {}
     for dim, (values, text) in cells.coords.items():
-        unit = units.get(dim, units_in("m", system))
-        coords[dim] = xr.Variable(dim, values, {"units": unit, "long_name": text})
+        coords[dim] = annotated(dim, values, units.get(dim, metre), text)
     dims = tuple(cells.coords)
-    about = {"units": units_in("m^2", system), "long_name": "area of the cell"}
-    coords["area"] = xr.Variable(dims, cells.area.reshape(cells.shape), about)
-    about = {"units": units_in("m", system), "long_name": "centre of the cell"}
+    area = cells.area.reshape(cells.shape)
+    coords["area"] = annotated(dims, area, units_in("m^2", system), "area of the cell")
     centre = cells.centre.reshape(*cells.shape, 3)
-    coords["centre"] = xr.Variable((*dims, "component"), centre, about)
+    coords["centre"] = annotated((*dims, "component"), centre, metre, "centre of the cell")
     coords["along"] = xr.Variable("along", list(cells.axes))
     return coords

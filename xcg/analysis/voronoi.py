@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call
+from xcg.steps.labels import call_of
 
 # of the mean cell's volume^(2/3): rounding makes smaller faces where more than four cells meet
 _LEAST_AREA = 1e-6
@@ -111,9 +111,8 @@ def voronoi(
             f"bounds={plain(bounds)}: expected ends of axes, for example {{'z': (0.0, 0.2)}}"
         )
     extra("pyvoro2", "voronoi", "voronoi")
-    given: dict[str, Any] = {"bounds": bounds, "faces": faces or None}
-    call = format_call("voronoi", {k: v for k, v in given.items() if v is not None})
-    return run(ds, _Cells(dict(bounds or {}), bool(faces)), call=call, on_error=on_error)
+    call = call_of("voronoi", {"bounds": bounds, "faces": faces or None})
+    return run(ds, _Cells(bounds or {}, faces), call=call, on_error=on_error)
 
 
 @dataclass(frozen=True)
@@ -127,23 +126,23 @@ class _Cells(FrameAnalysis):
 
     def prepare(self, scene: Description) -> _Cells:
         """Check the bounds; those across a layer are its edges."""
+        is_open = [a for a in self.setup.plane if a not in self.setup.periodic]
         bounds = {}
         for axis, ends in self.bounds.items():
-            if axis not in scene.setup.plane or axis in scene.setup.periodic:
-                free = [a for a in scene.setup.plane if a not in scene.setup.periodic]
+            if axis not in is_open:
                 raise ValueError(
-                    f"bounds: {axis!r} is not an axis with ends; expected one of {free or 'none'}"
+                    f"bounds: {axis!r} is not an axis with ends; expected one of {is_open or 'none'}"
                 )
             bounds[axis] = rising_pair(f"bounds[{axis!r}]", ends)
-        if (layer := scene.layer) is not None:
-            bounds[COMPONENTS[layer[0]]] = layer[1:]
-        ends = [a for a in scene.setup.plane if a not in scene.setup.periodic]
-        if scene.tilted and ends:
+        if scene.layer is not None:
+            across, low, high = scene.layer
+            bounds[COMPONENTS[across]] = (low, high)
+        if scene.tilted and is_open:
             raise SceneError(
                 "voronoi: cells in a tilted box need one that is periodic along all axes, and it "
-                f"is open along {', '.join(ends)}"
+                f"is open along {', '.join(is_open)}"
             )
-        return _Cells(bounds, self.faces, threads=self.threads)
+        return replace(self, bounds=bounds)
 
     def reads(self, scene: Description) -> tuple[str, ...]:
         """Return positions and sizes."""
@@ -151,12 +150,15 @@ class _Cells(FrameAnalysis):
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the rows of cells, and of faces."""
-        return _ROWS | _FACES if self.faces else _ROWS
+        if self.faces:
+            return _ROWS | _FACES
+        return _ROWS
 
     def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
         """Return the most faces of a step, a bound if it is lazy."""
-        is_lazy = ds["position"].chunks is not None
-        return {"face": _PAIRS_A_PARTICLE * ds.sizes["particle"] if is_lazy else None}
+        if ds["position"].chunks is None:
+            return {"face": None}
+        return {"face": _PAIRS_A_PARTICLE * ds.sizes["particle"]}
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the cells of the particles of a step."""
@@ -196,7 +198,9 @@ class _Cells(FrameAnalysis):
 
     def _region(self, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Return vectors along the edges of the region that cells fill (3, 3), and its corner."""
-        edges = np.full((3, 2), np.nan) if lattice.edges is None else lattice.edges.copy()
+        edges = np.full((3, 2), np.nan)
+        if lattice.edges is not None:
+            edges[:] = lattice.edges
         for axis, ends in self.bounds.items():
             edges[COMPONENTS.index(axis)] = ends
         vectors = np.diag(edges[:, 1] - edges[:, 0])

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import is_positive, is_whole
+from xcg.common.checks import NOT_NEGATIVE, POSITIVE, check, whole
 from xcg.fields.coarse_grain import Asked, answer, prepare
 from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
@@ -23,6 +23,7 @@ from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
 from xcg.scene.facts import SETUP, with_setup
+from xcg.scene.schema import units_in
 from xcg.steps.labels import provenance
 
 if TYPE_CHECKING:
@@ -60,6 +61,11 @@ class SweepRequest(SharedOptions):
     at: Mapping[str, ArrayLike | xr.DataArray] | None = None
     max_slope: float = 0.1
     max_bias: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check("max_slope", self.max_slope, NOT_NEGATIVE)
+        check("max_bias", self.max_bias, NOT_NEGATIVE)
 
 
 @takes(SweepRequest)
@@ -103,8 +109,9 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     lengths = sorted({resolve_width(width, measured) for width in asked.widths})
     if len(lengths) < 2:
         raise ValueError(f"widths={list(asked.widths)!r}: expected two or more different widths")
-    points, several = _points(asked.at)
-    call, (ds, asked) = asked.call("width_sweep"), prepare(ds, asked)
+    points, along = _points(asked.at)
+    call = asked.call("width_sweep")
+    ds, asked = prepare(ds, asked)
     refuse_cylindrical(ds, "width_sweep")
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
@@ -115,27 +122,32 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         )
         for point in points
     ]
-    joined = xr.concat(swept, "point", coords="different", compat="equals") if several else swept[0]
-    joined = joined.transpose("width", *(["point"] if several else []), ...)
+    joined = swept[0]
+    if along:
+        joined = xr.concat(swept, "point", coords="different", compat="equals")
+    joined = joined.transpose("width", *along, ...)
     if joined.chunks:
         joined = joined.chunk({"width": -1})
     widths = np.array(lengths)
-    found = dict[str, xr.DataArray]()
+    more = dict[str, xr.DataArray]()
     for field in map(str, joined.data_vars):
-        found |= _bias(field, joined[field], widths, asked.max_bias)
+        more |= _bias(field, joined[field], widths, asked.max_bias)
         if len(lengths) > 2:
-            found |= _plateau(field, joined[field], widths, asked.max_slope)
-    return joined.assign(found).assign_attrs(provenance(ds, call))
+            more |= _plateau(field, joined[field], widths, asked.max_slope)
+    return joined.assign(more).assign_attrs(provenance(ds, call))
 
 
 def _points(
     at: Mapping[str, ArrayLike | xr.DataArray] | None,
-) -> tuple[list[Mapping[str, Any]], bool]:
-    """Points as single `at` mappings, and whether there are several; DataArrays name all points at once."""
+) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """Points as single `at` mappings, and their dimension if there are several.
+
+    DataArrays name all points at once.
+    """
     if not at:
-        return [{}], False
+        return [{}], []
     if any(isinstance(values, xr.DataArray) and values.ndim for values in at.values()):
-        return [at], False
+        return [at], []
     columns = {axis: np.asarray(values, float) for axis, values in at.items()}
     shapes = {axis: values.shape for axis, values in columns.items()}
     if len(set(shapes.values())) > 1 or any(len(shape) > 1 for shape in shapes.values()):
@@ -143,7 +155,8 @@ def _points(
             f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
         )
     rows = np.column_stack(list(columns.values())).tolist()
-    return [dict(zip(columns, row, strict=True)) for row in rows], any(shapes.values())
+    dims = ["point"] if any(shapes.values()) else []
+    return [dict(zip(columns, row, strict=True)) for row in rows], dims
 
 
 def _join_widths(
@@ -154,10 +167,9 @@ def _join_widths(
     # their setups differ in the width, which becomes a dimension
     fields = [answer(ds, ask(width=width)).drop_vars(SETUP) for width in widths]
     joined = xr.concat(fields, along, join="override")
-    joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
-    joined.attrs = {
-        name: value for name, value in joined.attrs.items() if name not in ("width", "cutoff")
-    }
+    joined["width"].attrs["units"] = units_in("m", joined.attrs.get("unit_system", "SI"))
+    for name in ("width", "cutoff"):
+        joined.attrs.pop(name, None)
     return with_setup(joined)
 
 
@@ -165,7 +177,9 @@ def _with_nodes(
     ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]
 ) -> Asked:
     """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
-    spacing = widths[0] if asked.spacing is None else asked.spacing
+    spacing = asked.spacing
+    if spacing is None:
+        spacing = widths[0]
     if asked.bounds is not None:
         return replace(asked, spacing=spacing)
     placing = Request(
@@ -191,23 +205,31 @@ def _bias(
     level = field.diff("width", label="lower") / squares.diff("width", label="lower")
     bias = (level.reindex(width=widths, method="ffill") * squares).transpose(*field.dims)
     parts = [dim for dim in ("component", "direction") if dim in field.dims]
-    places = [
-        dim for dim in field.dims if dim not in ("width", "time", "phase", "other_phase", *parts)
-    ]
-    size, largest = ((values**2).sum(parts, skipna=False) ** 0.5 for values in (bias, field))
+    others = ("width", "time", "phase", "other_phase", *parts)
+    places = [dim for dim in field.dims if dim not in others]
+    size = (bias**2).sum(parts, skipna=False) ** 0.5
+    largest = ((field**2).sum(parts, skipna=False) ** 0.5).max(places)
     what = field.attrs.get("long_name", name)
-    units = {"units": field.attrs.get("units", "1")}
+    units = field.attrs.get("units", "1")
+    share = f"more than {max_bias:g} of its largest value"
+    return _named(
+        {
+            f"{name}_bias": (bias, units, f"bias of {what} by the width of the kernel"),
+            f"{name}_extrapolated": (field - bias, units, f"{what} without the bias of the width"),
+            f"{name}_too_wide": (
+                size > max_bias * largest,
+                "1",
+                f"whether the width smears {what} by {share}",
+            ),
+        }
+    )
+
+
+def _named(table: Mapping[str, tuple[Any, str, str]]) -> dict[str, xr.DataArray]:
+    """Return values with their units and long names."""
     return {
-        f"{name}_bias": bias.assign_attrs(
-            units, long_name=f"bias of {what} by the width of the kernel"
-        ),
-        f"{name}_extrapolated": (field - bias).assign_attrs(
-            units, long_name=f"{what} without the bias of the width"
-        ),
-        f"{name}_too_wide": (size > max_bias * largest.max(places)).assign_attrs(
-            units="1",
-            long_name=f"whether the width smears {what} by more than {max_bias:g} of its largest value",
-        ),
+        name: xr.DataArray(values).assign_attrs(units=units, long_name=text)
+        for name, (values, units, text) in table.items()
     }
 
 
@@ -216,10 +238,8 @@ def _plateau(
 ) -> dict[str, xr.DataArray]:
     """Slope of a field, and width and value where it is smallest."""
     # d ln f / d ln w = (w / f) df / dw, which also holds where f is negative
-    by_width = (
-        field.assign_coords(width=np.log(widths)).differentiate("width").assign_coords(width=widths)
-    )
-    slope = abs(by_width / field.where(field != 0))
+    by_width = field.assign_coords(width=np.log(widths)).differentiate("width")
+    slope = abs(by_width.assign_coords(width=widths) / field.where(field != 0))
     # the ends have one neighbour only: no plateau is told from them
     inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
     rows = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
@@ -228,15 +248,13 @@ def _plateau(
     width = inside.width.where(best).sum("width", min_count=1)
     unit = field.coords["width"].attrs.get("units", "m")
     what = field.attrs.get("long_name", name)
-    return {
-        f"{name}_slope": slope.assign_attrs(
-            units="1", long_name=f"size of the logarithmic slope of {what} by width"
-        ),
-        f"{name}_plateau_width": width.assign_attrs(
-            units=unit, long_name=f"width at the plateau of {what}"
-        ),
-        f"{name}_plateau": value.assign_attrs(field.attrs, long_name=f"{what} at its plateau"),
-    }
+    value = value.assign_attrs(field.attrs, long_name=f"{what} at its plateau")
+    return _named(
+        {
+            f"{name}_slope": (slope, "1", f"size of the logarithmic slope of {what} by width"),
+            f"{name}_plateau_width": (width, unit, f"width at the plateau of {what}"),
+        }
+    ) | {f"{name}_plateau": value}
 
 
 @dataclass(frozen=True)
@@ -270,11 +288,9 @@ class ChoiceRequest(SharedOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, value in (("frames", self.frames), ("sample", self.sample)):
-            if value is not None and not is_whole(value, 1):
-                raise ValueError(f"{name}={value!r}: expected a number of frames, 1 or more")
-        if not is_positive(self.target):
-            raise ValueError(f"target={self.target!r}: expected a relative error, such as 0.02")
+        check("frames", self.frames, whole(1), optional=True)
+        check("sample", self.sample, whole(1))
+        check("target", self.target, POSITIVE, hint=", such as 0.02")
 
 
 @takes(ChoiceRequest)
@@ -332,56 +348,51 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     widths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
     if len(widths) < 3:
         raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths")
-    rows = np.unique(np.linspace(0, count - 1, min(count, asked.sample)).round().astype(int))
-    sampled = ds.isel(time=rows) if "time" in ds.dims else ds
+    rows = np.unique(np.linspace(0, count - 1, min(count, int(asked.sample))).round().astype(int))
+    sampled = ds.isel(time=rows, missing_dims="ignore")
     mean, names, seen = _averages(sampled, asked, widths, scene.setup.plane)
     frames = asked.frames or count
-    found: dict[str, NDArray] = {}
+    errors: dict[str, NDArray] = {}
     for name in names:
         bias, noise = _bias_and_noise(mean, name, seen)
         noise = noise * math.sqrt(len(rows))
-        found |= {
-            f"{name}_bias": bias,
-            f"{name}_noise": noise,
-            f"{name}_total": np.hypot(bias, noise / frames**0.5),
-        }
+        errors[f"{name}_bias"] = bias
+        errors[f"{name}_noise"] = noise
+        errors[f"{name}_total"] = np.hypot(bias, noise / frames**0.5)
+    about = {name: {"units": "1", "long_name": name.replace("_", " ")} for name in errors}
+    errors["total"] = np.max([errors[f"{name}_total"] for name in names], axis=0)
+    about["total"] = {"units": "1", "long_name": "largest total of the fields"}
     out = xr.Dataset(
-        {
-            n: ("width", values, {"units": "1", "long_name": n.replace("_", " ")})
-            for n, values in found.items()
-        },
+        {name: ("width", values, about[name]) for name, values in errors.items()},
         {"width": mean["width"]},
         {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
     )
-    total = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
-    out["total"] = total.drop_attrs(deep=False).assign_attrs(
-        units="1", long_name="largest total of the fields"
-    )
-    return out.assign(
-        _choice(out, names, kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension))
-    )
+    kernel = kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension)
+    return out.assign(_choice(out, names, kernel))
 
 
 def _averages(
     ds: xr.Dataset, asked: ChoiceRequest, widths: Sequence[float], plane: str
 ) -> tuple[xr.Dataset, list[str], int]:
     """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
-    wanted = [asked.fields] if isinstance(asked.fields, str | Quantity) else list(asked.fields)
+    wanted: Any = asked.fields
+    if isinstance(wanted, str | Quantity):
+        wanted = [wanted]
     at = asked.at or {}
-    axes = plane if asked.axes is None and asked.at is None else asked.axes or ""
+    axes = asked.axes or ""
+    if asked.axes is None and asked.at is None:
+        axes = plane
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
-        asked = _with_nodes(
-            ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at
-        )
+        asked = replace(asked, axes=axes, spacing=asked.spacing or spacing)
+        asked = _with_nodes(ds, asked, widths[:1], at)
     moving = "velocity" in ds  # a velocity has an error beside fields without one
     fields = list(dict.fromkeys([*wanted, _COUNT, *["velocity"] * moving]))
     ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
     f = _join_widths(ds, widths, ask).compute()
-    names = [
-        name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)
-    ]
+    wanted_names = [getattr(field, "name", field) for field in wanted]
+    names = [name for name in map(str, f.data_vars) if name in wanted_names]
     lone = [name for name in names if f"{name}_error" not in f]
     if lone and f.sizes.get("time", 1) < 2:
         raise ValueError(
@@ -403,10 +414,9 @@ def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, ND
     def mean_square(values: xr.DataArray) -> NDArray:
         squares = (values**2).sum(parts, skipna=False)
         known = count.where(squares.notnull(), 0.0)
-        squares = (squares * known).sum(places) / known.sum(places).where(
-            known.sum(places) >= KNOWN * count.sum()
-        )
-        return squares.transpose("width").to_numpy()
+        particles = known.sum(places)
+        enough = particles.where(particles >= KNOWN * count.sum())
+        return ((squares * known).sum(places) / enough).transpose("width").to_numpy()
 
     noise = mean_square(error)
     change = mean_square(field.diff("width", label="lower"))
@@ -417,7 +427,7 @@ def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, ND
     change -= noise[1:] + noise[:-1] - 2 * correlation * np.sqrt(noise[1:] * noise[:-1])
     bias = _integrate(np.fmin.accumulate(np.clip(change, 0.0, None)[::-1])[::-1] ** 0.5, widths)
     size = mean_square(field)[len(widths) // 2 :]
-    scale = next((one for one in size if np.isfinite(one)), 0.0) or np.nan
+    scale = next((square for square in size if np.isfinite(square)), 0.0) or np.nan
     return bias / np.sqrt(scale), np.sqrt(noise / scale)
 
 
@@ -427,29 +437,28 @@ def _integrate(change: NDArray, widths: NDArray) -> NDArray:
     The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c
     (w_k+1^p - w_k^p)``.
     """
-    there = change > 0
+    known = change > 0
     power = 2.0
-    if there.sum() > 1:
+    if known.sum() > 1:
         powers = np.linspace(0.3, 2.0, 86)
-        power = min(powers, key=lambda p: np.var(np.log(change[there] / np.diff(widths**p)[there])))
+        power = min(powers, key=lambda p: np.var(np.log(change[known] / np.diff(widths**p)[known])))
     level = change / np.diff(widths**power)
     return np.append(level, level[-1]) * widths**power
 
 
-def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str, xr.DataArray]:
+def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str, xr.DataArray]:
     """Return the best width with its errors and spacing, and the width and number of frames that reach the target."""
-    frames = found.attrs["frames"]
-    target = found.attrs["target"]
-    widths = found["width"].to_numpy()
+    frames = errors.attrs["frames"]
+    target = errors.attrs["target"]
+    widths = errors["width"].to_numpy()
     fine = np.geomspace(widths[0], widths[-1], STEPS + 1)
 
     def between(name: str) -> NDArray:
-        values = np.maximum(found[name].to_numpy(), 1e-9)
+        values = np.maximum(errors[name].to_numpy(), 1e-9)
         return np.exp(np.interp(np.log(fine), np.log(widths), np.log(values)))
 
-    biases, noises = (
-        np.stack([between(f"{name}_{end}") for name in names]) for end in ("bias", "noise")
-    )
+    biases = np.stack([between(f"{name}_bias") for name in names])
+    noises = np.stack([between(f"{name}_noise") for name in names])
     totals = np.hypot(biases, noises / math.sqrt(frames))
     worst = totals.max(axis=0)
     needed = (noises**2 / np.maximum(target**2 - biases**2, 1e-300)).max(axis=0)
@@ -461,11 +470,11 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
         )
     best = int(np.nanargmin(worst))
     fewest = int(np.lexsort((worst, needed))[0])
-    end = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}.get(
-        best, ""
-    )
+    ends = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}
+    text = f"width with the least error{ends.get(best, '')}"
     leading = int(totals[:, best].argmax())
     bias = biases[leading, best]
+    noise = noises[leading, best] / math.sqrt(frames)
     total = worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
     q = np.linspace(0.0, 1.0, 4001)
@@ -474,32 +483,19 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     mean_square = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
     second_moment = mean_square * (kernel.cutoff / kernel.width) ** 2 / dimension * fine[best] ** 2
     spacing = math.sqrt(math.sqrt(120) * second_moment * 0.32 * total / (2 * bias))
-    unit = found["width"].attrs["units"]
-    numbers = {
-        "best_width": (fine[best], unit, f"width with the least error{end}"),
+    spacing = min(spacing, 2 * fine[best])
+    target_width = np.where(needed > 0, fine, np.nan)[fewest]
+    unit = errors["width"].attrs["units"]
+    table = {
+        "best_width": (fine[best], unit, text),
         "best_bias": (bias, "1", "relative bias at the best width"),
-        "best_noise": (
-            noises[leading, best] / math.sqrt(frames),
-            "1",
-            f"relative noise, mean of {frames} frames",
-        ),
+        "best_noise": (noise, "1", f"relative noise, mean of {frames} frames"),
         "best_total": (total, "1", "relative error at the best width"),
-        "best_spacing": (
-            min(spacing, 2 * fine[best]),
-            unit,
-            "widest spacing of nodes for linear interpolation",
-        ),
-        "target_width": (
-            np.where(needed > 0, fine, np.nan)[fewest],
-            unit,
-            f"width to reach an error of {target:g}",
-        ),
+        "best_spacing": (spacing, unit, "widest spacing of nodes for linear interpolation"),
+        "target_width": (target_width, unit, f"width to reach an error of {target:g}"),
         "target_frames": (needed[fewest], "1", f"frames to reach an error of {target:g}"),
     }
-    return {
-        name: xr.DataArray(v, attrs={"units": u, "long_name": text})
-        for name, (v, u, text) in numbers.items()
-    }
+    return _named(table)
 
 
 def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -523,14 +519,11 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     if "best_width" not in found:
         raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")
-    ax = drawing.new_axes() if ax is None else ax
+    ax = ax or drawing.new_axes()
     frames = found.attrs["frames"]
     width = found["width"]
-    names = [
-        str(name).removesuffix("_bias")
-        for name in found
-        if str(name).endswith("_bias") and name != "best_bias"
-    ]
+    biases = [str(n) for n in found if str(n).endswith("_bias") and n != "best_bias"]
+    names = [name.removesuffix("_bias") for name in biases]
     for k, name in enumerate(names):
         what = name.replace("_", " ")
         for label, values, style in (

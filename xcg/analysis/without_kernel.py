@@ -16,7 +16,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, is_whole, rising_pair
+from xcg.analysis.by_phase import PhaseAnalysis
+from xcg.common.checks import POSITIVE, check, check_choice, rising_pair, whole
 from xcg.common.messages import SceneError
 from xcg.compiled.geometry import add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
@@ -24,12 +25,12 @@ from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe
-from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame, Setup, Variable, units_in
+from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, phases_of
+from xcg.steps.labels import annotated, call_of
 
 _SPHERE = 1e-6  # how far volumes may be from those of spheres of their diameters
 _COLUMNS = 6  # number, volume, mass and momentum of each grain
@@ -56,12 +57,9 @@ _WEIGHTS = {"planes": "diameter", "bins": "mass"}
 
 def _along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
     """Return the coordinate of the cells or slices along an axis."""
-    about = {
-        "units": units_in("m", system),
-        "long_name": f"position along {axis}",
-        "axis": axis.upper(),
-    }
-    return xr.Variable(axis, nodes, about)
+    along = annotated(axis, nodes, units_in("m", system), f"position along {axis}")
+    along.attrs["axis"] = axis.upper()
+    return along
 
 
 @takes_scene
@@ -130,7 +128,9 @@ def cell_volumes(
         )
     if scene.cylindrical:
         raise SceneError("cell_volumes takes cells along x, y and z, not about an axis")
-    axes = setup.plane if axes is None else axes
+    if axes is None:
+        axes = setup.plane
+    call = call_of("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
     largest = 0.5 * scene.sizes.get("dmax", 0.0)
     grid = make_grid(
         axes,
@@ -147,38 +147,29 @@ def cell_volumes(
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
-    analysis = _CellShares(grid, setup, scene.layer_depth, by, scene.groups(by, groups))
-    call = format_call("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
+    analysis = _CellShares(grid, scene.layer_depth, by=by, groups=groups)
     return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
 @dataclass(frozen=True, eq=False)
-class _CellShares(FrameAnalysis):
+class _CellShares(PhaseAnalysis):
     """Volume, mass and momentum of the grains in each cell."""
 
     name = "cell_volumes"
+    optional = ("velocity", "frozen")
 
     grid: Grid
-    setup: Setup
     depth: float | str | None
-    by: str | None
-    groups: tuple[int, ...]
 
     def reads(self, scene: Description) -> list[str]:
         """Return what is shared, and what the grains are grouped by."""
-        optional = [name for name in ("velocity", "frozen") if name in scene.columns]
-        return [
-            "position",
-            "diameter",
-            "volume",
-            "mass",
-            *optional,
-            *([self.by] if self.by else []),
-        ]
+        return [*super().reads(scene), "diameter", "volume", "mass"]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return the fields on the cells, with velocity where the scene has one."""
-        dims = self.grid.dims if self.by is None else (*self.grid.dims, "phase")
+        dims = self.grid.dims
+        if self.by is not None:
+            dims = (*dims, "phase")
         return {
             name: replace(row, dims=(*dims, *row.dims))
             for name, row in _FIELDS.items()
@@ -188,10 +179,8 @@ class _CellShares(FrameAnalysis):
     def coords(self, scene: Description) -> dict[str, xr.Variable]:
         """Return the centres of the cells, and the phases."""
         system = self.setup.unit_system
-        coords = {a: _along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()}
-        if self.by is not None:
-            coords["phase"] = phases_of(self.by, self.groups)
-        return coords
+        nodes = {a: _along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()}
+        return nodes | super().coords(scene)
 
     def attrs(self, scene: Description) -> dict[str, str]:
         """Return how results are sampled."""
@@ -199,61 +188,54 @@ class _CellShares(FrameAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the fields of one step."""
-        sums = self._sums(frame, lattice, source)
-        if self.by is not None:
-            sums = np.concatenate([sums.sum(axis=0, keepdims=True), sums])
-        phases = () if self.by is None else (len(sums),)
-        sums = np.moveaxis(sums, 0, -2).reshape(*self.grid.sizes, *phases, _COLUMNS)
-        found = {
+        sums = self.with_bulk(self._sums(frame, lattice, source))
+        sums = np.moveaxis(sums, 0, -2)
+        if self.by is None:
+            sums = sums[..., 0, :]
+        sums = sums.reshape(*self.grid.sizes, *sums.shape[3:])
+        results = {
             "volume_fraction": sums[..., 1],
             "void_fraction": 1.0 - sums[..., 1],
             "number_density": sums[..., 0],
             "density": sums[..., 2],
         }
         if "velocity" in frame:
-            found["momentum_density"] = sums[..., 3:]
+            results["momentum_density"] = sums[..., 3:]
             with np.errstate(invalid="ignore", divide="ignore"):
-                found["velocity"] = sums[..., 3:] / sums[..., 2:3]
-        return found
+                results["velocity"] = sums[..., 3:] / sums[..., 2:3]
+        return results
 
     def _sums(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
         grid = self.grid
-        some = without_frozen(frame)
+        some, phase = self.moving(frame, source)
+        position = some["position"]
+        diameter = some["diameter"]
+        radius = diameter / 2
         for a in grid.fitted:
             k = COMPONENTS.index(a)
-            warn_beyond(
-                a,
-                some["position"][:, k],
-                grid.lower[k],
-                grid.upper[k],
-                source,
-                room=some["diameter"] / 2,
-            )
-        phase = phase_of(some, self.by, self.groups, source)
-        count = len(some["position"])
-        diameter = some["diameter"]
+            warn_beyond(a, position[:, k], grid.lower[k], grid.upper[k], source, room=radius)
         volume = some["volume"]
-        momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
-        values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
-        spheres = self.setup.dimension == 3 or np.allclose(
-            volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0
-        )
-        across = next((k for k, a in enumerate(COMPONENTS) if a not in self.setup.plane), -1)
+        momentum = some["mass"][:, None] * some.get("velocity", np.zeros_like(position))
+        values = np.column_stack([np.ones(len(position)), volume, some["mass"], momentum])
+        across = -1  # spheres
+        of_spheres = np.pi / 6 * diameter**3
+        if self.setup.dimension == 2 and not np.allclose(volume, of_spheres, _SPHERE, atol=0.0):
+            (across,) = {0, 1, 2} - set(self.setup.axes)
         step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
-        reach = [1.0 if np.isinf(n) else diameter.max(initial=0.0) // n + 3.0 for n in step]
-        out = np.zeros((max(1, len(self.groups)), *grid.shape, _COLUMNS))
+        reach = diameter.max(initial=0.0) // step + 3.0
+        out = np.zeros((self.phase_count, *grid.shape, _COLUMNS))
         add_shares(
-            np.ascontiguousarray(some["position"]),
-            diameter / 2,
+            np.ascontiguousarray(position),
+            radius,
             values,
             phase,
             grid.lower,
             step,
             np.array(grid.shape),
             lattice.period,
-            -1 if spheres else across,
-            np.empty(int(math.prod(n + 1 for n in reach))),
+            across,
+            np.empty(int((reach + 1).prod())),
             out,
         )
         lengths = [lattice.length(a) for a in grid.averaged]
@@ -324,23 +306,16 @@ def slice_temperature(
     ValueError
         If an argument is wrong.
     """
-    given = {
-        name: value
-        for name, value in locals().items()
-        if name not in ("ds", "on_error") and value is not None
-    }
-    weight = _WEIGHTS.get(method)
-    if weight is None:
-        raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
+    call = call_of("slice_temperature", locals())
+    check_choice("method", method, SliceMethod)
     if method == "bins" and spacing is not None:
         raise ValueError(
             f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes"
         )
-    require_scene(ds, ("velocity", weight), "slice_temperature")
+    require_scene(ds, ("velocity", _WEIGHTS[method]), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup
-    if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
-        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}")
+    setup.check_axis(axis)
     k = COMPONENTS.index(axis)
     fitted = None
     if width is None:
@@ -349,30 +324,22 @@ def slice_temperature(
         bounds = scene.edges.get(axis)
     elif bounds is None and scene.corners is not None:
         bounds = fitted = scene.corners[0][k], scene.corners[1][k]
-    if not is_positive(width):
-        raise ValueError(
-            f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()"
-        )
+    check("width", width, POSITIVE, "m", hint="; by default it is d43, from ds.cg.measure()")
+    check("spacing", spacing, POSITIVE, "m", optional=True)
+    check("planes", planes, whole(0))
     low, high = rising_pair("bounds", bounds, equal=True)
-    step = float(width)
     if method == "bins":
-        count = max(1, _whole(np.ceil((high - low) / width - 1e-9)))
-        nodes = low + step * (np.arange(count) + 0.5)
+        count = max(1, _number(np.ceil((high - low) / width - 1e-9)))
+        nodes = low + float(width) * (np.arange(count) + 0.5)
     else:
-        step = width / 2 if spacing is None else spacing
-        if not (is_positive(step) and is_whole(planes, 0)):
-            raise ValueError(
-                f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
-            )
-        step = float(step)
-        count = _whole((high - low) / step + 1e-9, 2 * planes + 1) + 1
+        step = float(spacing or width / 2)
+        count = _number((high - low) / step + 1e-9, 2 * planes + 1) + 1
         nodes = low + step * np.arange(count)
-    analysis = _Slices(axis, method, float(width), nodes, low, planes, setup, fitted)
-    call = format_call("slice_temperature", given)
+    analysis = _Slices(axis, method, float(width), nodes, low, int(planes), fitted)
     return run(ds, analysis, call=call, scene=scene, on_error=on_error)
 
 
-def _whole(count: float, planes: int = 1) -> int:
+def _number(count: float, planes: int = 1) -> int:
     """Whole number of slices, refused before anything is made for too many."""
     if not (count + 1) * planes < _MOST:
         raise ValueError(
@@ -398,6 +365,7 @@ class _Slices(FrameAnalysis):
     """
 
     name = "slice_temperature"
+    optional = ("frozen",)
 
     axis: str
     method: SliceMethod
@@ -405,18 +373,11 @@ class _Slices(FrameAnalysis):
     nodes: NDArray
     low: float
     planes: int
-    setup: Setup
     fitted: tuple[float, float] | None
-
-    @property
-    def weight(self) -> str:
-        """Variable that grains weigh by."""
-        return _WEIGHTS[self.method]
 
     def reads(self, scene: Description) -> list[str]:
         """Return the velocity, and what grains weigh by."""
-        optional = [name for name in ("frozen",) if name in scene.columns]
-        return ["position", "velocity", self.weight, *optional]
+        return ["position", "velocity", _WEIGHTS[self.method]]
 
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return temperature, velocity and number of grains in each slice."""
@@ -450,21 +411,27 @@ class _Slices(FrameAnalysis):
         lattice = lattice.seen(along, source)
         position = some["position"]
         velocity = some["velocity"]
-        weight = some[self.weight]
+        weight = some[_WEIGHTS[self.method]]
         row = np.arange(len(position))
         if self.fitted is not None:
             warn_beyond(self.axis, position[:, k], *self.fitted, source)
         # every image stands for itself, as its velocity may be another
         if lattice.vectors is not None:
-            reach = 0.5 * weight.max(initial=0.0) if self.method == "planes" else 0.0
-            first, last = self._limits()
-            low = np.where(along, first - reach, -np.inf)
-            high = np.where(along, last + reach, np.inf)
+            # the ends of the first and the last slice; the last edge is the first over again
+            hair = _HAIR * self.width
+            first = self.low - hair
+            last = self.low + len(self.nodes) * self.width - 2 * hair
+            if self.method == "planes":
+                reach = 0.5 * weight.max(initial=0.0)
+                first = self.nodes[0] - self.width / 2 - reach
+                last = self.nodes[-1] + self.width / 2 + reach
+            low = np.where(along, first, -np.inf)
+            high = np.where(along, last, np.inf)
             row, shift, drift = lattice.images(position, low, high, source)
             position = position[row] + shift
             velocity = velocity[row] + drift
             weight = weight[row]
-        of_method = _bins if self.method == "bins" else _planes
+        of_method = {"bins": _bins, "planes": _planes}[self.method]
         period = float(lattice.period[k])
         out = of_method(self, position[:, k], velocity, weight, row, period)
         return {
@@ -472,18 +439,6 @@ class _Slices(FrameAnalysis):
             "velocity": out[:, 1:4],
             "sample_count": out[:, 4],
         }
-
-    @property
-    def dims(self) -> list[int]:
-        """Axes of the scene, which temperatures are a mean over."""
-        return [COMPONENTS.index(a) for a in self.setup.plane]
-
-    def _limits(self) -> tuple[float, float]:
-        """Return the ends of the first and the last slice (m)."""
-        if self.method == "planes":
-            return self.nodes[0] - self.width / 2, self.nodes[-1] + self.width / 2
-        hair = _HAIR * self.width  # the last edge is the first over again
-        return self.low - hair, self.low + len(self.nodes) * self.width - 2 * hair
 
 
 def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
@@ -499,16 +454,18 @@ def _bins(
     """Return temperature, velocity and count (slices, 5) by the centres of grains."""
     low = slices.low
     width = slices.width
-    dims = slices.dims
+    dims = slices.setup.axes  # temperatures are a mean over these
     nodes = slices.nodes
     out = np.full((len(nodes), 5), np.nan)
     hair = _HAIR * width  # edges are known to rounding only
     for k in range(len(nodes)):
-        # the last edge belongs to the last bin, unless it is the first edge over again
-        end = hair if k == len(nodes) - 1 and not np.isfinite(period) else -hair
+        end = -hair
+        if k == len(nodes) - 1 and not np.isfinite(period):
+            end = hair  # the last edge belongs to the last bin, unless it is the first over again
         images = _images_between(x, low + k * width - hair, low + (k + 1) * width + end, period)
         here = images > 0
-        m, v = (images * mass)[here], velocity[here]
+        m = (images * mass)[here]
+        v = velocity[here]
         out[k, 4] = len(np.unique(row[here]))
         if len(m):
             out[k, 1:4] = (m @ v) / m.sum()
@@ -523,7 +480,7 @@ def _planes(
     """Return temperature, velocity and count (slices, 5) by the cuts of grains with planes."""
     width = slices.width
     sides = slices.planes
-    dims = slices.dims
+    dims = slices.setup.axes  # temperatures are a mean over these
     count = len(x)
     radius = diameter / 2
     grain = np.arange(count)
@@ -553,7 +510,8 @@ def _planes(
         for m in shifts:
             plane = node + m * width / (2 * max(sides, 1))
             share = 1 - abs(m) / (sides + 1)
-            plane = np.mod(plane, period) if np.isfinite(period) else plane
+            if np.isfinite(period):
+                plane = np.mod(plane, period)
             near = slice(*np.searchsorted(x, (plane - reach, plane + reach)))
             area = np.pi * np.maximum(radius[near] ** 2 - (x[near] - plane) ** 2, 0.0)
             if not area.sum() > 0:

@@ -110,6 +110,27 @@ def add_colour_bar(drawn: Any, ax: Axes, text: str, values: NDArray, **options: 
     set_label(bar.ax.yaxis, text)
 
 
+def add_circles(ax: Axes, centre: NDArray, radius: NDArray, **options: Any) -> Any:
+    """Draw circles in units of the axes, and make room for them; `options` go to matplotlib."""
+    collections = extra("matplotlib.collections", "plot", "drawing")
+    circles = collections.EllipseCollection(
+        2 * radius,
+        2 * radius,
+        np.zeros(len(radius)),
+        units="xy",
+        offsets=centre,
+        offset_transform=ax.transData,
+        **options,
+    )
+    ax.add_collection(circles, autolim=False)
+    if len(centre):
+        rim = radius[:, None]
+        ax.update_datalim(np.concatenate([centre - rim, centre + rim]))
+    ax.autoscale_view()
+    ax.set_aspect("equal")
+    return circles
+
+
 def new_axes(projection: str | None = None, ratio: float | None = None) -> Axes:
     """Return the axes of a new figure of pyplot, with room for labels.
 

@@ -296,6 +296,13 @@ class Lattice:
         return gradient if gradient.any() else None
 
     @property
+    def corner(self) -> NDArray:
+        """Lower corner of the box (3,), 0 along open axes (m)."""
+        if self.edges is None:
+            return np.zeros(3)
+        return np.where(self.open_axes, 0.0, self.edges[:, 0])
+
+    @property
     def middle(self) -> NDArray:
         """Middle of the box (3,), 0 along axes where it is not finite (m)."""
         if self.edges is None:

@@ -421,6 +421,16 @@ class Setup:
             )
         return made
 
+    @property
+    def axes(self) -> list[int]:
+        """Indices of the axes of `plane`."""
+        return [COMPONENTS.index(axis) for axis in self.plane]
+
+    def check_axis(self, axis: object) -> None:
+        """Raise ValueError unless this is the name of an axis of the scene."""
+        if axis not in [*self.plane]:
+            raise ValueError(f"{axis=}: expected one of the scene's axes {', '.join(self.plane)}")
+
     def factor(self, powers: Powers) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
         return float(

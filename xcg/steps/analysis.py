@@ -15,9 +15,9 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, PADDING, Frame, Variable
+from xcg.scene.schema import OF_STEP, PADDING, Frame, Setup, Variable
 from xcg.steps.faults import OnError
-from xcg.steps.labels import AXES, format_call, label
+from xcg.steps.labels import AXES, call_of, label
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 # a frame, its periodic images, and its name in messages
@@ -39,6 +39,8 @@ class FrameAnalysis:
     threads : int
         Threads that may share a step. `run` sets it: all of the machine's where steps follow each
         other, one where they run side by side.
+    setup : Setup
+        Periodic axes, dimension, axes and unit system of the scene. `run` sets it, before `prepare`.
 
     Examples
     --------
@@ -64,8 +66,11 @@ class FrameAnalysis:
 
     # name in messages, in the history and of dask's tasks; by default that of the class
     name: ClassVar[str] = ""
+    # variables that are read, too, where the scene has them
+    optional: ClassVar[tuple[str, ...]] = ()
 
     threads: int = field(default=1, kw_only=True, repr=False, compare=False)
+    setup: Setup = field(default=Setup(), kw_only=True, repr=False, compare=False)
 
     # --- what a subclass defines -------------------------------------------------------------------
 
@@ -81,8 +86,8 @@ class FrameAnalysis:
     def reads(self, scene: Description) -> Iterable[str]:
         """Return the variables of the scene that a step is computed from.
 
-        All are required. List an optional variable only if it is in ``scene.columns``. Particle ids
-        and the box need not be listed.
+        All are required. The class attribute `optional` lists further variables, which are read
+        where the scene has them. Particle ids and the box need not be listed.
         """
         raise NotImplementedError(f"{type(self).__name__}.reads is missing")
 
@@ -182,10 +187,7 @@ class FrameAnalysis:
         options = {
             option.name: getattr(self, option.name) for option in fields(self) if option.repr
         }
-        return format_call(
-            self.name or type(self).__name__,
-            {name: value for name, value in options.items() if value is not None},
-        )
+        return call_of(self.name or type(self).__name__, options)
 
 
 @takes_scene
@@ -212,13 +214,13 @@ def run(
     if scene is None:
         # an option of analyses of groups of particles
         scene = describe(ds, getattr(analysis, "by", None))
-    analysis = analysis.prepare(scene)
+    analysis = replace(analysis, setup=scene.setup).prepare(scene)
     required = list(analysis.reads(scene))
     require_scene(ds, [n for n in required if n not in ds.coords], name)
     rows = analysis.rows(scene)
     coords = analysis.coords(scene)
     sizes = _lengths(analysis, scene, ds, coords)
-    read = _names(ds, required)
+    read = _names(ds, [*required, *(n for n in analysis.optional if n in ds)])
     task = _Task(
         replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
         name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Self
@@ -80,6 +80,18 @@ def label(
     return name_skipped(with_phase_labels(result))
 
 
+def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str) -> xr.Variable:
+    """Return values as a variable with their unit and long name."""
+    return xr.Variable(dims, values, {"units": units, "long_name": long_name})
+
+
+def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
+    """Return values with their unit and long name in place of other attributes."""
+    values = values.drop_attrs(deep=False)
+    values.attrs = {"units": units, "long_name": long_name}
+    return values
+
+
 def name_skipped(result: xr.Dataset) -> xr.Dataset:
     """List the steps that were skipped in the attribute ``skipped_steps``, if that is known and there are any."""
     skipped = result.coords.get(SKIPPED)
@@ -106,6 +118,15 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
 
 def _is_array(value: Any) -> bool:
     return hasattr(value, "dtype") and np.ndim(value) > 0
+
+
+def call_of(function: str, arguments: Mapping[str, Any]) -> str:
+    """Write a call, without the data, `on_error`, and arguments that have no value."""
+    left_out = ("ds", "f", "fc", "on_error")
+    return format_call(
+        function,
+        {n: value for n, value in arguments.items() if n not in left_out and value is not None},
+    )
 
 
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:

@@ -286,6 +286,37 @@ def _compute_chunk(
     return compute({**gathered.take(given), **fixed})
 
 
+def apply_along(
+    function: Callable[..., Any],
+    *fields: xr.DataArray,
+    along: Sequence[Sequence[str]],
+    to: Sequence[Sequence[str]],
+    sizes: Mapping[str, int] | None = None,
+    **options: Any,
+) -> Any:
+    """Apply a function of arrays along dimensions of fields, lazily and in one chunk where they are lazy.
+
+    Parameters
+    ----------
+    along, to : list of list of str
+        Dimensions that each field loses and each result gains, its last ones.
+    sizes : mapping, optional
+        Lengths of dimensions that are new.
+    **options
+        For `xarray.apply_ufunc`.
+    """
+    return xr.apply_ufunc(
+        function,
+        *fields,
+        input_core_dims=along,
+        output_core_dims=to,
+        dask="parallelized",
+        output_dtypes=[float] * len(to),
+        dask_gufunc_kwargs={"output_sizes": sizes or {}, "allow_rechunk": True},
+        **options,
+    )
+
+
 # --- progress: a bar in a terminal or notebook, plain lines elsewhere ------------------------------------
 
 
