@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.film import Film
 from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import POSITIVE, check, check_choice, extra
@@ -285,9 +286,7 @@ def movie(
     size = FRAME
     if frames.ratio is not None:
         size = drawing.size_of_figure(FRAME, frames.ratio)
-    figures = extra("matplotlib.figure", "plot", "a movie")
-    figure = figures.Figure(figsize=size, layout="constrained")
-    ax = figure.add_subplot()
+    film = Film(size, dpi)
     part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         with (
@@ -295,16 +294,12 @@ def movie(
             matplotlib.rc_context(settings),
         ):
             writer = animation.writers[program](fps=fps)
-            # FuncAnimation would draw each frame twice
-            with writer.saving(figure, part_of_file, dpi):
+            with writer.saving(film, part_of_file, dpi):
                 for picture in frames.pictures:
-                    ax.clear()
-                    frames.draw(picture, ax)
-                    drawing.set_title(ax, _title(picture))
-                    if picture is frames.pictures[0]:
-                        # frames keep the layout of the first: it would take half of their time
-                        figure.draw_without_rendering()
-                        figure.set_layout_engine(None)
+                    film.clear()
+                    frames.draw(picture, film.axes)
+                    drawing.set_title(film.axes, _title(picture))
+                    film.draw()
                     writer.grab_frame()
                     bar.update()
         part_of_file.replace(path)

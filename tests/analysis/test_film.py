@@ -1,0 +1,46 @@
+"""Frames that are drawn over what stands still have the pixels of whole pictures."""
+
+import io
+
+import numpy as np
+import pytest
+
+from xcg.analysis.film import Film
+
+pytest.importorskip("matplotlib")
+
+
+def pixels(film):
+    sink = io.BytesIO()
+    film.savefig(sink)
+    return np.frombuffer(sink.getvalue(), np.uint8).reshape(100, 150, 4).copy()
+
+
+def drawn_whole(film):
+    for artist in film.axes.get_children():
+        artist.set_animated(False)
+    film.canvas.draw()
+    return np.asarray(film.canvas.buffer_rgba()).copy()
+
+
+@pytest.mark.parametrize("kind", ["lines", "map"])
+def test_each_frame_is_as_if_it_were_drawn_whole(kind):
+    rng = np.random.default_rng(0)
+    film = Film((1.5, 1.0), dpi=100)
+    frames = []
+    for k in range(3):
+        film.clear()
+        if kind == "lines":
+            film.axes.plot(rng.random(5), label="one")
+            film.axes.set_ylim(0, 1)
+            film.axes.legend()
+        else:
+            mesh = film.axes.pcolormesh(rng.random((4, 5)), vmin=0, vmax=1)
+            if k == 0:
+                film.colorbar(mesh, ax=film.axes)
+        film.axes.set_title(f"step {k}")
+        film.draw()
+        frames.append(pixels(film))
+    assert not np.array_equal(frames[0], frames[2])
+    np.testing.assert_array_equal(frames[2], drawn_whole(film))
+    assert len([*film.axes.lines, *film.axes.collections]) == 1
