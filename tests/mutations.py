@@ -60,7 +60,7 @@ TABLE = [
         "test_polynomials_that_meet_inside_lose_no_mass",
     ),
     Mutation(
-        "compiled/points.py", "1.0, wy * uy, wy * uz, wz * uz, w * w", "1.0, wy * uy, wx * uz, wz * uz, w * w",
+        "compiled/points.py", "1.0, (wy * uy, wy * uz, wz * uz, w * w)", "1.0, (wy * uy, wx * uz, wz * uz, w * w)",
         "test_deposit_of_points_equals_its_reference",
     ),
     Mutation(
@@ -120,10 +120,11 @@ TABLE = [
         "readers/columns.py", "0.5) for axis", "1.0) for axis", "test_dumps_of_superquadrics_need_no_names",
     ),
     Mutation(
-        "compiled/lines.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
+        "compiled/lines.py", "norm /= 2.0 * volumes.half[k]", "norm /= volumes.half[k]",
+        "test_cells_hold_all_mass_and_momentum",
     ),
     Mutation(
-        "compiled/pairs.py", "touch = records[j, 3] + ri + skin", "touch = records[j, 3] + ri",
+        "compiled/pairs.py", "touch = values[j, 3] + ri + skin", "touch = values[j, 3] + ri",
         "test_touching_pairs_are_found_only_with_a_skin",
     ),
     Mutation(
@@ -427,7 +428,7 @@ TABLE = [
         "test_pairs_are_those_of_brute_force",
     ),
     Mutation(
-        "compiled/radial_distribution.py", "d[across[1]], d[across[0]]", "d[across[0]], d[across[1]]",
+        "compiled/radial_distribution.py", "away[across[1]], away[across[0]]", "away[across[0]], away[across[1]]",
         "test_pairs_are_those_of_brute_force",
     ),
     Mutation(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.compiled.lines import closed_for
 from xcg.compiled.points import (
     CUBE,
     CUBIC,
@@ -15,6 +14,7 @@ from xcg.compiled.points import (
     deposit,
     reference_deposit,
 )
+from xcg.compiled.polynomials import closed_for
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.compiled.segments import (
     SEGMENT,

@@ -291,31 +291,28 @@ def find_chains(
         )
 
     for_parts(len(i), test, contacts.threads)
-    start, contact = loops.rows_of_contacts(i, j, aligned, particles)
+    graph = loops.graph_of(i, j, branch, aligned, particles)
     seeds = np.flatnonzero(qualifies)
     chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
     members = np.empty(particles, int)
     first = np.empty(particles + 1, int)
     place = frame["position"].copy()
     link = np.full(len(i), loops.UNSEEN)
-    found = (chain, parent, members, first, onward, place, link)
+    chains = loops.Chains(chain, parent, members, first, onward, place, link)
     if rule.linear:
         seeds = seeds[np.argsort(-major[seeds], kind="stable")]
-        count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
+        count = loops.linear_chains(graph, seeds, rule.min_length, chains)
     else:
-        count = loops.branching_chains(
-            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
-        )
+        count = loops.branching_chains(graph, seeds, rule.one_sided, rule.min_length, chains)
     links = np.empty(particles, int)
-    loops.count_links(i, j, start, contact, link, links)
+    loops.count_links(graph, link, links)
 
     by_chain = {
         name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
         for name, row in CHAINS.items()
     }
-    loops.describe_chains(
-        members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED)
-    )
+    shapes = loops.Shapes(*(by_chain[f"chain_{name}"] for name in _DESCRIBED))
+    loops.describe_chains(chains, major, links, shapes)
     dropped = chain == loops.TOO_SHORT
     chain[dropped] = parent[dropped] = loops.UNSEEN
     return by_chain | {

@@ -16,6 +16,7 @@ from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
+from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite, phase_of, without_frozen
@@ -337,7 +338,7 @@ class RadialDistribution(FrameAnalysis):
         def count(first: int, last: int) -> NDArray:
             counts = np.zeros(self._shape, "int64")
             images = None if is_original is None else particle
-            lists.count(first, last, of_record, images, is_original, across, counts)
+            lists.count(first, last, Histogram(of_record, images, is_original, across, counts))
             return counts
 
         return np.sum(for_parts(len(particle), count, workers, each=8), axis=0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError
-from xcg.compiled.geometry import add_shares
+from xcg.compiled.geometry import Cells, add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
@@ -248,10 +248,7 @@ class _CellShares(FrameAnalysis):
             diameter / 2,
             values,
             phase,
-            grid.lower,
-            step,
-            np.array(grid.shape),
-            lattice.period,
+            Cells(grid.lower, step, np.array(grid.shape), lattice.period),
             -1 if spheres else across,
             np.empty(int(math.prod(n + 1 for n in reach))),
             out,

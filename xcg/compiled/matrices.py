@@ -32,8 +32,19 @@ _ROUNDING = 1e-13  # what centring one grain, or several in one place, leaves, o
 # A derivative is determined where the grains span no less of its axis.
 _SPANNED = 1.0 - 1e-6
 # Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
-COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
-GRADIENT, EXPLAINED, DETERMINED, MEAN, INVERSE, FOUND = 0, 9, 15, 18, 21, 27
+COUNT = 0
+MASS = 1
+MOMENTUM = 2
+OFFSET = 5
+SHEAR = 8
+SPREAD = 17
+SUMS = 23
+GRADIENT = 0
+EXPLAINED = 9
+DETERMINED = 15
+MEAN = 18
+INVERSE = 21
+FOUND = 27
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -99,19 +110,22 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
         cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
         for n in range(TILE):
-            c, s = cosine[n], sine[n]
+            c = cosine[n]
+            s = sine[n]
             a, b = matrix[k, p, n], matrix[k, q, n]
             matrix[k, p, n] = c * a - s * b
             matrix[k, q, n] = s * a + c * b
     for k in range(3):
         for n in range(TILE):
-            c, s = cosine[n], sine[n]
+            c = cosine[n]
+            s = sine[n]
             a, b = matrix[p, k, n], matrix[q, k, n]
             matrix[p, k, n] = c * a - s * b
             matrix[q, k, n] = s * a + c * b
     for k in range(3):
         for n in range(TILE):
-            c, s = cosine[n], sine[n]
+            c = cosine[n]
+            s = sine[n]
             a, b = vectors[k, p, n], vectors[k, q, n]
             vectors[k, p, n] = c * a - s * b
             vectors[k, q, n] = s * a + c * b
@@ -147,7 +161,8 @@ def principal(tensor, values, vectors):
     matrix = np.zeros((3, 3, TILE))
     axes = np.empty((3, 3, TILE))
     turns = np.empty(TILE, np.bool_)
-    cosine, sine = np.empty(TILE), np.empty(TILE)
+    cosine = np.empty(TILE)
+    sine = np.empty(TILE)
     for first in range(0, tensor.shape[0], TILE):
         # what is left in the last tile is finished already
         many = min(TILE, tensor.shape[0] - first)
@@ -217,7 +232,9 @@ def _null_vector(matrix, shift, vector):
         vector[0], vector[1], vector[2] = 1.0, 0.0, 0.0
         for k in range(3):
             if matrix[0, k] != 0.0 or matrix[1, k] != 0.0 or matrix[2, k] != 0.0:
-                vector[0], vector[1], vector[2] = matrix[0, k], matrix[1, k], matrix[2, k]
+                vector[0] = matrix[0, k]
+                vector[1] = matrix[1, k]
+                vector[2] = matrix[2, k]
         most = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     for k in range(3):
         vector[k] /= math.sqrt(most)
@@ -283,7 +300,8 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
     apart = matrix[0, 0]
     middle = 0.5 * (matrix[1, 1] + matrix[2, 2])
     half = 0.5 * (matrix[1, 1] - matrix[2, 2])
-    above, below = matrix[1, 2], matrix[2, 1]
+    above = matrix[1, 2]
+    below = matrix[2, 1]
     square = half * half + above * below
     # the others are middle + root and middle - root, NaN if they are complex
     root = math.sqrt(max(0.0, square)) if square >= -(_IMAGINARY**2) else math.nan
@@ -296,7 +314,10 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
     sign = 1.0
     for k in range(3):
         if k == place:
-            value, x, y, z = apart, 1.0, 0.0, 0.0
+            value = apart
+            x = 1.0
+            y = 0.0
+            z = 0.0
         else:
             value = middle + sign * root
             if half * sign > 0.0 or (half == 0.0 and abs(below) >= abs(above)):
@@ -442,7 +463,9 @@ def fit_rows(rows, first, found, many, flags):
         per_mass = 1.0 / mass if mass > 0.0 else 0.0
         offsets = _three(rows, offset, n)
         shift = 0.0 if about_node else per_mass
-        x, y, z = shift * offsets[0], shift * offsets[1], shift * offsets[2]
+        x = shift * offsets[0]
+        y = shift * offsets[1]
+        z = shift * offsets[2]
         _put_three(rows, mean, n, (x, y, z))
         about_xx, about_xy, about_xz = _three(rows, spread, n)
         about_yy, about_yz, about_zz = _three(rows, spread + three, n)
@@ -459,32 +482,50 @@ def fit_rows(rows, first, found, many, flags):
         xx = xx if active_x else own
         yy = yy if active_y else own
         zz = zz if active_z else own
-        c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        c00 = yy * zz - yz * yz
+        c01 = xz * yz - xy * zz
+        c02 = xy * yz - xz * yy
+        c11 = xx * zz - xz * xz
+        c12 = xy * xz - xx * yz
+        c22 = xx * yy - xy * xy
         determinant = xx * c00 + xy * c01 + xz * c02
         minors = c00 + c11 + c22
         size = xx + yy + zz
         rank = full
-        px, py, pz = 1.0, 1.0, 1.0  # the part of each axis that the grains span
+        # the part of each axis that the grains span
+        px = 1.0
+        py = 1.0
+        pz = 1.0
         if not trace > rounding:
             rank = 0
             px, py, pz = 0.0, 0.0, 0.0
-            c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            c00 = 0.0
+            c01 = 0.0
+            c02 = 0.0
+            c11 = 0.0
+            c12 = 0.0
+            c22 = 0.0
         elif determinant > _WELL_CONDITIONED * own * own * own:
             scale = 1.0 / determinant
             c00, c01, c02 = scale * c00, scale * c01, scale * c02
-            c11, c12, c22 = scale * c11, scale * c12, scale * c22
+            c11 = scale * c11
+            c12 = scale * c12
+            c22 = scale * c22
         elif minors <= _ONE_LINE * size * size:
             rank = full - 2
             scale = 1.0 / size
             px, py, pz = scale * xx, scale * yy, scale * zz
             scale = scale * scale
             c00, c01, c02 = scale * xx, scale * xy, scale * xz
-            c11, c12, c22 = scale * yy, scale * yz, scale * zz
+            c11 = scale * yy
+            c12 = scale * yz
+            c22 = scale * zz
         elif minors > _WELL_SPREAD * size * size and abs(determinant) <= _ONE_PLANE * minors * size:
             rank = full - 1
             scale = 1.0 / minors
-            px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
+            px = 1.0 - scale * c00
+            py = 1.0 - scale * c11
+            pz = 1.0 - scale * c22
             across = -scale * size
             c00 = scale * (size * px - xx)
             c01 = scale * (across * c01 - xy)
@@ -524,7 +565,11 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        e00, e01, e02 = known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)
-        e11, e12, e22 = known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)
+        e00 = known * dot(g0, b0)
+        e01 = known * dot(g0, b1)
+        e02 = known * dot(g0, b2)
+        e11 = known * dot(g1, b1)
+        e12 = known * dot(g1, b2)
+        e22 = known * dot(g2, b2)
         _put_three(rows, explained, n, (e00, e01, e02))
         _put_three(rows, explained + three, n, (e11, e12, e22))

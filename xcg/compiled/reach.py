@@ -35,7 +35,8 @@ ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (
 OTHER = ROW_X  # no longer needed once the nodes are listed
 # and as integers. (Plain integers would be compiled for one by one.)
 ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
-LISTS, NUMBERS = 12, 6
+LISTS = 12
+NUMBERS = 6
 
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
@@ -159,7 +160,8 @@ def nodes_in_ball(x, y, z, rows, lists):
     if rows is None:
         return 0
     low, high, steps, per_steps = rows
-    values, numbers = lists.values, lists.numbers
+    values = lists.values
+    numbers = lists.numbers
     x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
     z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
@@ -170,13 +172,16 @@ def nodes_in_ball(x, y, z, rows, lists):
         ramp8(values, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
-        dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx = x - ix * steps[0]
+        begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, EIGHT):
             fill8(values, ROW_X, count + j, dx)
             add_scalar8(values, ROW_Y, count + j, 0.0, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
-    lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
+    lowest = float(z0)
+    highest = float(z1 - 1)
+    per_step = per_steps[2]
     for k in range(padded(count)):
         dx, dy = values[ROW_X, k], values[ROW_Y, k]
         row2 = dx * dx + dy * dy
@@ -188,8 +193,12 @@ def nodes_in_ball(x, y, z, rows, lists):
         numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
     hits = 0
     for k in range(count):
-        first, left = numbers[FIRST, k], numbers[MANY, k]
-        dx, dy, row2, row = values[ROW_X, k], values[ROW_Y, k], values[ROW2, k], numbers[ROW, k]
+        first = numbers[FIRST, k]
+        left = numbers[MANY, k]
+        dx = values[ROW_X, k]
+        dy = values[ROW_Y, k]
+        row2 = values[ROW2, k]
+        row = numbers[ROW, k]
         while True:
             add_scalar8(values, Q2, hits, row2, OF_Z2, first)
             fill8(values, X, hits, dx)
@@ -233,7 +242,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     if rows is None:
         return 0
     low, high, steps, per_steps = rows
-    values, numbers = lists.values, lists.numbers
+    values = lists.values
+    numbers = lists.numbers
     x0, x1 = node_range(
         x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0]
     )
@@ -253,13 +263,21 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
             else math.copysign(1e30, bz)
         )
     real = values.dtype.type
-    zero, one, two = real(0.0), real(1.0), real(2.0)
+    zero = real(0.0)
+    one = real(1.0)
+    two = real(2.0)
     # nodes are counted from the one below the start, so that few digits are enough, and the same
     # whatever the box
-    base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
-    y, step_y, by = real(y - base_y * steps[1]), real(steps[1]), real(by)
-    z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
-    ez, per_length = real(bz * per_length), real(per_length)
+    base_y = math.floor(y * per_steps[1])
+    base_z = math.floor(z * per_steps[2])
+    y = real(y - base_y * steps[1])
+    step_y = real(steps[1])
+    by = real(by)
+    z = real(z - base_z * steps[2])
+    step_z = real(steps[2])
+    per_step = real(per_steps[2])
+    ez = real(bz * per_length)
+    per_length = real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
         ramp8(values, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
@@ -267,25 +285,27 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         ramp8(values, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
     count = 0
     for ix in range(x0, x1):
-        dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
-        dx2, dx_dot = real(dx * dx), real(dx * bx)
+        dx = ix * steps[0] - x
+        begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx2 = real(dx * dx)
+        dx_dot = real(dx * bx)
         for j in range(0, y1 - y0, EIGHT):
             add_scalar8(values, ROW2, count + j, dx2, OF_Y2, j)
             add_scalar8(values, ROW_DOT, count + j, dx_dot, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
-    c2, per_c2, tilt, rise = (
-        real(across2),
-        real(1.0 / across2 if across2 > 0.0 else 0.0),
-        real(tilt),
-        real(bz),
-    )
+    c2 = real(across2)
+    per_c2 = real(1.0 / across2 if across2 > 0.0 else 0.0)
+    tilt = real(tilt)
+    rise = real(bz)
     for k in range(padded(count)):
-        row2, dot = values[ROW2, k], values[ROW_DOT, k]
+        row2 = values[ROW2, k]
+        dot = values[ROW_DOT, k]
         u = dot * per_c2
         move = np.sqrt(max(zero, one - (row2 - dot * u))) * tilt
-        upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
+        upper = min(one, max(zero, u + move))
+        lower = min(one, max(zero, u - move))
         rest_upper = one - (row2 + upper * (upper * c2 - two * dot))
         rest_lower = one - (row2 + lower * (lower * c2 - two * dot))
         top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
@@ -296,8 +316,11 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         numbers[MANY, k] = np.int32(max(zero, end - begin + one))
     hits = 0
     for k in range(count):
-        first, left = numbers[FIRST, k], numbers[MANY, k]
-        row2, foot, row = values[ROW2, k], values[ROW_DOT, k] * per_length, numbers[ROW, k]
+        first = numbers[FIRST, k]
+        left = numbers[MANY, k]
+        row2 = values[ROW2, k]
+        foot = values[ROW_DOT, k] * per_length
+        row = numbers[ROW, k]
         while True:
             add_scalar8(values, Q2, hits, row2, OF_Z2, first)
             add_scalar8(values, ALONG, hits, foot, OF_Z, first)
@@ -382,7 +405,8 @@ def spatial_order(
     `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which
     stay in cache. The order is stable, so that sums have one order only.
     """
-    count, sizes = len(position), [size, size, size]
+    count = len(position)
+    sizes = [size, size, size]
     extent = [
         high - low if counts else 0.0
         for low, high, counts in zip(lower, upper, active, strict=True)
@@ -394,7 +418,8 @@ def spatial_order(
             2.0  # a few grains are far astray
         )
     along_x, along_y, along_z = (int(e / s) + 1 for e, s in zip(extent, sizes, strict=True))
-    pencils_y, pencils_z = (along_y - 1) // PENCIL + 1, (along_z - 1) // PENCIL + 1
+    pencils_y = (along_y - 1) // PENCIL + 1
+    pencils_z = (along_z - 1) // PENCIL + 1
     keys = pencils_y * pencils_z * along_x * PENCIL * PENCIL
     cell = np.empty(count, short_integers(max(keys, count)))
     x, y, z = (s if counts else math.inf for s, counts in zip(sizes, active, strict=True))

@@ -22,7 +22,8 @@ from numba.extending import intrinsic
 
 from xcg.compiled._jit import cgutils
 
-FOUR, EIGHT = 4, 8
+FOUR = 4
+EIGHT = 8
 TILE = 64  # nodes that the algebra is done for at a time
 
 
@@ -83,27 +84,26 @@ def typed(context, builder, signature, args):
     return place, value
 
 
-def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
+def _add4(typingctx, records, group, row, first, weight, columns):
     def generate(context, builder, signature, args):
         place, value = typed(context, builder, signature, args)
         source = [place(1), place(2), place(3)]
         pointer, align = pointer_to(context, builder, signature.args[0], args[0], source, FOUR)
-        weights, columns = (
-            vector_of(builder, [value(4)] * FOUR),
-            vector_of(builder, [value(k) for k in range(5, 9)]),
-        )
-        sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
+        weights = vector_of(builder, [value(4)] * FOUR)
+        numbers = vector_of(builder, cgutils.unpack_tuple(builder, args[5]))
+        sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, numbers))
         builder.store(sums, pointer, align=align)
         return context.get_dummy_value()
 
-    return types.void(records, group, row, first, weight, a, b, c, d), generate
+    four = types.UniTuple(records.dtype, FOUR)
+    return types.void(records, group, row, first, weight, four), generate
 
 
 @compiled_as(_add4)
-def add4(records, group, row, first, weight, a, b, c, d):
-    """``records[group, row, first : first + 4] += weight * (a, b, c, d)``."""
+def add4(records, group, row, first, weight, columns):
+    """``records[group, row, first : first + 4] += weight * columns``, of four columns."""
     real = records.dtype.type
-    records[group, row, first : first + FOUR] += real(weight) * np.array((a, b, c, d), real)
+    records[group, row, first : first + FOUR] += real(weight) * np.array(columns, real)
 
 
 def _fill8(typingctx, lists, row, at, value):

@@ -29,7 +29,9 @@ from xcg.compiled.polynomials import AT_ONCE, lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
-LUCY, HEAVISIDE, TABLE = 0, 3, 6
+LUCY = 0
+HEAVISIDE = 3
+TABLE = 6
 LUCY_FULL = None
 PLAIN = None  # in place of a table
 
@@ -224,33 +226,46 @@ def _at(kind, table, r2):
 
 
 @leaf
-def fill_gauss(kind, table, points, weights, order, length, along, q2, count, out):
-    """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
+def fill_gauss(kind, table, points, weights, length, along, q2, count, out):
+    """Write the mean of the value over segments, by a rule of Gauss-Legendre, seen from `count` nodes.
 
     A node lies at squared distance q2 from the start of its segment, and its foot at `along` from
     there. The precision is that of the arrays. Points lie in pairs of one weight about the middle.
     """
-    real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
-    room = padded(count) if kind is LUCY_FULL else count
-    if order == 4:  # what most contacts take: all roots take turns in one loop
-        u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
-        u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
-        w, w1 = real(weights[4, 0]), real(weights[4, 1])
+    real = out.dtype.type
+    two = out.dtype.type(2.0)
+    last = points.size - 1
+    room = count
+    if kind is LUCY_FULL:
+        room = padded(count)
+    if points.size == 4:  # what most contacts take: all roots take turns in one loop
+        u0 = real(points[0] * length)
+        u1 = real(points[1] * length)
+        u2 = real(points[2] * length)
+        u3 = real(points[3] * length)
+        w = real(weights[0])
+        w1 = real(weights[1])
         for k in range(room):
-            r2, t = q2[k], along[k]
+            r2 = q2[k]
+            t = along[k]
             a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
-            c, d = r2 + u1 * (u1 - two * t), r2 + u2 * (u2 - two * t)
+            c = r2 + u1 * (u1 - two * t)
+            d = r2 + u2 * (u2 - two * t)
             outer = _at(kind, table, a) + _at(kind, table, b)
             out[k] = w * outer + w1 * (_at(kind, table, c) + _at(kind, table, d))
     else:
         for k in range(room):
             out[k] = real(0.0)
-        for g in range((order + 1) // 2):
-            u, v = real(points[order, g] * length), real(points[order, last - g] * length)
-            # the middle one is its own partner
-            w = real(weights[order, g] * (0.5 if g == last - g else 1.0))
+        for g in range((points.size + 1) // 2):
+            u = real(points[g] * length)
+            v = real(points[last - g] * length)
+            weight = weights[g]
+            if g == last - g:  # the middle one is its own partner
+                weight *= 0.5
+            w = real(weight)
             for k in range(room):
-                a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
+                a = q2[k] + u * (u - two * along[k])
+                b = q2[k] + v * (v - two * along[k])
                 out[k] += w * (_at(kind, table, a) + _at(kind, table, b))
 
 

@@ -233,7 +233,8 @@ class BoxMotion:
         if first.vectors is None and later.vectors is None:
             stretch[wraps] = later.period[wraps] / first.period[wraps] - 1.0
             return cls(np.diag(stretch), moved - stretch * lower, later, np.eye(wraps.sum()))
-        before, after = first.given, later.given
+        before = first.given
+        after = later.given
         turned = same_vectors(before, after, np.flatnonzero(wraps))
         gradient = (np.linalg.pinv(before) @ (turned @ after - before)).T
         return cls(gradient, moved - gradient @ lower, later, turned)
@@ -260,7 +261,8 @@ class BoxMotion:
         moved = later["position"][there] - position - self.shift - position @ self.gradient.T
         if "image" not in first:
             return self.lattice.shortest(moved)
-        before, after = first["image"][here], later["image"][there]
+        before = first["image"][here]
+        after = later["image"][there]
         axes = self.lattice.axes
         crossed = np.argwhere(np.delete(after - before, axes, axis=1))
         if crossed.size:

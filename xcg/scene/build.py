@@ -64,9 +64,11 @@ def to_dataset(
         row = BOX[name] if name in box else variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    unit, long_name = units_in("s", setup.unit_system), "time"
+    unit = units_in("s", setup.unit_system)
+    long_name = "time"
     if time is None:
-        unit, long_name = "1", NUMBERED
+        unit = "1"
+        long_name = NUMBERED
     coords: dict[str, Any] = {
         "time": (
             "time",
@@ -298,7 +300,8 @@ def scene_from_arrays(
     domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
-    particles, contacts = [], []
+    particles = []
+    contacts = []
     with Once().active():
         for t in range(total):
             source = f"step {t}" if total > 1 else "scene"

@@ -434,7 +434,8 @@ def _mapped(
 
 def _same(values: NDArray, name: str, dim: str) -> NDArray:
     """Return the single value along the last axis, NaN aside."""
-    low, high = np.fmin.reduce(values, axis=-1), np.fmax.reduce(values, axis=-1)
+    low = np.fmin.reduce(values, axis=-1)
+    high = np.fmax.reduce(values, axis=-1)
     if (low < high).any():
         raise SceneError(
             f"'{name}' differs along '{dim}', as where parts with other contacts or boxes are joined by xr.concat "

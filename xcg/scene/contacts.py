@@ -139,11 +139,10 @@ class Contacts:
             branch = sign * (radius - overlap[both] / 2)[:, None] * normal
             spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
             branches.append(branch)
-        branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
-        branch_i[both[spheres]], branch_j[both[spheres]] = (
-            branches[0][spheres],
-            branches[1][spheres],
-        )
+        branch_i = self.branch_i.copy()
+        branch_j = self.branch_j.copy()
+        branch_i[both[spheres]] = branches[0][spheres]
+        branch_j[both[spheres]] = branches[1][spheres]
         return replace(self, given_branches=(branch_i, branch_j))
 
     @property
@@ -265,7 +264,8 @@ class Contacts:
     @property
     def dyads(self) -> NDArray:
         """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
-        total, (branch_i, branch_j) = np.zeros((len(self.position), 3, 3)), self.branches
+        total = np.zeros((len(self.position), 3, 3))
+        (branch_i, branch_j) = self.branches
 
         def add(first: int, last: int) -> None:
             add_dyads(self.i, 1.0, self.force, branch_i, first, total[first:last])

@@ -32,7 +32,8 @@ MIN_SILHOUETTE = 0.7
 # Spreads below this share of the mean are noise, such as densities that were computed from
 # single-precision masses.
 NOISE = 1e-3
-MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
+MAX_GRAINS = 20_000
+MAX_SILHOUETTES = 3_000
 
 
 @takes_scene
@@ -109,7 +110,8 @@ def _warn_of_empty(edges: NDArray, attrs: Mapping[Any, Any]) -> None:
     """Warn where an edge leaves all grains on one side, by the smallest and largest diameters as measured."""
     if not {"dmin", "dmax"} <= set(attrs):
         return
-    smallest, largest = float(attrs["dmin"]), float(attrs["dmax"])
+    smallest = float(attrs["dmin"])
+    largest = float(attrs["dmax"])
     if beyond := [edge for edge in edges.tolist() if not smallest < edge <= largest]:
         warn_user(
             f"edges={beyond}: outside the diameters that were measured, {smallest:.6g} to {largest:.6g}, so that a "

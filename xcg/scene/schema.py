@@ -25,7 +25,9 @@ from xcg.common.messages import SceneError
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
 MAX_GROUPS = 100
-SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are numbers, too
+# m; powers of lengths between these are numbers, too
+SHORTEST = 1e-75
+LONGEST = 1e75
 
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time

@@ -178,7 +178,8 @@ def _of_particles(
     """Return which contacts (t, contacts) have one of the particles (t, particles), or only such ones."""
     kept = np.empty(contact_i.shape, bool)
     for step, (i, j) in enumerate(zip(contact_i, contact_j, strict=True)):
-        i_selected, j_selected = np.isin(i, ids[step]), np.isin(j, ids[step])
+        i_selected = np.isin(i, ids[step])
+        j_selected = np.isin(j, ids[step])
         kept[step] = (i_selected | j_selected) & (i != PADDING)
         if outside == "drop":
             kept[step] &= (i_selected | (i < 0)) & (j_selected | (j < 0))

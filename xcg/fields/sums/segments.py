@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
-from xcg.compiled.lines import closed_for, largest_error
-from xcg.compiled.polynomials import RADIUS
+from xcg.compiled.lines import largest_error
+from xcg.compiled.polynomials import RADIUS, closed_for
 from xcg.compiled.reach import Nodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
     BRANCH,
@@ -22,6 +22,7 @@ from xcg.compiled.segments import (
     RUN,
     SEGMENT,
     ContactRows,
+    Listing,
     Segments,
     bounds_of_segments,
     deposit_segments,
@@ -105,11 +106,6 @@ MOST_LISTED_ONCE = 1 << 22
 # Runs that are listed at one time, so that their segments stay in cache.
 _TOGETHER = 256
 
-# the first arguments of `list_segments`, up to the origin
-Listing: TypeAlias = tuple[
-    ContactRows, NDArray | None, bool, int, NDArray, float, tuple[float, float, float]
-]
-
 
 @dataclass(frozen=True, eq=False)
 class ListedOnce:
@@ -153,7 +149,7 @@ def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bo
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records = np.empty((len(contacts), SEGMENT))
     longest = np.empty(4)
-    more = list_segments(*listing, contacts, records, None, longest)
+    more = list_segments(listing, contacts, records, None, longest)
     return records, longest, more
 
 
@@ -214,12 +210,14 @@ def _segments(
     mesh = step.meshes[cutoff]
     tilted = step.lattice.vectors is not None
     limits = step.spec.limits
-    rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
-    listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
+    rows = ContactRows(
+        c.i, c.j, c.point, on_i, on_j, step.position, step.phase, *c.lattice.for_loops
+    )
+    listing = Listing(rows, second, others, step.spec.by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
-        more = list_segments(*listing, contacts, None, bounds, longest)
+        more = list_segments(listing, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
             return ListedAnew(listing, contacts, bounds, limits), longest, more
@@ -237,7 +235,8 @@ def _segments(
             # as seen in images that drift
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
+            moved_rows = rows._replace(on_i=on_i, on_j=on_j)
+            moving, _, _ = list_some(listing._replace(contacts=moved_rows), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
         partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contacts]
