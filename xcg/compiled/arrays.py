@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 
 
 @lru_cache
@@ -60,12 +60,34 @@ def nearest_image(d, period):
     return image_near(d, 0.0, period)
 
 
+@inlined
+def image_of(x, number, period):
+    """Coordinate of a periodic image; the period may be infinite where the number is 0."""
+    if number == 0:
+        return x
+    return x + number * period
+
+
+@inlined
+def along_active(x, y, z, active):
+    """Components of a vector along the axes that count, and zero along the others."""
+    if not active[0]:
+        x = 0.0
+    if not active[1]:
+        y = 0.0
+    if not active[2]:
+        z = 0.0
+    return x, y, z
+
+
 @inner
 def image_near(d, to, period):
     """Image of a distance along one axis that is nearest to another distance, see `nearest_image`."""
     if abs(d - to) < 0.49 * period:  # most are: no division
         return d
-    return d - period * np.rint((d - to) / period) if np.isfinite(period) else d
+    if not np.isfinite(period):
+        return d
+    return d - period * np.rint((d - to) / period)
 
 
 class Reduced(NamedTuple):

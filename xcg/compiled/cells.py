@@ -21,6 +21,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import cgutils, inner
+from xcg.compiled.arrays import along_active
 from xcg.compiled.reach import (
     ALONG,
     FIRST,
@@ -85,22 +86,21 @@ def _kept(context, builder, signature, args, tests, listed):
     near = builder.and_(near, builder.icmp_signed("<", ramp, left))
     bits = ir.IntType(lanes)
     found = [ir.Constant(whole, 0)]
-    for lane in range(0 if _COMPRESSES else lanes):
-        found.append(
-            builder.add(
-                found[-1],
-                builder.zext(builder.extract_element(near, ir.Constant(short, lane)), whole),
-            )
-        )
+    if not _COMPRESSES:
+        for lane in range(lanes):
+            is_near = builder.extract_element(near, ir.Constant(short, lane))
+            found.append(builder.add(found[-1], builder.zext(is_near, whole)))
     kept = [(0, row, vector) for row, vector in listed.items()]
     for k, row, vector in (*kept, (1, NODE, builder.add(first, ramp))):
         to = [ir.Constant(whole, int(row)), place(2)]
         target, align = pointer_to(context, builder, signature.args[k], args[k], to, lanes)
         if _COMPRESSES:
             number = signature.args[k].dtype
-            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
+            letter = "f"
+            if isinstance(number, types.Integer):
+                letter = "i"
             of = ir.FunctionType(vector.type, [vector.type, near.type, vector.type])
-            name = f"llvm.experimental.vector.compress.v{lanes}{kind}"
+            name = f"llvm.experimental.vector.compress.v{lanes}{letter}{number.bitwidth}"
             compress = cgutils.get_or_insert_function(builder.module, of, name)
             zeros = ir.Constant(vector.type, None)
             builder.store(builder.call(compress, [vector, near, zeros]), target, align=align)
@@ -173,7 +173,9 @@ def _list_near_segment(
         loaded = _loaded(context, builder, signature, args, lanes)
         for start, points in zip(cgutils.unpack_tuple(builder, args[6]), loaded, strict=True):
             apart = builder.fsub(points, vector_of(builder, [start] * lanes))
-            d.append(builder.fptrunc(apart, vector) if values.dtype == types.float32 else apart)
+            if values.dtype == types.float32:
+                apart = builder.fptrunc(apart, vector)
+            d.append(apart)
         e = [
             vector_of(builder, [number] * lanes)
             for number in cgutils.unpack_tuple(builder, args[7])
@@ -359,16 +361,20 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], ny
     )
     # an axis with one cell tells nothing of distances
-    across_x = bx if per_size[0] > 0.0 else 0.0
-    across_y = by if per_size[1] > 0.0 else 0.0
+    several = (per_size[0] > 0.0, per_size[1] > 0.0, False)
+    across_x, across_y, _ = along_active(bx, by, 0.0, several)
     across2 = across_x * across_x + across_y * across_y
     for j in range(y1 - y0):
-        dy = lower[1] + (y0 + j + 0.5) * size[1] - y if per_size[1] > 0.0 else 0.0
+        dy = 0.0
+        if several[1]:
+            dy = lower[1] + (y0 + j + 0.5) * size[1] - y
         values[OF_Y, j] = dy * across_y
         values[OF_Y2, j] = dy * dy
     count = 0
     for ix in range(x0, x1):
-        dx = lower[0] + (ix + 0.5) * size[0] - x if per_size[0] > 0.0 else 0.0
+        dx = 0.0
+        if several[0]:
+            dx = lower[0] + (ix + 0.5) * size[0] - x
         for j in range(0, y1 - y0, EIGHT):
             add_scalar8(values, ROW2, count + j, dx * dx, OF_Y2, j)
             add_scalar8(values, ROW_DOT, count + j, dx * across_x, OF_Y, j)
@@ -382,7 +388,9 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     slack = margin + _ROUNDING * far * far
     corner = real(0.5 * math.sqrt(size[0] * size[0] + size[1] * size[1]) + slack)
     c2 = real(across2)
-    per_c2 = real(1.0 / across2 if across2 > 0.0 else 0.0)
+    per_c2 = zero
+    if across2 > 0.0:
+        per_c2 = real(1.0 / across2)
     # cells are counted from that of the start, so that few digits are enough
     here = (z - lower[2]) * per_size[2]
     base = math.floor(here)

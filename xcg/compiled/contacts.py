@@ -233,9 +233,9 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         i, j = row_i[n], row_j[n]
         if i < 0 or j < 0:
             return n
-        near_x, near_y, near_z = (
-            (0.0, 0.0, 0.0) if seen is None else (seen[n, 0], seen[n, 1], seen[n, 2])
-        )
+        near_x, near_y, near_z = 0.0, 0.0, 0.0
+        if seen is not None:
+            near_x, near_y, near_z = seen[n, 0], seen[n, 1], seen[n, 2]
         x = image_near(position[i, 0] - position[j, 0], near_x, period[0])
         y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
         z = image_near(position[i, 2] - position[j, 2], near_z, period[2])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
+from xcg.compiled.arrays import image_of
 
 _BALL = 4.0 * math.pi / 3.0
 MOST_CROSSINGS = 16  # of one ray; further ones are left out
@@ -110,14 +111,30 @@ def disc_beyond(a, b):
     sign = 1.0
     if a < 0.0:
         side = abs(b)
-        half = math.acos(side) - side * math.sqrt(1.0 - side * side)  # of the segment beyond b
-        area = half if b >= 0.0 else math.pi - half
+        area = math.acos(side) - side * math.sqrt(1.0 - side * side)  # of the segment beyond b
+        if b < 0.0:
+            area = math.pi - area
         sign = -1.0
         a = -a
     if b < 0.0:
         half = math.acos(a) - a * math.sqrt(1.0 - a * a)
         return area + sign * (half - _disc_in_quarter(a, -b))
     return area + sign * _disc_in_quarter(a, b)
+
+
+@inner
+def _beyond(a, b, c, discs):
+    """Part of the unit ball, or of the unit disc across the axis `discs`, with x > a, y > b and z > c."""
+    if discs < 0:
+        return ball_beyond(a, b, c)
+    planes = (a, b, c)
+    if planes[discs] > 0.0:
+        return 0.0
+    if discs == 0:
+        return disc_beyond(b, c)
+    if discs == 1:
+        return disc_beyond(a, c)
+    return disc_beyond(a, b)
 
 
 class Cells(NamedTuple):
@@ -164,13 +181,13 @@ def add_shares(position, radius, values, group, cells, discs, corner, out):
         iy0, iy1 = _images(position[n, 1], r, lower[1], step[1], shape[1], period[1])
         iz0, iz1 = _images(position[n, 2], r, lower[2], step[2], shape[2], period[2])
         for ix in range(ix0, ix1 + 1):
-            x = position[n, 0] + (ix * period[0] if ix else 0.0)
+            x = image_of(position[n, 0], ix, period[0])
             x0, x1 = _cells(x, r, lower[0], step[0], shape[0])
             for iy in range(iy0, iy1 + 1):
-                y = position[n, 1] + (iy * period[1] if iy else 0.0)
+                y = image_of(position[n, 1], iy, period[1])
                 y0, y1 = _cells(y, r, lower[1], step[1], shape[1])
                 for iz in range(iz0, iz1 + 1):
-                    z = position[n, 2] + (iz * period[2] if iz else 0.0)
+                    z = image_of(position[n, 2], iz, period[2])
                     z0, z1 = _cells(z, r, lower[2], step[2], shape[2])
                     ny, nz = y1 - y0 + 2, z1 - z0 + 2
                     for i in range(x0, x1 + 2):
@@ -179,30 +196,20 @@ def add_shares(position, radius, values, group, cells, discs, corner, out):
                             b = _face(j, y, r, lower[1], step[1])
                             for k in range(z0, z1 + 2):
                                 c = _face(k, z, r, lower[2], step[2])
-                                if discs == 2:
-                                    beyond = disc_beyond(a, b) if c <= 0.0 else 0.0
-                                elif discs == 1:
-                                    beyond = disc_beyond(a, c) if b <= 0.0 else 0.0
-                                elif discs == 0:
-                                    beyond = disc_beyond(b, c) if a <= 0.0 else 0.0
-                                else:
-                                    beyond = ball_beyond(a, b, c)
-                                corner[((i - x0) * ny + j - y0) * nz + k - z0] = beyond
+                                place = ((i - x0) * ny + j - y0) * nz + k - z0
+                                corner[place] = _beyond(a, b, c, discs)
                     for i in range(x1 - x0 + 1):
                         for j in range(y1 - y0 + 1):
                             for k in range(z1 - z0 + 1):
                                 at = (i * ny + j) * nz + k
                                 over = ((i + 1) * ny + j) * nz + k
-                                share = max(
-                                    0.0,
-                                    (
-                                        (corner[at] - corner[at + 1])
-                                        - (corner[at + nz] - corner[at + nz + 1])
-                                        - (corner[over] - corner[over + 1])
-                                        + (corner[over + nz] - corner[over + nz + 1])
-                                    )
-                                    / full,
+                                inside = (
+                                    (corner[at] - corner[at + 1])
+                                    - (corner[at + nz] - corner[at + nz + 1])
+                                    - (corner[over] - corner[over + 1])
+                                    + (corner[over + nz] - corner[over + nz + 1])
                                 )
+                                share = max(0.0, inside / full)
                                 for q in range(values.shape[1]):
                                     out[group[n], x0 + i, y0 + j, z0 + k, q] += share * values[n, q]
 
@@ -316,7 +323,9 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
                 least = min(least, away)
                 facing = across
                 best = t
-        distance[n] = least if facing >= 0.0 else -least
+        distance[n] = least
+        if facing < 0.0:
+            distance[n] = -least
         triangle[n] = best
 
 

@@ -121,7 +121,12 @@ def segment(kind, table, h2, t0, t1):
         return _tabulated_segment(kind, table, h2, t0, t1)
     lower = _antiderivative(kind, h2, abs(t0))
     upper = _antiderivative(kind, h2, abs(t1))
-    return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
+    # odd functions
+    if t0 < 0.0:
+        lower = -lower
+    if t1 < 0.0:
+        upper = -upper
+    return upper - lower
 
 
 # --- many nodes at once ----------------------------------------------------------------------------------
@@ -234,9 +239,12 @@ def mean_along(
 ) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
-    along = points @ end / length if length > 0.0 else np.zeros(len(points))
-    rule = SHORT_ORDER if length < SHORT and order == 0 else order
-    return _means(length, rule, along, (points * points).sum(axis=1), kind, table)
+    along = np.zeros(len(points))
+    if length > 0.0:
+        along = points @ end / length
+    if order == 0 and length < SHORT:
+        order = SHORT_ORDER
+    return _means(length, order, along, (points * points).sum(axis=1), kind, table)
 
 
 def _means(
@@ -331,7 +339,7 @@ def _list_points(place, half, inner2, outer2, apart, values, at, weight):
     if half == 0.0:
         values[at, 0] = place
         values[weight, 0] = 1.0
-        return 1 if inner2 <= place * place < outer2 else 0
+        return int(inner2 <= place * place < outer2)
     nearest = math.sqrt(inner2)
     radius = math.sqrt(outer2)
     count = 0

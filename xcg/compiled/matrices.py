@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
+from xcg.compiled.arrays import along_active
 from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
@@ -138,7 +139,7 @@ def _descending(matrix, n):
     for k in range(1, 3):
         if matrix[k, k, n] > matrix[first, first, n]:
             first = k
-    second = 1 if first == 0 else 0
+    second = int(first == 0)
     third = 3 - first - second
     if matrix[third, third, n] <= matrix[second, second, n]:
         return first, second, third
@@ -304,7 +305,9 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
     below = matrix[2, 1]
     square = half * half + above * below
     # the others are middle + root and middle - root, NaN if they are complex
-    root = math.sqrt(max(0.0, square)) if square >= -(_IMAGINARY**2) else math.nan
+    root = math.nan
+    if square >= -(_IMAGINARY**2):
+        root = math.sqrt(max(0.0, square))
     if not apart < middle + root:
         place = 0
     elif apart >= middle - root:
@@ -325,7 +328,8 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
             else:
                 y, z = above, sign * root - half
             if y == 0.0 and z == 0.0:  # a multiple of the identity
-                y, z = (1.0, 0.0) if sign > 0.0 else (0.0, 1.0)
+                y = 0.5 + 0.5 * sign
+                z = 1.0 - y
             x = matrix[0, 1] * y + matrix[0, 2] * z
             if x != 0.0:  # else it is at right angles to the first
                 y = (value - apart) * y
@@ -391,6 +395,12 @@ def _put_three(rows, first, n, values):
     rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n] = values
 
 
+@inlined
+def _one_if(known):
+    """Return 1 for what is known, else NaN."""
+    return 1.0 if known else np.nan
+
+
 @inner
 def _moved(shear, u, offsets):
     """Compute a row of B from the sums of m Psi u x of one component."""
@@ -440,11 +450,9 @@ def fit_rows(rows, first, found, many, flags):
     flags : int
         See `flags_of`.
     """
-    active_x = flags & 1 != 0
-    active_y = flags & 2 != 0
-    active_z = flags & 4 != 0
+    active = (flags & 1 != 0, flags & 2 != 0, flags & 4 != 0)
     about_node = flags & 8 != 0
-    full = int(active_x) + int(active_y) + int(active_z)
+    full = int(active[0]) + int(active[1]) + int(active[2])
     # as unsigned numbers: signed ones are looked at for counting from the end
     count = first + np.uint64(COUNT)
     of_mass = first + np.uint64(MASS)
@@ -462,7 +470,9 @@ def fit_rows(rows, first, found, many, flags):
         mass = rows[of_mass, n]
         per_mass = 1.0 / mass if mass > 0.0 else 0.0
         offsets = _three(rows, offset, n)
-        shift = 0.0 if about_node else per_mass
+        shift = per_mass
+        if about_node:
+            shift = 0.0
         x = shift * offsets[0]
         y = shift * offsets[1]
         z = shift * offsets[2]
@@ -479,9 +489,12 @@ def fit_rows(rows, first, found, many, flags):
         rounding = _ROUNDING * (about_xx + about_yy + about_zz)
         # along the other axes all offsets are zero, and any spread gives a gradient of zero
         own = trace / full
-        xx = xx if active_x else own
-        yy = yy if active_y else own
-        zz = zz if active_z else own
+        if not active[0]:
+            xx = own
+        if not active[1]:
+            yy = own
+        if not active[2]:
+            zz = own
         c00 = yy * zz - yz * yz
         c01 = xz * yz - xy * zz
         c02 = xy * yz - xz * yy
@@ -534,21 +547,17 @@ def fit_rows(rows, first, found, many, flags):
             c12 = scale * (across * c12 - yz)
             c22 = scale * (size * pz - zz)
         else:
-            xx = xx if active_x else 0.0
-            yy = yy if active_y else 0.0
-            zz = zz if active_z else 0.0
+            xx, yy, zz = along_active(xx, yy, zz, active)
             rank, spanned, pseudo = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
             px, py, pz = spanned
             c00, c01, c02, c11, c12, c22 = pseudo
         # the spread that stands for offsets of zero has an inverse too, which is not part of M^+
-        of_xx = c00 if active_x else 0.0
-        of_yy = c11 if active_y else 0.0
-        of_zz = c22 if active_z else 0.0
+        of_xx, of_yy, of_zz = along_active(c00, c11, c22, active)
         _put_three(rows, inverse, n, (of_xx, c01, c02))
         _put_three(rows, inverse + three, n, (of_yy, c12, of_zz))
-        known_x = 1.0 if mass > 0.0 and (not active_x or px > _SPANNED) else np.nan
-        known_y = 1.0 if mass > 0.0 and (not active_y or py > _SPANNED) else np.nan
-        known_z = 1.0 if mass > 0.0 and (not active_z or pz > _SPANNED) else np.nan
+        known_x = _one_if(mass > 0.0 and (px > _SPANNED or not active[0]))
+        known_y = _one_if(mass > 0.0 and (py > _SPANNED or not active[1]))
+        known_z = _one_if(mass > 0.0 and (pz > _SPANNED or not active[2]))
         _put_three(rows, determined, n, (known_x, known_y, known_z))
         b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if mass > 0.0:
@@ -564,7 +573,7 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three, n, g1)
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-        known = 1.0 if rows[count, n] > rank + 1 else np.nan
+        known = _one_if(rows[count, n] > rank + 1)
         e00 = known * dot(g0, b0)
         e01 = known * dot(g0, b1)
         e02 = known * dot(g0, b2)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import jit
-from xcg.compiled.arrays import nearest_image, sort_by_key
+from xcg.compiled.arrays import image_of, nearest_image, sort_by_key
 from xcg.compiled.radial_distribution import count_pair
 
 
@@ -205,18 +205,18 @@ def find(first, last, levels, records, most, left, right, histogram):
                 x0 = ix
             for cx in range(x0, x1 + 1):
                 image_x = _image(cx, nx)
-                shift_x = image_x * period[0] if image_x else 0.0
+                shift_x = image_of(0.0, image_x, period[0])
                 plane = first_cell[k] + (cx - image_x * nx) * ny * nz
                 own_plane = same and cx == ix
                 for cy in range(iy if own_plane else y0, y1 + 1):
                     image_y = _image(cy, ny)
-                    shift_y = image_y * period[1] if image_y else 0.0
+                    shift_y = image_of(0.0, image_y, period[1])
                     column = plane + (cy - image_y * ny) * nz
                     after = i + 1 if own_plane and cy == iy else 0
                     for image_z in range(_image(z0, nz), _image(z1, nz) + 1):
                         begin = max(after, of_cell[column + max(z0 - image_z * nz, 0)])
                         end = of_cell[column + min(z1 - image_z * nz, nz - 1) + 1]
-                        shift_z = image_z * period[2] if image_z else 0.0
+                        shift_z = image_of(0.0, image_z, period[2])
                         tested += max(end - begin, 0)
                         if found > most:
                             return left, right, found, tested

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
+from xcg.compiled.arrays import along_active, image_of
 from xcg.compiled.cell_means import mean_over_cell, volumes_in_ball
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import (
@@ -179,7 +180,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     norm = kernel.norm
     lists, records = scratch
     values, numbers = lists
-    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
+    reach = along_active(1.0, 1.0, 1.0, active)
     q2 = values[Q2]
     weight = values[WEIGHT]
     columns = grains.constants.shape[1]
@@ -190,20 +191,20 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
         _list_grains(listed, grains, records)
         for i in range(listed.size):
             p = np.uint64(records[i, GROUP])
-            x0 = records[i, PLACE] if active[0] else 0.0
-            y0 = records[i, PLACE + 1] if active[1] else 0.0
-            z0 = records[i, PLACE + 2] if active[2] else 0.0
+            x0, y0, z0 = along_active(
+                records[i, PLACE], records[i, PLACE + 1], records[i, PLACE + 2], active
+            )
             first_x, last_x = periodic_images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
             first_y, last_y = periodic_images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
             first_z, last_z = periodic_images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
             if first_x > last_x or first_y > last_y or first_z > last_z:
                 continue
             for image_x in range(first_x, last_x + 1):
-                x = x0 + image_x * period[0] if image_x else x0
+                x = image_of(x0, image_x, period[0])
                 for image_y in range(first_y, last_y + 1):
-                    y = y0 + image_y * period[1] if image_y else y0
+                    y = image_of(y0, image_y, period[1])
                     for image_z in range(first_z, last_z + 1):
-                        z = z0 + image_z * period[2] if image_z else z0
+                        z = image_of(z0, image_z, period[2])
                         hits = nodes_in_ball(x, y, z, nodes.rows, lists)
                         hits += points_in_ball(x, y, z, nodes.cells, lists)
                         hits += volumes_in_ball(x, y, z, nodes.volumes, kernel, lists)

@@ -226,7 +226,9 @@ def _marginal_to(shells, j, h2, t):
 @inner
 def _log_term(h2, t):
     """Inverse hyperbolic sine of t / h, and zero on the line itself, where its factor h^2 or h^4 vanishes."""
-    return 0.0 if h2 < 1e-280 else math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
+    if h2 < 1e-280:
+        return 0.0
+    return math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
 
 
 @inner
@@ -259,7 +261,10 @@ def lucy_line_value(q2, by_gradient):
         rest = half2 * (1.0 - t * t)  # 1 - r^2
         r = math.sqrt(1.0 - rest)
         p = rest / (1.0 + r)
-        total += _RIM_WEIGHTS[g] * (-12.0 * p * p if by_gradient else p * p * p * (1.0 + 3.0 * r))
+        value = p * p * p * (1.0 + 3.0 * r)
+        if by_gradient:
+            value = -12.0 * p * p
+        total += _RIM_WEIGHTS[g] * value
     return half * total
 
 

@@ -47,11 +47,10 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
     """
     fits = len(numbers) >= rows and numbers.size == len(numbers) * width
     if not (fits and numbers.dtype == _NUMBER and numbers.flags.carray):
-        read_only = "" if numbers.flags.writeable else ", which is read-only"
         raise ValueError(
             f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the "
             f"other in memory that can be written to; this is an array {numbers.shape} of "
-            f"{numbers.dtype} with strides {numbers.strides}{read_only}"
+            f"{numbers.dtype} with strides {numbers.strides}, writeable={numbers.flags.writeable}"
         )
     if not numbers.size:
         return 0

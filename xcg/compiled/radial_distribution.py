@@ -33,6 +33,32 @@ class Histogram(NamedTuple):
 
 
 @inlined
+def _counts_elsewhere(i, j, whose, is_original):
+    """Return whether a pair of records counts at another image of its particles."""
+    if is_original is None:
+        return False
+    if is_original[i] and is_original[j]:
+        return False
+    # the pair is also found at the image of the other particle: it counts where the original has
+    # the lower row
+    low = i
+    high = j
+    if not is_original[i]:
+        low = j
+        high = i
+    return not is_original[low] or whose[low] > whose[high]
+
+
+@inlined
+def _bin_of_angle(away, across, angles):
+    """Bin of the angle of a vector between two of its components."""
+    if across is None:
+        return 0
+    turn = math.atan2(away[across[1]], away[across[0]]) / math.pi
+    return int((turn - math.floor(turn)) * angles) % angles
+
+
+@inlined
 def count_pair(i, j, away, distance, histogram):
     """Count a pair of records by groups, angle and distance.
 
@@ -47,21 +73,10 @@ def count_pair(i, j, away, distance, histogram):
     histogram : Histogram
         Counts are added.
     """
-    group, whose, is_original, across, counts = histogram
-    if is_original is not None and not (is_original[i] and is_original[j]):
-        # the pair is also found at the image of the other particle: it counts where the original
-        # has the lower row
-        low = i
-        high = j
-        if not is_original[i]:
-            low = j
-            high = i
-        if not is_original[low] or whose[low] > whose[high]:
-            return
-    angles = counts.shape[2]
+    if _counts_elsewhere(i, j, histogram.whose, histogram.is_original):
+        return
+    group = histogram.group
+    counts = histogram.counts
+    angle = _bin_of_angle(away, histogram.across, counts.shape[2])
     bins = counts.shape[3]
-    angle = 0
-    if across is not None:
-        turn = math.atan2(away[across[1]], away[across[0]]) / math.pi
-        angle = int((turn - math.floor(turn)) * angles) % angles
     counts[group[i], group[j], angle, min(int(distance * bins), bins - 1)] += 1

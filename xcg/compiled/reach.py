@@ -97,7 +97,9 @@ def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
     # nearly all: no more than the interval itself
     if x + high - period < first and x + low + period > last:
-        return 0, 0 if x + high >= first and x + low <= last else -1
+        if x + high < first or x + low > last:
+            return 0, -1
+        return 0, 0
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 
 
@@ -129,8 +131,11 @@ def lists_for(
     low, high, steps, _ = rows
     most = 1
     for first, end, far, step, counts in zip(low, high, reach, steps, active, strict=True):
+        reached = 2
+        if counts:
+            reached += int(far / step)
         # no more than there are: along an axis with one node the spacing means nothing
-        most *= min(end - first, int(far / step) + 2 if counts else 2)
+        most *= min(end - first, reached)
     room = padded(max(most, least)) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
@@ -257,11 +262,9 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     # how far u moves from the nearest point of the line for each unit of half chord
     tilt = 0.0
     if bz != 0.0:
-        tilt = (
-            bz / math.sqrt(across2 * (across2 + bz * bz))
-            if across2 > 1e-30
-            else math.copysign(1e30, bz)
-        )
+        tilt = math.copysign(1e30, bz)
+        if across2 > 1e-30:
+            tilt = bz / math.sqrt(across2 * (across2 + bz * bz))
     real = values.dtype.type
     zero = real(0.0)
     one = real(1.0)
@@ -296,7 +299,9 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2 = real(across2)
-    per_c2 = real(1.0 / across2 if across2 > 0.0 else 0.0)
+    per_c2 = zero
+    if across2 > 0.0:
+        per_c2 = real(1.0 / across2)
     tilt = real(tilt)
     rise = real(bz)
     for k in range(padded(count)):
@@ -406,22 +411,15 @@ def spatial_order(
     stay in cache. The order is stable, so that sums have one order only.
     """
     count = len(position)
-    sizes = [size, size, size]
-    extent = [
-        high - low if counts else 0.0
-        for low, high, counts in zip(lower, upper, active, strict=True)
-    ]
-    while math.prod(e / s + PENCIL for e, s in zip(extent, sizes, strict=True)) > max(
-        MOST_CELLS, 4.0 * count
-    ):
-        sizes[max(range(3), key=lambda k: extent[k] / sizes[k])] *= (
-            2.0  # a few grains are far astray
-        )
-    along_x, along_y, along_z = (int(e / s) + 1 for e, s in zip(extent, sizes, strict=True))
+    sizes = np.full(3, size)
+    extent = np.where(active, np.subtract(upper, lower), 0.0)
+    while np.prod(extent / sizes + PENCIL) > max(MOST_CELLS, 4.0 * count):
+        sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
+    along_x, along_y, along_z = ((extent / sizes).astype(int) + 1).tolist()
     pencils_y = (along_y - 1) // PENCIL + 1
     pencils_z = (along_z - 1) // PENCIL + 1
     keys = pencils_y * pencils_z * along_x * PENCIL * PENCIL
     cell = np.empty(count, short_integers(max(keys, count)))
-    x, y, z = (s if counts else math.inf for s, counts in zip(sizes, active, strict=True))
+    x, y, z = np.where(active, sizes, np.inf).tolist()
     _cells_in_pencils(position, tuple(lower), (x, y, z), along_x, pencils_z, cell)
     return counting_sort(cell, keys)

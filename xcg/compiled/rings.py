@@ -89,9 +89,11 @@ def ring_references(given, rings, turns, mean, difference):
         mean[n, 1] = y / total
         mean[n, 2] = z / total
         for k in range(rings.start[n], rings.start[n + 1]):
-            here = math.isfinite(difference[k, 0])
-            for c in range(3):
-                difference[k, c] = difference[k, c] - mean[n, c] if here else 0.0
+            if math.isfinite(difference[k, 0]):
+                for c in range(3):
+                    difference[k, c] -= mean[n, c]
+            else:
+                difference[k] = 0.0
 
 
 @inner
@@ -228,7 +230,9 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
             r = rings.place[n, 0]
             if r - radius >= cutoff:
                 break
-            dz = position[i, 2] - rings.place[n, 1] if tilts else 0.0
+            dz = 0.0
+            if tilts:
+                dz = position[i, 2] - rings.place[n, 1]
             if abs(dz) >= cutoff:
                 continue
             below = 2.0 * r * radius
@@ -276,11 +280,11 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                 px = (radius * c - r) * per_cutoff
                 py = radius * s * per_cutoff
                 pz = dz * per_cutoff
+                parts = (w, w * px, w * py, w * pz)
                 for a in range(4):
-                    part = w if a == 0 else (w * px if a == 1 else (w * py if a == 2 else w * pz))
-                    sums[a, 0] += part * c
-                    sums[a, 1] += part * s
-                    sums[a, 2] += part
+                    sums[a, 0] += parts[a] * c
+                    sums[a, 1] += parts[a] * s
+                    sums[a, 2] += parts[a]
             g = group[i]
             column = 0
             m2 = mass[i] * mass[i] / dimension

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
-from xcg.compiled.arrays import Reduced, gauss_rules
+from xcg.compiled.arrays import Reduced, along_active, gauss_rules, image_of
 from xcg.compiled.cell_means import volumes_along_segment
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
@@ -194,7 +194,6 @@ def list_segments(listing, rows, segments, bounds, longest):
         Whether any contact has a second segment.
     """
     contacts, second, others, cutoffs, cutoff, origin = listing
-    on_j = contacts.on_j
     position = contacts.position
     phase = contacts.phase
     per_cutoff = 1.0 / cutoff
@@ -225,23 +224,21 @@ def list_segments(listing, rows, segments, bounds, longest):
             segments[k, BRANCH] = x
             segments[k, BRANCH + 1] = y
             segments[k, BRANCH + 2] = z
-            carried = contacts.on_i
-            sign = cutoff
-            if second or contacts.row_i[n] < 0:
-                if on_j is None:
-                    sign = -cutoff
-                else:
-                    carried = on_j
-            segments[k, FORCE] = sign * carried[n, 0]
-            segments[k, FORCE + 1] = sign * carried[n, 1]
-            segments[k, FORCE + 2] = sign * carried[n, 2]
+            of_j = second or contacts.row_i[n] < 0
+            _write_carried(segments, k, contacts.on_i, contacts.on_j, n, of_j, cutoff)
             segments[k, GROUP] = 0.0
-            if others or not alone:
-                partner = others - 1 if j < 0 else phase[j]
-                segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+            if not alone:
+                segments[k, GROUP] = phase[i]
+            if others:
+                partner = others - 1
+                if j >= 0:
+                    partner = phase[j]
+                segments[k, GROUP] = phase[i] * others + partner
     for k in range(3):
-        longest[k] = math.nan if math.isnan(most[3]) else most[k]
+        longest[k] = most[k]
     longest[3] = math.sqrt(most[3])
+    if math.isnan(most[3]):
+        longest[:] = math.nan
     return more
 
 
@@ -285,10 +282,28 @@ def _side(contacts, n, second, alone):
 
 
 @inlined
+def _write_carried(segments, k, on_i, on_j, n, of_j, unit):
+    """Write what a side of contact n carries, times a unit, to a segment."""
+    if on_j is None:
+        if of_j:
+            unit = -unit
+        for c in range(3):
+            segments[k, FORCE + c] = unit * on_i[n, c]
+        return
+    carried = on_i
+    if of_j:
+        carried = on_j
+    for c in range(3):
+        segments[k, FORCE + c] = unit * carried[n, c]
+
+
+@inlined
 def _longer(most, x, y, z):
     """Largest components, and squared length, of the branches so far and one more; the last is NaN if any is."""
     length2 = x * x + y * y + z * z
-    most2 = most[3] if length2 <= most[3] or math.isnan(most[3]) else length2
+    most2 = most[3]
+    if not (length2 <= most2 or math.isnan(most2)):
+        most2 = length2
     return max(most[0], abs(x)), max(most[1], abs(y)), max(most[2], abs(z)), most2
 
 
@@ -375,10 +390,12 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     period = nodes.period
     kind = kernel.kind
     table = kernel.table
-    norm = kernel.norm if nodes.volumes is None else 1.0
+    norm = 1.0
+    if nodes.volumes is None:
+        norm = kernel.norm
     values, numbers = lists
     records = segments.records
-    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
+    reach = along_active(1.0, 1.0, 1.0, active)
     along = values[ALONG]
     q2 = values[Q2]
     w = values[WEIGHT]
@@ -388,12 +405,12 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
             here = batch_reaches(segments.bounds, i // RUN, begin, end, active, period)
         if not here or records[i, GROUP] < 0.0:
             continue
-        x0 = records[i, START] if active[0] else 0.0
-        y0 = records[i, START + 1] if active[1] else 0.0
-        z0 = records[i, START + 2] if active[2] else 0.0
-        bx = -records[i, BRANCH] if active[0] else 0.0
-        by = -records[i, BRANCH + 1] if active[1] else 0.0
-        bz = -records[i, BRANCH + 2] if active[2] else 0.0
+        x0, y0, z0 = along_active(
+            records[i, START], records[i, START + 1], records[i, START + 2], active
+        )
+        bx, by, bz = along_active(
+            -records[i, BRANCH], -records[i, BRANCH + 1], -records[i, BRANCH + 2], active
+        )
         first_x, last_x = periodic_images(
             x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0]
         )
@@ -411,11 +428,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
             continue
         per_length = 1.0 / length if length > 0.0 else 0.0
         for image_x in range(first_x, last_x + 1):
-            x = x0 + image_x * period[0] if image_x else x0
+            x = image_of(x0, image_x, period[0])
             for image_y in range(first_y, last_y + 1):
-                y = y0 + image_y * period[1] if image_y else y0
+                y = image_of(y0, image_y, period[1])
                 for image_z in range(first_z, last_z + 1):
-                    z = z0 + image_z * period[2] if image_z else z0
+                    z = image_of(z0, image_z, period[2])
                     hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes.rows, lists)
                     hits += points_around_segment(
                         x, y, z, bx, by, bz, per_length, nodes.cells, lists

@@ -140,8 +140,10 @@ def _plain_gradient(kind, q2):
 @inlined
 def tabulated(kind, table, row, q2):
     """Value (row 0), or derivative divided by q (row 1). In codimension 1 both end like the chord, sqrt(1 - q^2)."""
-    found = interpolate(table, row, q2)
-    return math.sqrt(1.0 - q2) * found if kind == TABLE + 1 else found
+    factor = interpolate(table, row, q2)
+    if kind == TABLE + 1:
+        factor *= math.sqrt(1.0 - q2)
+    return factor
 
 
 @inlined
@@ -222,7 +224,9 @@ def _at(kind, table, r2):
         q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
         p = np.float32(1.0) - q
         return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
-    return value(kind, table, max(0.0, r2)) if r2 < 1.0 else 0.0
+    if r2 < 1.0:
+        return value(kind, table, max(0.0, r2))
+    return 0.0
 
 
 @leaf

@@ -38,9 +38,11 @@ def sum_waves(angle, numbers, sums):
             n = first + lane
             for d in range(dimension):
                 for h in range(most + 1):
-                    is_particle = n < count
-                    re = math.cos(h * angle[n, d]) if is_particle else 0.0
-                    im = math.sin(h * angle[n, d]) if is_particle else 0.0
+                    re = 0.0
+                    im = 0.0
+                    if n < count:
+                        re = math.cos(h * angle[n, d])
+                        im = math.sin(h * angle[n, d])
                     cosine[d, most + h, lane] = re
                     sine[d, most + h, lane] = im
                     cosine[d, most - h, lane] = re
@@ -48,7 +50,9 @@ def sum_waves(angle, numbers, sums):
         for m in range(waves):
             a = numbers[m, 0] + most
             b = numbers[m, 1] + most
-            c = numbers[m, 2] + most if dimension == 3 else most
+            c = most
+            if dimension == 3:
+                c += numbers[m, 2]
             for lane in range(LANES):
                 re = cosine[0, a, lane] * cosine[1, b, lane] - sine[0, a, lane] * sine[1, b, lane]
                 im = cosine[0, a, lane] * sine[1, b, lane] + sine[0, a, lane] * cosine[1, b, lane]
