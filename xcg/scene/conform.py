@@ -229,7 +229,9 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         return ds
     ds = with_facts(ds)
     require_facts(ds, ("periodic", "dimension"), "the scene", _OF_ATTRIBUTES)
-    scene = ds.swap_dims(_renamed(ds))
+    scene = ds
+    if renamed := _renamed(ds):
+        scene = ds.swap_dims(renamed)
     if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
@@ -254,6 +256,8 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         if masked and "particle" in array.dims and not known_without_reading(scene, name):
             array = _as_measured(array, scene.attrs)
         changed[name] = array
+    if not changed:
+        return scene
     return scene.assign(changed)
 
 
@@ -359,6 +363,8 @@ def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None
     labels = labels_along(ds, dim)
     if sorted(map(str, labels)) != sorted(axes) or ds.sizes.get(dim) != len(axes):
         return None
+    if labels == list(axes):
+        return ds
     return ds.sel({dim: list(axes)})
 
 

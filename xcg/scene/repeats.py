@@ -265,7 +265,9 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
     force = repeats.force
     size = repeats.size
     radius = repeats.radius
-    least = _SMALL_FORCE * size.mean() if size.size else 0.0
+    least = 0.0
+    if size.size:
+        least = _SMALL_FORCE * size.mean()
     free = free.copy()
     found = [np.empty((2, 0), int)]
     mismatches = [np.empty(0)]
@@ -273,10 +275,8 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
     for distance, of_pair in repeats.of_one_pair():
         turned = repeats.mirrored[distance:] != repeats.mirrored[:-distance]
         one = np.flatnonzero(of_pair & turned)
-        for parity in (
-            0,
-            1,
-        ):  # rows that follow each other share one: every other of them at a time
+        # rows that follow each other share one: every other of them at a time
+        for parity in (0, 1):
             some = one[(one // distance) % 2 == parity]
             some = some[free[some] & free[some + distance]]
             other = some + distance
@@ -331,8 +331,10 @@ def _with_means(contacts: Frame, first: NDArray, second: NDArray, lattice: Latti
         if name not in merged:
             continue
         values = merged[name] = merged[name].copy()
-        sign = -1 if name in _OF_SIDE else 1
-        change = sign * values[second] - values[first]
+        of_second = values[second]
+        if name in _OF_SIDE:
+            of_second = -of_second
+        change = of_second - values[first]
         if name == "contact_point":
             change = lattice.shortest(change)
         values[first] += 0.5 * change

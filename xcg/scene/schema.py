@@ -194,22 +194,22 @@ def powers_of(units: str) -> Powers:
 def factors_of_unit(units: str) -> dict[str, int] | None:
     """Return the power of each factor of a unit such as "K kg m^-3", "K kg m-3" or "1"; None for another notation."""
     factors: dict[str, int] = {}
-    for part in units.split() if units != "1" else ():
-        found = _FACTOR.fullmatch(part)
-        if found is None:
+    if units == "1":
+        return factors
+    for part in units.split():
+        match = _FACTOR.fullmatch(part)
+        if match is None:
             return None
-        factors[found[1]] = factors.get(found[1], 0) + int(found[2] or 1)
+        factors[match[1]] = factors.get(match[1], 0) + int(match[2] or 1)
     return factors
 
 
 def product_of_units(factors: Mapping[str, int]) -> str:
     """Return the unit with some factors and powers; "1" without any."""
-    return (
-        " ".join(
-            f"{name}{f'^{power}' if power != 1 else ''}" for name, power in factors.items() if power
-        )
-        or "1"
-    )
+    written = [
+        name if power == 1 else f"{name}^{power}" for name, power in factors.items() if power
+    ]
+    return " ".join(written) or "1"
 
 
 _NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m^-2", "W m^-3")}
@@ -223,8 +223,13 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     """
     if name in VARIABLES:
         return VARIABLES[name]
-    kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
-    dims = ("contact" if name.startswith("contact_") else "particle", "component", "direction")
+    kind = "float64"
+    if np.issubdtype(dtype, np.integer):
+        kind = "int64"
+    rows = _PARTICLE
+    if name.startswith("contact_"):
+        rows = _CONTACT
+    dims = (*rows, "component", "direction")
     return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
 
 
@@ -294,9 +299,10 @@ def periodic_axes(given: Any, plane: str | None = None) -> str:
     SceneError
         If `given` is something else.
     """
-    every = plane or "".join(COMPONENTS)
-    if given is None or isinstance(given, (bool, np.bool_)):
-        return every if given else ""
+    if given is None or (isinstance(given, (bool, np.bool_)) and not given):
+        return ""
+    if isinstance(given, (bool, np.bool_)):
+        return plane or "".join(COMPONENTS)
     parts = list(given) if np.iterable(given) else [given]
     if len(parts) == len(COMPONENTS) and all(isinstance(part, (bool, np.bool_)) for part in parts):
         parts = [axis for axis, chosen in zip(COMPONENTS, parts, strict=True) if chosen]
@@ -392,7 +398,8 @@ class Setup:
                 )
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
-        plane = plane or ("xyz" if dimension == 3 else "xy")
+        if not plane:
+            plane = "xyz" if dimension == 3 else "xy"
         given["periodic"] = periodic_axes(given.get("periodic"), plane)
         made = cls(
             gravity=gravity,

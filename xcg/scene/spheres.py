@@ -39,8 +39,9 @@ def nearest_branches(apart: NDArray, seen: NDArray | None, lattice: Lattice) -> 
         return None
     branch = lattice.shortest(apart, seen)
     off = np.linalg.norm(branch - seen, axis=1)
-    near = off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)
-    return branch if near.all() else None
+    if not (off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
+        return None
+    return branch
 
 
 def warn_of_coincident(i: NDArray, j: NDArray, source: str) -> None:
