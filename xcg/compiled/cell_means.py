@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import inlined, inner, jit
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.lines import Volumes, integrate_row
-from xcg.compiled.reach import LISTS, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_range
+from xcg.compiled.reach import LISTS, NO_BRANCH, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_range
 from xcg.compiled.smoothing import CellKernel
 
 _AXES = (X, Y, Z)
@@ -279,7 +279,7 @@ def _interpolate_row(place, node, many, share, volumes, means, values, out, firs
             out[first + k] += share * _mean_of_line(distance, means, line)
 
 
-@inner
+@inlined
 def _add_row(place, node, many, volumes, kernel, values, out, first):
     """Add the mean of the kernel over the cells of a row, from the table where that holds enough digits."""
     means = kernel.means
@@ -332,9 +332,9 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
     place = (x, y, z)
     a, b, c = volumes.order
     strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
-    first_a, end_a = _range_along(a, place, (0.0, 0.0, 0.0), volumes)
-    first_b, end_b = _range_along(b, place, (0.0, 0.0, 0.0), volumes)
-    first_c, end_c = _range_along(c, place, (0.0, 0.0, 0.0), volumes)
+    first_a, end_a = _range_along(a, place, NO_BRANCH, volumes)
+    first_b, end_b = _range_along(b, place, NO_BRANCH, volumes)
+    first_c, end_c = _range_along(c, place, NO_BRANCH, volumes)
     many = end_c - first_c
     hits = 0
     weight = values[WEIGHT]

@@ -380,7 +380,7 @@ class RowOfCells(NamedTuple):
     many: int
 
 
-@inner
+@inlined
 def _integrals_along(q2, row, kind, table, factor, out, first):
     """Add to the nodes of a row the integral of the kernel over the extent of each along it."""
     half = row.half[2]

@@ -102,6 +102,15 @@ def _unfinished(matrix, turns):
     return some
 
 
+@inlined
+def _turn_rows(first, second, cosine, sine):
+    """Turn pairs of numbers (TILE,) by angles."""
+    for n in range(TILE):
+        a, b = first[n], second[n]
+        first[n] = cosine[n] * a - sine[n] * b
+        second[n] = sine[n] * a + cosine[n] * b
+
+
 @inner
 def _rotate(matrix, vectors, p, q, turns, cosine, sine):
     """Turn the axes p and q of the marked matrices (3, 3, TILE) so that their entries p, q vanish."""
@@ -110,26 +119,11 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
         turn = turns[n] & (matrix[p, q, n] != 0.0)
         cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
-        for n in range(TILE):
-            c = cosine[n]
-            s = sine[n]
-            a, b = matrix[k, p, n], matrix[k, q, n]
-            matrix[k, p, n] = c * a - s * b
-            matrix[k, q, n] = s * a + c * b
+        _turn_rows(matrix[k, p], matrix[k, q], cosine, sine)
     for k in range(3):
-        for n in range(TILE):
-            c = cosine[n]
-            s = sine[n]
-            a, b = matrix[p, k, n], matrix[q, k, n]
-            matrix[p, k, n] = c * a - s * b
-            matrix[q, k, n] = s * a + c * b
+        _turn_rows(matrix[p, k], matrix[q, k], cosine, sine)
     for k in range(3):
-        for n in range(TILE):
-            c = cosine[n]
-            s = sine[n]
-            a, b = vectors[k, p, n], vectors[k, q, n]
-            vectors[k, p, n] = c * a - s * b
-            vectors[k, q, n] = s * a + c * b
+        _turn_rows(vectors[k, p], vectors[k, q], cosine, sine)
 
 
 @inner

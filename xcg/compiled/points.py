@@ -21,6 +21,7 @@ from xcg.compiled.cell_means import mean_over_cell, volumes_in_ball
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import (
     BATCH,
+    NO_BRANCH,
     NODE,
     OTHER,
     Q2,
@@ -30,42 +31,11 @@ from xcg.compiled.reach import (
     Y,
     Z,
     batch_reaches,
+    images_in_reach,
     nodes_in_ball,
-    periodic_images,
 )
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
-
-
-def reference_deposit(place, velocity, mass, constants, node, value):
-    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: kinematic columns up to SQUARED, and constants.
-
-    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,)
-    below 1.
-    """
-    seen = ((place - node) ** 2).sum(axis=1) < 1.0
-    x = (place - node)[seen]
-    u = (velocity - velocity[seen][:1])[seen]
-    six = np.triu_indices(3)
-    weight = value(np.sqrt((x * x).sum(axis=1)))
-    w = weight * mass[seen]
-    kinetic = np.einsum("n,ni,nj", w, u, u)[six]
-    spread = np.einsum("n,ni,nj", w, x, x)[six]
-    linear = np.einsum("n,nj,ni->ji", w, x, np.column_stack([np.ones(len(u)), u]))
-    squared = (w * w) @ x, np.einsum("n,ni,nj", w * w, x, x)[six]
-    flow = [
-        [w.sum()],
-        w @ u,
-        [seen.sum()],
-        kinetic,
-        [w @ w],
-        linear.ravel(),
-        spread,
-        *squared,
-        [0.0],
-    ]
-    return np.concatenate(flow), weight @ constants[seen]
-
 
 MASS = 0
 MOMENTUM = 1  # m u: x y z
@@ -180,7 +150,6 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     norm = kernel.norm
     lists, records = scratch
     values, numbers = lists
-    reach = along_active(1.0, 1.0, 1.0, active)
     q2 = values[Q2]
     weight = values[WEIGHT]
     columns = grains.constants.shape[1]
@@ -194,9 +163,10 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
             x0, y0, z0 = along_active(
                 records[i, PLACE], records[i, PLACE + 1], records[i, PLACE + 2], active
             )
-            first_x, last_x = periodic_images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
-            first_y, last_y = periodic_images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
-            first_z, last_z = periodic_images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+            place = (x0, y0, z0)
+            first_x, last_x = images_in_reach(0, place, NO_BRANCH, nodes)
+            first_y, last_y = images_in_reach(1, place, NO_BRANCH, nodes)
+            first_z, last_z = images_in_reach(2, place, NO_BRANCH, nodes)
             if first_x > last_x or first_y > last_y or first_z > last_z:
                 continue
             for image_x in range(first_x, last_x + 1):

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
@@ -40,6 +40,9 @@ NUMBERS = 6
 
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
+
+
+NO_BRANCH = (0.0, 0.0, 0.0)
 
 
 class Nodes(NamedTuple):
@@ -101,6 +104,18 @@ def periodic_images(x, low, high, first, last, period):
             return 0, -1
         return 0, 0
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
+
+
+@inlined
+def images_in_reach(k, place, branch, nodes):
+    """First and last periodic image, along axis k, of a segment that is closer than 1 to a block of nodes.
+
+    A place is a segment without a branch. Along axes that do not count both are zero.
+    """
+    reach = 1.0 * nodes.active[k]
+    lowest = min(0.0, branch[k]) - reach
+    highest = max(0.0, branch[k]) + reach
+    return periodic_images(place[k], lowest, highest, nodes.begin[k], nodes.end[k], nodes.period[k])
 
 
 @inner

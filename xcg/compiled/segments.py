@@ -26,48 +26,12 @@ from xcg.compiled.reach import (
     Q2,
     WEIGHT,
     batch_reaches,
+    images_in_reach,
     no_bounds,
     nodes_around_segment,
-    periodic_images,
-)  # fmt: skip
+)
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
-
-
-def reference_deposit_segments(start, branch, force, node, active, value):
-    """Sum segments (n, 3) at one node (3,) as `deposit_segments` does at many: force x branch, (3, 3).
-
-    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at
-    distances below 1.
-    """
-    total = np.zeros((3, 3))
-    x, weights = (rule[48] for rule in gauss_rules(48))
-    for begin, along, carried in zip(start, branch, force, strict=True):
-        away = (begin - node)[active]
-        length = np.linalg.norm(along[active])
-        foot = away @ along[active] / length
-        h2 = away @ away - foot * foot
-        half = np.sqrt(max(0.0, 1.0 - h2))
-        first, last = (
-            np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
-        )
-        # angles on either side of the foot
-        for low, high in (
-            (first, min(last, 0.0)),
-            (max(first, 0.0), last),
-        ):
-            if low < high:
-                q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
-                mean = (
-                    (high - low)
-                    / length
-                    * half
-                    * weights
-                    @ (value(q) * np.cos(low + (high - low) * x))
-                )
-                total += mean * np.outer(carried, along)
-    return total
-
 
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the
 # next even one.
@@ -395,7 +359,6 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         norm = kernel.norm
     values, numbers = lists
     records = segments.records
-    reach = along_active(1.0, 1.0, 1.0, active)
     along = values[ALONG]
     q2 = values[Q2]
     w = values[WEIGHT]
@@ -411,15 +374,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         bx, by, bz = along_active(
             -records[i, BRANCH], -records[i, BRANCH + 1], -records[i, BRANCH + 2], active
         )
-        first_x, last_x = periodic_images(
-            x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0]
-        )
-        first_y, last_y = periodic_images(
-            y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1]
-        )
-        first_z, last_z = periodic_images(
-            z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2]
-        )
+        place = (x0, y0, z0)
+        branch = (bx, by, bz)
+        first_x, last_x = images_in_reach(0, place, branch, nodes)
+        first_y, last_y = images_in_reach(1, place, branch, nodes)
+        first_z, last_z = images_in_reach(2, place, branch, nodes)
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)
@@ -439,7 +398,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                     )
                     if nodes.volumes is not None:  # with their weights
                         hits = volumes_along_segment(
-                            (x, y, z), (bx, by, bz), length, nodes.volumes, kernel, lists
+                            (x, y, z), branch, length, nodes.volumes, kernel, lists
                         )
                     elif points:
                         rule = GAUSS_POINTS[points, :points]

@@ -79,7 +79,6 @@ SHELLS = 2
 # Of a table of codimension 0: number of coefficients of a polynomial of y = 2 q^2 - 1, and these,
 # the highest power first, where the profile is such a polynomial to rounding; else 0.
 EVEN = 3
-_POWERS = tuple(np.uint64(k) for k in range(PIECE))
 
 # --- value and gradient ----------------------------------------------------------------------------------
 
@@ -154,14 +153,10 @@ def interpolate(table, row, q2):
     x = math.sqrt(q2) * table.shape[1]
     k = np.uint64(min(x, table.shape[1] - 1.0))
     y = 2.0 * (x - k) - 1.0
-    total = table[row, k, _POWERS[0]]
-    total = total * y + table[row, k, _POWERS[1]]
-    total = total * y + table[row, k, _POWERS[2]]
-    total = total * y + table[row, k, _POWERS[3]]
-    total = total * y + table[row, k, _POWERS[4]]
-    total = total * y + table[row, k, _POWERS[5]]
-    total = total * y + table[row, k, _POWERS[6]]
-    return total * y + table[row, k, _POWERS[7]]
+    total = table[row, k, np.uint64(0)]
+    for power in range(np.uint64(1), np.uint64(PIECE)):
+        total = total * y + table[row, k, power]
+    return total
 
 
 # --- many nodes at once ----------------------------------------------------------------------------------
