@@ -21,9 +21,20 @@ from xcg.compiled.simd import (
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,
 # but for a load and a store, which say what to load or store.
 (
-    CONSTANT, LOAD, STORE, ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE_ROOT, WHERE_POSITIVE, AT_LEAST_ZERO,
-    ZERO_IF_UNKNOWN, FIT, PART,
-) = range(13)  # fmt: skip
+    CONSTANT,
+    LOAD,
+    STORE,
+    ADD,
+    SUBTRACT,
+    MULTIPLY,
+    DIVIDE,
+    SQUARE_ROOT,
+    WHERE_POSITIVE,
+    AT_LEAST_ZERO,
+    ZERO_IF_UNKNOWN,
+    FIT,
+    PART,
+) = range(13)
 THREE = np.uint64(3)
 _NUMBER = np.dtype("float64")
 BYTES = _NUMBER.itemsize
