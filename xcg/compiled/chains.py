@@ -94,7 +94,7 @@ class Chains(NamedTuple):
     onward : (n, 3)
         Directions, turned onward.
     place : (n, 3)
-        Positions; those of a chain are made continuous across periodic boundaries.
+        Positions, made continuous along each chain across periodic boundaries.
     link : (m,)
         Chain that each contact is a link of, UNSEEN at first.
     """

@@ -99,7 +99,7 @@ class ContactRows(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """Which segments of contacts are listed.
+    """Selection of the segments to list.
 
     Attributes
     ----------

@@ -314,6 +314,28 @@ def periodic_axes(given: Any, plane: str | None = None) -> str:
     return "".join(sorted({*"".join(parts).lower()}))
 
 
+def _scales_of(units: Mapping[str, float] | str | None) -> tuple[tuple[float, float, float], str]:
+    """Return the factors to the scene's units of (length, mass, time), and its unit system."""
+    if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
+        units = units_of_system(units.lower(), f"units={units!r} is")
+    if units is None:
+        return (1.0, 1.0, 1.0), "SI"
+    if units == "reduced":
+        return (1.0, 1.0, 1.0), "reduced"
+    if not isinstance(units, Mapping):
+        raise SceneError(
+            f"units={units!r}: expected 'SI', 'reduced', a unit system of LAMMPS ({', '.join(UNIT_SYSTEMS)}), or "
+            "factors like {'length': 1e-3}"
+        )
+    wrong = set(units) - {"length", "mass", "time"}
+    if wrong or not all(is_positive(v) for v in units.values()):
+        raise SceneError(
+            f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
+            "and 'time' (s), for example units={'length': 1e-3}"
+        )
+    return (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0)), "SI"
+
+
 @dataclass(frozen=True)
 class Setup:
     """Properties of the whole scene that are not in its rows.
@@ -372,25 +394,7 @@ class Setup:
 
         `units` are a mapping, "reduced", the name of a unit system of LAMMPS, or None for SI.
         """
-        scales = (1.0, 1.0, 1.0)
-        unit_system = "SI"
-        if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
-            units = units_of_system(units.lower(), f"units={units!r} is")
-        if units == "reduced":
-            unit_system = "reduced"
-        elif isinstance(units, Mapping):
-            wrong = set(units) - {"length", "mass", "time"}
-            if wrong or not all(is_positive(v) for v in units.values()):
-                raise SceneError(
-                    f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
-                    "and 'time' (s), for example units={'length': 1e-3}"
-                )
-            scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
-        elif units is not None:
-            raise SceneError(
-                f"units={units!r}: expected 'SI', 'reduced', a unit system of LAMMPS ({', '.join(UNIT_SYSTEMS)}), or "
-                "factors like {'length': 1e-3}"
-            )
+        scales, unit_system = _scales_of(units)
         if gravity is not None:
             if is_finite(gravity):
                 raise SceneError(
@@ -414,12 +418,10 @@ class Setup:
                 f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
                 "or dimension=2 with the two axes of the plane, for example plane='xy'"
             )
-        if made.shape not in get_args(Shape):
-            raise SceneError(f"shape={made.shape!r}: expected 'sphere' or 'disc'")
-        if made.sides not in get_args(Sides):
-            raise SceneError(
-                f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}"
-            )
+        for name, choices in (("shape", Shape), ("sides", Sides)):
+            if getattr(made, name) not in get_args(choices):
+                expected = ", ".join(map(repr, get_args(choices)))
+                raise SceneError(f"{name}={getattr(made, name)!r}: expected one of {expected}")
         for name in ("density", "diameter", "mass", "thickness"):
             value = getattr(made, name)
             if value is not None and not is_positive(value):
