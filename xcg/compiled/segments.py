@@ -98,7 +98,7 @@ class ContactRows(NamedTuple):
     lattice: Reduced | None
 
 
-class Listing(NamedTuple):
+class SegmentChoice(NamedTuple):
     """Selection of the segments to list.
 
     Attributes
@@ -139,7 +139,7 @@ def list_segments(listing, rows, segments, bounds, longest):
 
     Parameters
     ----------
-    listing : Listing
+    listing : SegmentChoice
         The contacts, and which of their segments are wanted.
     rows : (k,)
         Which contacts, in the order of the list.

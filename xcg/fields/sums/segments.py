@@ -22,7 +22,7 @@ from xcg.compiled.segments import (
     RUN,
     SEGMENT,
     ContactRows,
-    Listing,
+    SegmentChoice,
     Segments,
     bounds_of_segments,
     deposit_segments,
@@ -122,7 +122,7 @@ class ListedOnce:
 class ListedAnew:
     """Segments of which the bounds alone stay in memory."""
 
-    listing: Listing
+    listing: SegmentChoice
     contacts: NDArray
     bounds: NDArray
     limits: NDArray
@@ -145,7 +145,7 @@ class ListedAnew:
 Branches: TypeAlias = ListedOnce | ListedAnew
 
 
-def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+def list_some(listing: SegmentChoice, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records = np.empty((len(contacts), SEGMENT))
     longest = np.empty(4)
@@ -213,7 +213,7 @@ def _segments(
     rows = ContactRows(
         c.i, c.j, c.point, on_i, on_j, step.position, step.phase, *c.lattice.for_loops
     )
-    listing = Listing(rows, second, others, step.spec.by_phase, cutoff, step.spec.origin)
+    listing = SegmentChoice(rows, second, others, step.spec.by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
