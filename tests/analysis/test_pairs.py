@@ -117,7 +117,7 @@ def test_a_lost_particle_does_not_slow_the_search():
     position[0] = 1e9
     lists = CellLists.of(position, radius, np.zeros(3), np.full(3, np.inf), skin=0.0, levels=None)
     assert lists.find(0, 20_000)[2] < 60 * 20_000
-    assert len(lists.starts) < 20 * 20_000
+    assert len(lists.records.of_cell) < 20 * 20_000
 
 
 def test_work_does_not_grow_with_the_ratio_of_sizes():

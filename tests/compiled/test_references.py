@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.compiled.lines import closed_for
+from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.points import (
     CUBE,
     CUBIC,
@@ -13,15 +13,14 @@ from xcg.compiled.points import (
     Grains,
     Scratch,
     deposit,
-    reference_deposit,
 )
+from xcg.compiled.polynomials import closed_for
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.compiled.segments import (
     SEGMENT,
     Segments,
     bounds_of_segments,
     deposit_segments,
-    reference_deposit_segments,
 )
 from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.nodes import MeshBlock
@@ -31,6 +30,71 @@ xcg.register_kernel(
 )
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside", "reference spline"]
 AXES = ["xyz", "xz", "y"]
+
+
+def reference_deposit(place, velocity, mass, constants, node, value):
+    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: kinematic columns up to SQUARED, and constants.
+
+    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,)
+    below 1.
+    """
+    seen = ((place - node) ** 2).sum(axis=1) < 1.0
+    x = (place - node)[seen]
+    u = (velocity - velocity[seen][:1])[seen]
+    six = np.triu_indices(3)
+    weight = value(np.sqrt((x * x).sum(axis=1)))
+    w = weight * mass[seen]
+    kinetic = np.einsum("n,ni,nj", w, u, u)[six]
+    spread = np.einsum("n,ni,nj", w, x, x)[six]
+    linear = np.einsum("n,nj,ni->ji", w, x, np.column_stack([np.ones(len(u)), u]))
+    squared = (w * w) @ x, np.einsum("n,ni,nj", w * w, x, x)[six]
+    flow = [
+        [w.sum()],
+        w @ u,
+        [seen.sum()],
+        kinetic,
+        [w @ w],
+        linear.ravel(),
+        spread,
+        *squared,
+        [0.0],
+    ]
+    return np.concatenate(flow), weight @ constants[seen]
+
+
+def reference_deposit_segments(start, branch, force, node, active, value):
+    """Sum segments (n, 3) at one node (3,) as `deposit_segments` does at many: force x branch, (3, 3).
+
+    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at
+    distances below 1.
+    """
+    total = np.zeros((3, 3))
+    x, weights = (rule[48] for rule in gauss_rules(48))
+    for begin, along, carried in zip(start, branch, force, strict=True):
+        away = (begin - node)[active]
+        length = np.linalg.norm(along[active])
+        foot = away @ along[active] / length
+        h2 = away @ away - foot * foot
+        half = np.sqrt(max(0.0, 1.0 - h2))
+        first, last = (
+            np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
+        )
+        # angles on either side of the foot
+        for low, high in (
+            (first, min(last, 0.0)),
+            (max(first, 0.0), last),
+        ):
+            if low < high:
+                q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
+                mean = (
+                    (high - low)
+                    / length
+                    * half
+                    * weights
+                    @ (value(q) * np.cos(low + (high - low) * x))
+                )
+                total += mean * np.outer(carried, along)
+    return total
 
 
 def mesh(axes):

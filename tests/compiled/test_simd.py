@@ -34,7 +34,8 @@ def scalars(rng, count):
 
 # instruction, numbers of the array, and the other arguments
 ARRAYS = [
-    (simd.add4, "float64", (3, 5, 12), lambda r: [place(r, 3), place(r, 5), place(r, 9), *scalars(r, 5)]),
+    (simd.add4, "float64", (3, 5, 12),
+     lambda r: [place(r, 3), place(r, 5), place(r, 9), scalar(r), tuple(scalars(r, 4))]),
     (simd.fill8, "float64", (4, 24), lambda r: [place(r, 4), place(r, 17), scalar(r)]),
     (simd.fill8, "float32", (4, 24), lambda r: [place(r, 4), place(r, 17), scalar(r)]),
     *[
@@ -107,7 +108,7 @@ def test_numbers_are_loaded_and_stored_by_address(store):
 def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresses):
     """Both forms of what lists points write the same bits, of the points that are near, and nothing before them."""
     rng = np.random.default_rng(11)
-    px, py, pz = points = rng.uniform(-1, 1, (3, 64))
+    points = rng.uniform(-1, 1, (3, 64))
     place, e = np.array([0.1, -0.2, 0.3]), np.array([0.6, 0.0, 0.8])
     along, of_place = np.clip((points.T - place) @ e, 0.0, 0.5), real is None
     away = np.linalg.norm(points.T - place - (0.0 if of_place else along[:, None] * e), axis=1)
@@ -115,20 +116,18 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
     points[:, abs(away - 1.0) < 1e-5] = 9.0
     away[abs(away - 1.0) < 1e-5] = 9.0
     with mock.patch.object(cells, "_COMPRESSES", compresses):
-        instruction, others = cells.list_near_place, tuple(place)
+        instruction, others, rows = cells.list_near_place, (tuple(place),), (X, Y, Z, Q2)
         if not of_place:
-            instruction, others = cells.list_near_segment, (*place, *e, 0.5)
-        call, rows = (
-            compiled(instruction, 8 + len(others)),
-            (X, Y, Z, Q2) if of_place else (Q2, ALONG),
-        )
+            instruction, others = cells.list_near_segment, (tuple(place), tuple(e), 0.5)
+            rows = (Q2, ALONG)
+        call = compiled(instruction, 6 + len(others))
         lanes = cells.VECTOR // np.dtype(real or "float64").itemsize
         for left in (-1, 0, 1, 5, 8, 11, 16, 40):
             found = []
             for run in (call, instruction.py_func):
                 lists = np.zeros((LISTS, 40), real or "float64"), np.zeros((NUMBERS, 40), "int32")
                 count = int(
-                    run(*lists, np.uint64(3), px, py, pz, np.uint64(20), np.int64(left), *others)
+                    run(*lists, np.uint64(3), tuple(points), np.uint64(20), np.int64(left), *others)
                 )
                 for row in rows:
                     lists[0][row, 3 + count :] = 0.0

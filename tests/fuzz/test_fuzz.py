@@ -184,7 +184,7 @@ def beyond(lists, row, at):
 
 @leaf
 def sums(records, n):
-    add4(records, 0, n, 0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    add4(records, 0, n, 0, 1.0, (1.0, 1.0, 1.0, 1.0))
 
 beyond(np.zeros((2, 16)), 1, 8)
 sums(np.zeros((1, 5, 4)), 4)

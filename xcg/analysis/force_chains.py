@@ -266,7 +266,7 @@ class _ForceChains(FrameAnalysis):
             )
 
         for_parts(len(i), test, contacts.threads)
-        start, contact = loops.rows_of_contacts(i, j, aligned, particles)
+        graph = loops.graph_of(i, j, branch, aligned, particles)
         seeds = np.flatnonzero(qualifies)
         chain = np.full(particles, loops.UNSEEN)
         parent = np.full(particles, loops.UNSEEN)
@@ -274,22 +274,21 @@ class _ForceChains(FrameAnalysis):
         first = np.empty(particles + 1, int)
         place = frame["position"].copy()
         link = np.full(len(i), loops.UNSEEN)
-        links_of = (i, j, branch, start, contact)
-        out = (chain, parent, members, first, onward, place, link)
+        chains = loops.Chains(chain, parent, members, first, onward, place, link)
         if self.algorithm == "peters2005":
             seeds = seeds[np.argsort(-major[seeds], kind="stable")]
-            count = loops.linear_chains(*links_of, seeds, self.min_length, *out)
+            count = loops.linear_chains(graph, seeds, self.min_length, chains)
         else:
             one_sided = bool(self.one_sided)
-            count = loops.branching_chains(*links_of, seeds, one_sided, self.min_length, *out)
+            count = loops.branching_chains(graph, seeds, one_sided, self.min_length, chains)
         links = np.empty(particles, int)
-        loops.count_links(i, j, start, contact, link, links)
+        loops.count_links(graph, link, links)
         by_chain = {
             name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
             for name, row in CHAINS.items()
         }
-        described = (by_chain[f"chain_{name}"] for name in _DESCRIBED)
-        loops.describe_chains(members, first, place, major, links, *described)
+        shapes = loops.Shapes(*(by_chain[f"chain_{name}"] for name in _DESCRIBED))
+        loops.describe_chains(chains, major, links, shapes)
         dropped = chain == loops.TOO_SHORT
         chain[dropped] = parent[dropped] = loops.UNSEEN
         return by_chain | {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,8 @@ from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
 from xcg.compiled.arrays import sort_by_key
-from xcg.compiled.pairs import rows_of_pairs, sort_pairs
+from xcg.compiled.pairs import Levels, Records, rows_of_pairs, sort_pairs
+from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import periodic_axes
@@ -77,46 +78,19 @@ class CellLists:
 
     Attributes
     ----------
-    lower, inverse, cells : array (levels, 3)
-        Corner (m), inverse edge (m-1) and number of the cells along each axis, from small particles
-        to large.
-    largest : array (levels,)
-        Largest radius (m).
-    fold : array (levels, 3)
-        The period along axes too short for three cells, infinity along the others.
-    first_cell : array (levels + 1,)
-        Number of the first cell of each level, all levels counted through, and number of cells.
-    records : array (n, 4)
-        x, y, z, radius, by level and cell (m).
+    levels : Levels
+        Their cells.
+    records : Records
+        The particles, by level and cell.
     row : array (n,)
         Row of the particle that each record is.
-    first_record : array (levels + 1,)
-        First record of each level.
-    starts : array
-        First record of each cell, and number of records.
-    period : array (3,)
-        Period of each axis (m), infinite without one.
-    skin : float
-        Pairs closer than the sum of their radii and this are found (m).
-    slack : float
-        Rounding of coordinates (m).
     axes : tuple of int
         Which of x, y, z each component of the records is.
     """
 
-    lower: NDArray
-    inverse: NDArray
-    cells: NDArray
-    largest: NDArray
-    fold: NDArray
-    first_cell: NDArray
-    records: NDArray
+    levels: Levels
+    records: Records
     row: NDArray
-    first_record: NDArray
-    starts: NDArray
-    period: NDArray
-    skin: float
-    slack: float
     axes: tuple[int, ...]
 
     @classmethod
@@ -149,24 +123,15 @@ class CellLists:
         lower = np.broadcast_to(lower, cells.shape).copy()
         inverse = np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0)
         first_cell = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
+        fold = np.where(cells == 1, period, np.inf)
+        sizes = Levels(lower, inverse, cells, first_cell, largest, period, fold, float(skin), slack)
         count = len(position)
         wrapped = np.empty((count, 3))
         cell = np.empty(count, "int64")
 
         def locate(first: int, last: int) -> None:
             some = slice(first, last)
-            loops.locate(
-                position[some],
-                level[some],
-                corner,
-                period,
-                lower,
-                inverse,
-                cells,
-                first_cell,
-                wrapped[some],
-                cell[some],
-            )
+            loops.locate(position[some], level[some], corner, sizes, wrapped[some], cell[some])
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
@@ -181,41 +146,7 @@ class CellLists:
 
         for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
-        fold = np.where(cells == 1, period, np.inf)
-        return cls(
-            lower,
-            inverse,
-            cells,
-            largest,
-            fold,
-            first_cell,
-            records,
-            row,
-            first_record,
-            starts,
-            period,
-            skin,
-            slack,
-            tuple(axes),
-        )
-
-    @property
-    def for_loops(self) -> tuple:
-        """The cells as the loops over pairs take them."""
-        return (
-            self.records,
-            self.first_record,
-            self.first_cell,
-            self.starts,
-            self.lower,
-            self.inverse,
-            self.cells,
-            self.largest,
-            self.period,
-            self.fold,
-            self.skin,
-            self.slack,
-        )
+        return cls(sizes, Records(records, first_record, starts), row, tuple(axes))
 
     def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of some records, only some of more than `max_pairs`, and the distances that took."""
@@ -223,18 +154,19 @@ class CellLists:
         left, right, count, tested = loops.find(
             first,
             last,
-            *self.for_loops,
+            self.levels,
+            self.records,
             max_pairs,
             np.empty(capacity, "int32"),
             np.empty(capacity, "int32"),
-            *(None,) * 5,
+            None,
         )
         return left[:count], right[:count], tested
 
-    def count(self, first: int, last: int, *histogram: Any) -> None:
-        """Count pairs of some records in a histogram: the last arguments of the loop."""
+    def count(self, first: int, last: int, histogram: Histogram) -> None:
+        """Count pairs of some records in a histogram."""
         unused = np.empty(0, "int32")
-        loops.find(first, last, *self.for_loops, 2**62, unused, unused, *histogram)
+        loops.find(first, last, self.levels, self.records, 2**62, unused, unused, histogram)
 
 
 def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray, NDArray, NDArray]:

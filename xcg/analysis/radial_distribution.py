@@ -17,6 +17,7 @@ from xcg.analysis.samples import Bounds, images_in
 from xcg.common.checks import POSITIVE, check, rising_pair, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
+from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
@@ -319,7 +320,7 @@ class RadialDistribution(PhaseAnalysis):
 
         def count(first: int, last: int) -> NDArray:
             counts = np.zeros(self._shape, "int64")
-            lists.count(first, last, of_record, images, is_original, across, counts)
+            lists.count(first, last, Histogram(of_record, images, is_original, across, counts))
             return counts
 
         return np.sum(for_parts(len(particle), count, workers, each=8), axis=0)

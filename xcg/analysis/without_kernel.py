@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.common.checks import POSITIVE, check, check_choice, rising_pair, whole
 from xcg.common.messages import SceneError
-from xcg.compiled.geometry import add_shares
+from xcg.compiled.geometry import Cells, add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
@@ -230,10 +230,7 @@ class _CellShares(PhaseAnalysis):
             radius,
             values,
             phase,
-            grid.lower,
-            step,
-            np.array(grid.shape),
-            lattice.period,
+            Cells(grid.lower, step, np.array(grid.shape), lattice.period),
             across,
             np.empty(int((reach + 1).prod())),
             out,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 
 
 @lru_cache
@@ -18,7 +18,8 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
     weights = np.zeros_like(points)
     for n in orders:
         x, w = np.polynomial.legendre.leggauss(n)
-        points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
+        points[n, :n] = 0.5 + 0.5 * x
+        weights[n, :n] = 0.5 * w
     points.flags.writeable = weights.flags.writeable = (
         False  # as loops know those that are constants of a module
     )
@@ -59,12 +60,34 @@ def nearest_image(d, period):
     return image_near(d, 0.0, period)
 
 
+@inlined
+def image_of(x, number, period):
+    """Coordinate of a periodic image; the period may be infinite where the number is 0."""
+    if number == 0:
+        return x
+    return x + number * period
+
+
+@inlined
+def along_active(x, y, z, active):
+    """Components of a vector along the axes that count, and zero along the others."""
+    if not active[0]:
+        x = 0.0
+    if not active[1]:
+        y = 0.0
+    if not active[2]:
+        z = 0.0
+    return x, y, z
+
+
 @inner
 def image_near(d, to, period):
     """Image of a distance along one axis that is nearest to another distance, see `nearest_image`."""
     if abs(d - to) < 0.49 * period:  # most are: no division
         return d
-    return d - period * np.rint((d - to) / period) if np.isfinite(period) else d
+    if not np.isfinite(period):
+        return d
+    return d - period * np.rint((d - to) / period)
 
 
 class Reduced(NamedTuple):
@@ -95,12 +118,16 @@ def nearest_of(x, y, z, lattice):
         to_x -= number * vectors[k, 0]
         to_y -= number * vectors[k, 1]
         to_z -= number * vectors[k, 2]
-    least, best = to_x * to_x + to_y * to_y + to_z * to_z, -1
+    least = to_x * to_x + to_y * to_y + to_z * to_z
+    best = -1
     for k in range(around.shape[0]):
-        image_x, image_y, image_z = to_x + around[k, 0], to_y + around[k, 1], to_z + around[k, 2]
+        image_x = to_x + around[k, 0]
+        image_y = to_y + around[k, 1]
+        image_z = to_z + around[k, 2]
         length2 = image_x * image_x + image_y * image_y + image_z * image_z
         if length2 < least:
-            least, best = length2, k
+            least = length2
+            best = k
     if best < 0:
         return to_x, to_y, to_z
     return to_x + around[best, 0], to_y + around[best, 1], to_z + around[best, 2]
@@ -122,7 +149,8 @@ def round_bits(bits, drop, special):
     Numbers whose bits `special` are all set are infinite or NaN and stay as they are.
     """
     one = bits.dtype.type(1)
-    half, mask = (one << (drop - one)) - one, ~((one << drop) - one)
+    half = (one << (drop - one)) - one
+    mask = ~((one << drop) - one)
     for n in range(bits.size):
         x = bits[n]
         if x & special != special:

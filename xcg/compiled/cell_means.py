@@ -17,24 +17,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit
+from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.lines import Volumes, integrate_row
-from xcg.compiled.reach import LISTS, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_range
+from xcg.compiled.reach import LISTS, NO_BRANCH, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_range
 from xcg.compiled.smoothing import CellKernel
 
 _AXES = (X, Y, Z)
 # Of integrals, in units of the norm: kernels may have negative parts, and those that have none are
 # zero at their rim.
 _ROUNDING = 1e-12
-TAPS, BEFORE = 6, 2  # places that a mean is interpolated from, and how many of them lie before it
+# places that a mean is interpolated from, and how many of them lie before it
+TAPS = 6
+BEFORE = 2
 FINEST = 16  # places of a table for each cutoff, at least
 MOST_PLACES = 1 << 19  # of a table; smaller cells are integrated
 _PROBES = 1000  # places where the error of a table is measured
 # What is smaller than this share of the largest mean, or times the error, is integrated, and all
 # beyond this error.
-_SMALL, _IN_HAND, _WORST = 1e-6, 4.0, 1e-4
+_SMALL = 1e-6
+_IN_HAND = 4.0
+_WORST = 1e-4
 _MOST_TABLES = 8
 LONGEST_LINE = 256  # places of a table along an axis, and numbers of scratch
 LINE = ROW_Y
+# Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each
+# cutoff of its length.
+IN_CELL = 6
+_POINTS, _WEIGHTS = gauss_rules(IN_CELL)
 
 
 class CellMeans(NamedTuple):
@@ -176,8 +185,8 @@ def _fill_means(volumes, kernel, distances_a, distances_b, distances_c, values, 
     for i in range(distances_a.size):
         for j in range(distances_b.size):
             for k in range(distances_c.size):
-                place = distances_a[i], distances_b[j], distances_c[k]
-                integrate_row(*place, 0, 1, 1.0, volumes, kernel, values, out[i, j], k)
+                place = (distances_a[i], distances_b[j], distances_c[k])
+                integrate_row(place, 0, 1, 1.0, volumes, kernel, values, out[i, j], k)
 
 
 @jit
@@ -186,9 +195,9 @@ def _largest_error(places, volumes, kernel, means, values, both):
     error = 0.0
     for i in range(places.shape[0]):
         both[:] = 0.0
-        place = places[i, 0], places[i, 1], places[i, 2], 0, 1, 1.0, volumes
-        integrate_row(*place, kernel, values, both, 0)
-        _interpolate_row(*place, means, values, both, 1)
+        place = (places[i, 0], places[i, 1], places[i, 2])
+        integrate_row(place, 0, 1, 1.0, volumes, kernel, values, both, 0)
+        _interpolate_row(place, 0, 1, 1.0, volumes, means, values, both, 1)
         error = max(error, abs(both[0] - both[1]))
     return error
 
@@ -200,7 +209,9 @@ def _taps(distance, first, per_step, last):
     k = min(np.int64(x), last)
     f = x - k
     a, b = f + 2.0, f + 1.0
-    c, d, e = f - 1.0, f - 2.0, f - 3.0
+    c = f - 1.0
+    d = f - 2.0
+    e = f - 3.0
     ab = a * b
     de = d * e
     ce = c * e
@@ -244,9 +255,10 @@ def _mean_of_line(dc, means, line):
 
 
 @inner
-def _interpolate_row(da, db, dc, node, many, share, volumes, means, values, out, first):
+def _interpolate_row(place, node, many, share, volumes, means, values, out, first):
     """As `integrate_row`, from the table of means; cells that the support does not reach are left out."""
     a, b, c = volumes.order
+    da, db, dc = place
     half = volumes.half
     across2 = max(0.0, abs(da) - half[a]) ** 2 + max(0.0, abs(db) - half[b]) ** 2
     if across2 >= 1.0:
@@ -256,27 +268,30 @@ def _interpolate_row(da, db, dc, node, many, share, volumes, means, values, out,
     line = values[LINE]
     begin = dc - node * step
     end = dc - (node + many - 1) * step
-    nearest = 0.0 if begin * end < 0.0 else min(abs(begin), abs(end))
+    nearest = 0.0
+    if begin * end >= 0.0:
+        nearest = min(abs(begin), abs(end))
     _line_of_means(da, db, nearest, max(abs(begin), abs(end)), means, line)
     for k in range(many):
-        place = dc - (node + k) * step
-        along = max(0.0, abs(place) - half_c)
+        distance = dc - (node + k) * step
+        along = max(0.0, abs(distance) - half_c)
         if across2 + along * along < 1.0:
-            out[first + k] += share * _mean_of_line(place, means, line)
+            out[first + k] += share * _mean_of_line(distance, means, line)
 
 
-@inner
-def _add_row(da, db, dc, node, many, volumes, kernel, means, values, out, first):
+@inlined
+def _add_row(place, node, many, volumes, kernel, values, out, first):
     """Add the mean of the kernel over the cells of a row, from the table where that holds enough digits."""
+    means = kernel.means
     if means.least == math.inf:
-        integrate_row(da, db, dc, node, many, 1.0, volumes, kernel, values, out, first)
+        integrate_row(place, node, many, 1.0, volumes, kernel, values, out, first)
         return
-    _interpolate_row(da, db, dc, node, many, kernel.norm, volumes, means, values, out, first)
+    _interpolate_row(place, node, many, kernel.norm, volumes, means, values, out, first)
     least = means.least * kernel.norm
     for k in range(many):
         if out[first + k] != 0.0 and abs(out[first + k]) < least:
             out[first + k] = 0.0
-            integrate_row(da, db, dc, node + k, 1, 1.0, volumes, kernel, values, out, first + k)
+            integrate_row(place, node + k, 1, 1.0, volumes, kernel, values, out, first + k)
 
 
 @inner
@@ -285,7 +300,7 @@ def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
     offset = (x, y, z)
     a, b, c = volumes.order
     out[k] = 0.0
-    _add_row(offset[a], offset[b], offset[c], 0, 1, volumes, kernel, kernel.means, values, out, k)
+    _add_row((offset[a], offset[b], offset[c]), 0, 1, volumes, kernel, values, out, k)
 
 
 @inner
@@ -313,26 +328,25 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
         return 0
     values = lists.values
     numbers = lists.numbers
-    low, high, steps, per_steps = volumes.rows
-    half = volumes.half
+    low, high, steps, _ = volumes.rows
     place = (x, y, z)
     a, b, c = volumes.order
     strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
-    first_a, end_a = _range_along(place[a], 0.0, half[a], per_steps[a], low[a], high[a])
-    first_b, end_b = _range_along(place[b], 0.0, half[b], per_steps[b], low[b], high[b])
-    first_c, end_c = _range_along(place[c], 0.0, half[c], per_steps[c], low[c], high[c])
+    first_a, end_a = _range_along(a, place, NO_BRANCH, volumes)
+    first_b, end_b = _range_along(b, place, NO_BRANCH, volumes)
+    first_c, end_c = _range_along(c, place, NO_BRANCH, volumes)
     many = end_c - first_c
     hits = 0
     weight = values[WEIGHT]
     least = -_ROUNDING * kernel.norm
-    means = kernel.means
     for ia in range(first_a, end_a):
         da = place[a] - ia * steps[a]
         for ib in range(first_b, end_b):
             db = place[b] - ib * steps[b]
             for k in range(many):
                 weight[hits + k] = 0.0
-            _add_row(da, db, place[c], first_c, many, volumes, kernel, means, values, weight, hits)
+            line = (da, db, place[c])
+            _add_row(line, first_c, many, volumes, kernel, values, weight, hits)
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
@@ -347,15 +361,15 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
 
 
 @inner
-def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, kernel, lists):
+def volumes_along_segment(place, branch, length, volumes, kernel, lists):
     """List the nodes whose cells a segment reaches, and the mean over the segment of the mean of the kernel over each.
 
     Parameters
     ----------
-    x, y, z, bx, by, bz : float
-        The segment, from a point to that point plus b.
-    points, shares : (n,)
-        Gauss-Legendre points and weights for each of the `parts` of the segment.
+    place, branch : tuple of float
+        The segment, from a point to that point plus the branch.
+    length : float
+        Its length.
     volumes, kernel, lists
         As of `volumes_in_ball`; values[X], values[Y] and values[Z] are not written.
 
@@ -364,17 +378,17 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
     int
         Number of nodes listed.
     """
+    if volumes is None:
+        return 0
+    parts = max(1, math.ceil(length))
     values = lists.values
     numbers = lists.numbers
-    low, high, steps, per_steps = volumes.rows
-    half = volumes.half
-    place = (x, y, z)
-    branch = (bx, by, bz)
+    low, high, steps, _ = volumes.rows
     a, b, c = volumes.order
     strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
-    first_a, end_a = _range_along(place[a], branch[a], half[a], per_steps[a], low[a], high[a])
-    first_b, end_b = _range_along(place[b], branch[b], half[b], per_steps[b], low[b], high[b])
-    first_c, end_c = _range_along(place[c], branch[c], half[c], per_steps[c], low[c], high[c])
+    first_a, end_a = _range_along(a, place, branch, volumes)
+    first_b, end_b = _range_along(b, place, branch, volumes)
+    first_c, end_c = _range_along(c, place, branch, volumes)
     many = end_c - first_c
     hits = 0
     weight = values[WEIGHT]
@@ -386,18 +400,19 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
             for k in range(many):
                 weight[hits + k] = 0.0
             for part in range(parts):
-                for g in range(points.size):
-                    u = (part + points[g]) / parts
-                    share = shares[g] / parts
-                    ea = da + u * branch[a]
-                    eb = db + u * branch[b]
-                    ec = place[c] + u * branch[c]
-                    line = (ea, eb, ec, first_c, many)
+                for g in range(IN_CELL):
+                    u = (part + _POINTS[IN_CELL, g]) / parts
+                    share = _WEIGHTS[IN_CELL, g] / parts
+                    line = (da + u * branch[a], db + u * branch[b], place[c] + u * branch[c])
                     if means.least == math.inf:
-                        integrate_row(*line, share, volumes, kernel, values, weight, hits)
+                        integrate_row(
+                            line, first_c, many, share, volumes, kernel, values, weight, hits
+                        )
                     else:
                         share *= kernel.norm
-                        _interpolate_row(*line, share, volumes, means, values, weight, hits)
+                        _interpolate_row(
+                            line, first_c, many, share, volumes, means, values, weight, hits
+                        )
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
@@ -409,9 +424,10 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
 
 
 @inlined
-def _range_along(place, branch, half, per_step, low, high):
-    """First and one past the last of the nodes low, ... high - 1 whose cells are closer than 1 to a segment's ends."""
-    reach = half + 1.0
-    return node_range(
-        min(0.0, branch) + place - reach, max(0.0, branch) + place + reach, per_step, low, high
-    )
+def _range_along(k, place, branch, volumes):
+    """First and one past the last of the nodes along axis k whose cells are closer than 1 to a segment's ends."""
+    low, high, _, per_steps = volumes.rows
+    reach = volumes.half[k] + 1.0
+    lowest = min(0.0, branch[k]) + place[k] - reach
+    highest = max(0.0, branch[k]) + place[k] + reach
+    return node_range(lowest, highest, per_steps[k], low[k], high[k])

@@ -20,8 +20,8 @@ from llvmlite import binding, ir
 from numba import types
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import cgutils, inner, leaf
-from xcg.compiled.arrays import sort_by_key
+from xcg.compiled._jit import cgutils, inner
+from xcg.compiled.arrays import along_active
 from xcg.compiled.reach import (
     ALONG,
     FIRST,
@@ -76,29 +76,31 @@ def _kept(context, builder, signature, args, tests, listed):
 
     Memory that follows is overwritten, up to as many numbers as the vectors have lanes.
     """
-    lanes, short, whole = tests.type.count, ir.IntType(32), ir.IntType(64)
+    lanes = tests.type.count
+    short = ir.IntType(32)
+    whole = ir.IntType(64)
     place, _ = typed(context, builder, signature, args)
-    first, left = (vector_of(builder, [builder.trunc(place(k), short)] * lanes) for k in (6, 7))
+    first, left = (vector_of(builder, [builder.trunc(place(k), short)] * lanes) for k in (4, 5))
     ramp = ir.Constant(ir.VectorType(short, lanes), list(range(lanes)))
     near = builder.fcmp_ordered("<", tests, ir.Constant(tests.type, [1.0] * lanes))
     near = builder.and_(near, builder.icmp_signed("<", ramp, left))
-    bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
-    for lane in range(0 if _COMPRESSES else lanes):
-        found.append(
-            builder.add(
-                found[-1],
-                builder.zext(builder.extract_element(near, ir.Constant(short, lane)), whole),
-            )
-        )
+    bits = ir.IntType(lanes)
+    found = [ir.Constant(whole, 0)]
+    if not _COMPRESSES:
+        for lane in range(lanes):
+            is_near = builder.extract_element(near, ir.Constant(short, lane))
+            found.append(builder.add(found[-1], builder.zext(is_near, whole)))
     kept = [(0, row, vector) for row, vector in listed.items()]
     for k, row, vector in (*kept, (1, NODE, builder.add(first, ramp))):
         to = [ir.Constant(whole, int(row)), place(2)]
         target, align = pointer_to(context, builder, signature.args[k], args[k], to, lanes)
         if _COMPRESSES:
             number = signature.args[k].dtype
-            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
+            letter = "f"
+            if isinstance(number, types.Integer):
+                letter = "i"
             of = ir.FunctionType(vector.type, [vector.type, near.type, vector.type])
-            name = f"llvm.experimental.vector.compress.v{lanes}{kind}"
+            name = f"llvm.experimental.vector.compress.v{lanes}{letter}{number.bitwidth}"
             compress = cgutils.get_or_insert_function(builder.module, of, name)
             zeros = ir.Constant(vector.type, None)
             builder.store(builder.call(compress, [vector, near, zeros]), target, align=align)
@@ -115,97 +117,106 @@ def _kept(context, builder, signature, args, tests, listed):
     return builder.zext(builder.call(count, [builder.bitcast(near, bits)]), whole)
 
 
-def _list_near_place(typingctx, values, numbers, at, px, py, pz, first, left, x, y, z):
+def _loaded(context, builder, signature, args, lanes):
+    """Vectors of the coordinates x, y and z of points, from the first one on."""
+    place, _ = typed(context, builder, signature, args)
+    for column in cgutils.unpack_tuple(builder, args[3]):
+        pointer, align = pointer_to(
+            context, builder, signature.args[3].dtype, column, [place(4)], lanes
+        )
+        yield builder.load(pointer, align=align)
+
+
+def _list_near_place(typingctx, values, numbers, at, points, first, left, place):
     def generate(context, builder, signature, args):
-        place, value = typed(context, builder, signature, args)
-        lanes, d = VECTOR // (values.dtype.bitwidth // 8), []
-        for k in range(3):
-            pointer, align = pointer_to(
-                context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes
-            )
-            d.append(
-                builder.fsub(
-                    vector_of(builder, [value(8 + k)] * lanes), builder.load(pointer, align=align)
-                )
-            )
+        lanes = VECTOR // (values.dtype.bitwidth // 8)
+        d = []
+        loaded = _loaded(context, builder, signature, args, lanes)
+        for start, points in zip(cgutils.unpack_tuple(builder, args[6]), loaded, strict=True):
+            d.append(builder.fsub(vector_of(builder, [start] * lanes), points))
         q2 = _dot(builder, d, d)
         return _kept(context, builder, signature, args, q2, {X: d[0], Y: d[1], Z: d[2], Q2: q2})
 
-    return types.uint64(values, numbers, at, px, py, pz, first, left, x, y, z), generate
+    three = types.UniTuple(values.dtype, 3)
+    return types.uint64(values, numbers, at, points, first, left, three), generate
 
 
 @compiled_as(_list_near_place)
-def list_near_place(values, numbers, at, px, py, pz, first, left, x, y, z):
-    """List the points among eight, from `first` on, that are closer than 1 to a place.
+def list_near_place(values, numbers, at, points, first, left, place):
+    """List the points among eight, from `first` on, that are closer than 1 to a place (x, y, z).
 
-    No more than `left` points are looked at. What `nodes_in_ball` writes of each is written from
-    `at` on; returns how many there are. Memory that follows them is overwritten, up to eight
-    numbers from `at` on.
+    `points` are three arrays, of x, y and z. No more than `left` points are looked at. What
+    `nodes_in_ball` writes of each is written from `at` on; returns how many there are. Memory that
+    follows them is overwritten, up to eight numbers from `at` on.
     """
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
-    a, b, c = x - px[n], y - py[n], z - pz[n]
+    a, b, c = (start - column[n] for start, column in zip(place, points, strict=True))
     q2 = a * a + b * b + c * c
     near = q2 < 1.0
     here = slice(int(at), int(at) + int(near.sum()))
-    values[X, here], values[Y, here], values[Z, here], values[Q2, here] = (
-        a[near],
-        b[near],
-        c[near],
-        q2[near],
-    )
+    values[X, here] = a[near]
+    values[Y, here] = b[near]
+    values[Z, here] = c[near]
+    values[Q2, here] = q2[near]
     numbers[NODE, here] = n[near]
     return np.uint64(near.sum())
 
 
 def _list_near_segment(
-    typingctx, values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length
+    typingctx, values, numbers, at, points, first, left, place, direction, length
 ):
     def generate(context, builder, signature, args):
-        place, value = typed(context, builder, signature, args)
+        _, value = typed(context, builder, signature, args)
         lanes = VECTOR // (values.dtype.bitwidth // 8)
-        vector, d = ir.VectorType(context.get_data_type(values.dtype), lanes), []
-        for k in range(3):
-            pointer, align = pointer_to(
-                context, builder, signature.args[3 + k], args[3 + k], [place(6)], lanes
-            )
-            start = context.cast(builder, args[8 + k], signature.args[8 + k], types.float64)
-            apart = builder.fsub(
-                builder.load(pointer, align=align), vector_of(builder, [start] * lanes)
-            )
-            d.append(builder.fptrunc(apart, vector) if values.dtype == types.float32 else apart)
-        ex, ey, ez, end = (vector_of(builder, [value(k)] * lanes) for k in range(11, 15))
-        r2, foot, zero = (
-            _dot(builder, d, d),
-            _dot(builder, d, (ex, ey, ez)),
-            ir.Constant(vector, None),
-        )
+        vector = ir.VectorType(context.get_data_type(values.dtype), lanes)
+        d = []
+        loaded = _loaded(context, builder, signature, args, lanes)
+        for start, points in zip(cgutils.unpack_tuple(builder, args[6]), loaded, strict=True):
+            apart = builder.fsub(points, vector_of(builder, [start] * lanes))
+            if values.dtype == types.float32:
+                apart = builder.fptrunc(apart, vector)
+            d.append(apart)
+        e = [
+            vector_of(builder, [number] * lanes)
+            for number in cgutils.unpack_tuple(builder, args[7])
+        ]
+        end = vector_of(builder, [value(8)] * lanes)
+        r2 = _dot(builder, d, d)
+        foot = _dot(builder, d, e)
+        zero = ir.Constant(vector, None)
         within = builder.select(builder.fcmp_ordered(">", foot, zero), foot, zero)
         within = builder.select(builder.fcmp_ordered("<", within, end), within, end)
         past = builder.fsub(foot, within)
         away2 = builder.fadd(builder.fsub(r2, builder.fmul(foot, foot)), builder.fmul(past, past))
         return _kept(context, builder, signature, args, away2, {Q2: r2, ALONG: foot})
 
-    return types.uint64(
-        values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length
-    ), generate
+    start = types.UniTuple(types.float64, 3)
+    along = types.UniTuple(values.dtype, 3)
+    return types.uint64(values, numbers, at, points, first, left, start, along, length), generate
 
 
 @compiled_as(_list_near_segment)
-def list_near_segment(values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length):
+def list_near_segment(values, numbers, at, points, first, left, place, direction, length):
     """List the points among eight, or sixteen in single precision, that are closer than 1 to a segment.
 
-    The segment begins at a place and runs along a unit vector e. Differences of places are taken in
+    The segment begins at a place and runs along a unit vector. Differences of places are taken in
     double precision, the rest has the precision of the lists. Otherwise as `list_near_place`, with
     what `nodes_around_segment` writes.
     """
     real = values.dtype.type
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
-    a, b, c = (px[n] - x).astype(real), (py[n] - y).astype(real), (pz[n] - z).astype(real)
-    r2, foot = a * a + b * b + c * c, a * real(ex) + b * real(ey) + c * real(ez)
+    a, b, c = (
+        (column[n] - start).astype(real) for start, column in zip(place, points, strict=True)
+    )
+    r2 = a * a + b * b + c * c
+    ex, ey, ez = (real(number) for number in direction)
+    foot = a * ex + b * ey + c * ez
     past = foot - np.minimum(real(length), np.maximum(real(0.0), foot))
     near = r2 - foot * foot + past * past < 1.0
     here = slice(int(at), int(at) + int(near.sum()))
-    values[Q2, here], values[ALONG, here], numbers[NODE, here] = r2[near], foot[near], n[near]
+    values[Q2, here] = r2[near]
+    values[ALONG, here] = foot[near]
+    numbers[NODE, here] = n[near]
     return np.uint64(near.sum())
 
 
@@ -220,8 +231,9 @@ class PointCells(NamedTuple):
 
     Attributes
     ----------
-    x, y, z : (n + PAD,)
-        The points, sorted by cell; 0 along axes that do not count, and beyond the last.
+    points : tuple of (n + PAD,)
+        The points' coordinates x, y and z, sorted by cell; 0 along axes that do not count, and
+        beyond the last.
     start : (cells + 1,)
         The first point of each cell, unsigned.
     lower, size, per_size : tuple of float
@@ -232,53 +244,13 @@ class PointCells(NamedTuple):
         What rounding may move a point by, as seen from its cell.
     """
 
-    x: NDArray
-    y: NDArray
-    z: NDArray
+    points: tuple[NDArray, NDArray, NDArray]
     start: NDArray
     lower: tuple[float, float, float]
     size: tuple[float, float, float]
     per_size: tuple[float, float, float]
     shape: tuple[int, int, int]
     margin: float
-
-
-@leaf
-def sort_by_cell(
-    x, y, z, rows, lower, per_size, shape, start, cell, order, rank, position, sorted_rows
-):
-    """Sort points by the cell that they are in; points of one cell keep their order.
-
-    Parameters
-    ----------
-    x, y, z, rows : (n,)
-        The points, and a number that each has.
-    lower, per_size, shape : tuple
-        As in `PointCells`.
-    start : (cells + 2,)
-        Zeros; written: the first point of each cell; the number of points in the last two places.
-    cell, order, rank : (n,)
-        Written: the cell of each point, which point comes first, second, ..., and the place of each
-        among all.
-    position, sorted_rows : (3, n or more), (n,)
-        Written: the points and their numbers, sorted.
-    """
-    last_x, last_y, last_z = shape[0] - 1, shape[1] - 1, shape[2] - 1
-    for n in range(x.size):
-        ix = min(last_x, np.int64((x[n] - lower[0]) * per_size[0]))
-        iy = min(last_y, np.int64((y[n] - lower[1]) * per_size[1]))
-        iz = min(last_z, np.int64((z[n] - lower[2]) * per_size[2]))
-        cell[n] = (ix * shape[1] + iy) * shape[2] + iz
-    sort_by_key(cell, start[1:], order)
-    for to in range(x.size):
-        n = order[to]
-        position[0, to], position[1, to], position[2, to], sorted_rows[to], rank[n] = (
-            x[n],
-            y[n],
-            z[n],
-            rows[n],
-            to,
-        )
 
 
 def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:
@@ -289,7 +261,7 @@ def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "flo
     rows = 1
     for far, per_size, count in zip(reach[:2], cells.per_size[:2], cells.shape[:2], strict=True):
         rows *= min(count, int(far * per_size) + 3)
-    room = padded(max(len(cells.x) - PAD, rows)) + PAD
+    room = padded(max(len(cells.points[0]) - PAD, rows)) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Y] = np.arange(room) * cells.shape[2]
     return Lists(np.zeros((LISTS, room), real), numbers)
@@ -317,10 +289,17 @@ def points_in_ball(x, y, z, cells, lists):
     """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
     if cells is None:
         return 0
-    values, numbers = lists.values, lists.numbers
-    px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
-    lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
-    reach, hits = 1.0 + margin, np.uint64(0)
+    values = lists.values
+    numbers = lists.numbers
+    points = cells.points
+    start = cells.start
+    margin = cells.margin
+    lower = cells.lower
+    size = cells.size
+    per_size = cells.per_size
+    nx, ny, nz = cells.shape
+    reach = 1.0 + margin
+    hits = np.uint64(0)
     x0, x1 = _cell_range(x - reach, x + reach, lower[0], per_size[0], nx)
     y0, y1 = _cell_range(y - reach, y + reach, lower[1], per_size[1], ny)
     for j in range(y1 - y0):
@@ -333,7 +312,8 @@ def points_in_ball(x, y, z, cells, lists):
             add_scalar8(values, ROW2, count + j, dx * dx, OF_Y2, j)
             add_scalar8(numbers, ROW, count + j, (ix * ny + y0) * nz, OF_Y, j)
         count += y1 - y0
-    here, last = (z - lower[2]) * per_size[2], nz - 1.0
+    here = (z - lower[2]) * per_size[2]
+    last = nz - 1.0
     for k in range(padded(count)):
         half = (math.sqrt(max(0.0, 1.0 - values[ROW2, k])) + margin) * per_size[2]
         begin, end = np.floor(here - half), np.floor(here + half)
@@ -342,10 +322,11 @@ def points_in_ball(x, y, z, cells, lists):
     for k in range(count):
         if not values[ROW2, k] < 1.0:
             continue
-        first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
+        first = start[numbers[FIRST, k]]
+        end = start[numbers[END, k]]
         left = np.int64(end - first)
         while True:
-            hits += list_near_place(values, numbers, hits, px, py, pz, first, left, x, y, z)
+            hits += list_near_place(values, numbers, hits, points, first, left, (x, y, z))
             left -= EIGHT
             if left <= 0:
                 break
@@ -361,10 +342,18 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     """
     if cells is None:
         return 0
-    values, numbers = lists.values, lists.numbers
-    px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
-    lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
-    reach, length, hits = 1.0 + margin, math.sqrt(bx * bx + by * by + bz * bz), np.uint64(0)
+    values = lists.values
+    numbers = lists.numbers
+    points = cells.points
+    start = cells.start
+    margin = cells.margin
+    lower = cells.lower
+    size = cells.size
+    per_size = cells.per_size
+    nx, ny, nz = cells.shape
+    reach = 1.0 + margin
+    length = math.sqrt(bx * bx + by * by + bz * bz)
+    hits = np.uint64(0)
     x0, x1 = _cell_range(
         x + min(0.0, bx) - reach, x + max(0.0, bx) + reach, lower[0], per_size[0], nx
     )
@@ -372,41 +361,47 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], ny
     )
     # an axis with one cell tells nothing of distances
-    across_x, across_y = bx if per_size[0] > 0.0 else 0.0, by if per_size[1] > 0.0 else 0.0
+    several = (per_size[0] > 0.0, per_size[1] > 0.0, False)
+    across_x, across_y, _ = along_active(bx, by, 0.0, several)
     across2 = across_x * across_x + across_y * across_y
     for j in range(y1 - y0):
-        dy = lower[1] + (y0 + j + 0.5) * size[1] - y if per_size[1] > 0.0 else 0.0
-        values[OF_Y, j], values[OF_Y2, j] = dy * across_y, dy * dy
+        dy = 0.0
+        if several[1]:
+            dy = lower[1] + (y0 + j + 0.5) * size[1] - y
+        values[OF_Y, j] = dy * across_y
+        values[OF_Y2, j] = dy * dy
     count = 0
     for ix in range(x0, x1):
-        dx = lower[0] + (ix + 0.5) * size[0] - x if per_size[0] > 0.0 else 0.0
+        dx = 0.0
+        if several[0]:
+            dx = lower[0] + (ix + 0.5) * size[0] - x
         for j in range(0, y1 - y0, EIGHT):
             add_scalar8(values, ROW2, count + j, dx * dx, OF_Y2, j)
             add_scalar8(values, ROW_DOT, count + j, dx * across_x, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, (ix * ny + y0) * nz, OF_Y, j)
         count += y1 - y0
     real = values.dtype.type
-    zero, one, two = real(0.0), real(1.0), real(2.0)
+    zero = real(0.0)
+    one = real(1.0)
+    two = real(2.0)
     far = 3.0 + 2.0 * length + size[0] + size[1]
     slack = margin + _ROUNDING * far * far
     corner = real(0.5 * math.sqrt(size[0] * size[0] + size[1] * size[1]) + slack)
-    c2, per_c2 = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0)
+    c2 = real(across2)
+    per_c2 = zero
+    if across2 > 0.0:
+        per_c2 = real(1.0 / across2)
     # cells are counted from that of the start, so that few digits are enough
     here = (z - lower[2]) * per_size[2]
     base = math.floor(here)
-    low, high = (
-        here - base + (min(0.0, bz) - slack) * per_size[2],
-        here - base + (max(0.0, bz) + slack) * per_size[2],
-    )
-    low, high, lowest, highest, per = (
-        real(low),
-        real(high),
-        real(-base),
-        real(nz - 1 - base),
-        real(per_size[2]),
-    )
+    low = real(here - base + (min(0.0, bz) - slack) * per_size[2])
+    high = real(here - base + (max(0.0, bz) + slack) * per_size[2])
+    lowest = real(-base)
+    highest = real(nz - 1 - base)
+    per = real(per_size[2])
     for k in range(padded(count)):
-        row2, dot = values[ROW2, k], values[ROW_DOT, k]
+        row2 = values[ROW2, k]
+        dot = values[ROW_DOT, k]
         u = min(one, max(zero, dot * per_c2))
         nearest = max(zero, np.sqrt(max(zero, row2 + u * (u * c2 - two * dot))) - corner)
         half = np.sqrt(max(zero, one - nearest * nearest)) * per
@@ -418,21 +413,18 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
         numbers[END, k] = (
             numbers[ROW, k] + base + np.int32(min(highest, max(lowest - one, end)) + one)
         )
-    ex, ey, ez, length = (
-        real(bx * per_length),
-        real(by * per_length),
-        real(bz * per_length),
-        real(length),
-    )
+    direction = (real(bx * per_length), real(by * per_length), real(bz * per_length))
+    length = real(length)
     lanes = np.uint64(VECTOR // values.itemsize)
     for k in range(count):
         if not values[ROW2, k] < 1.0:
             continue
-        first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
+        first = start[numbers[FIRST, k]]
+        end = start[numbers[END, k]]
         left = np.int64(end - first)
         while True:
             hits += list_near_segment(
-                values, numbers, hits, px, py, pz, first, left, x, y, z, ex, ey, ez, length
+                values, numbers, hits, points, first, left, (x, y, z), direction, length
             )
             left -= np.int64(lanes)
             if left <= 0:

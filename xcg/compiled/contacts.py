@@ -93,7 +93,8 @@ def join_clusters(row_i, row_j, crossed, parent, moved, winds):
         if row_i[n] < 0 or row_j[n] < 0:
             continue
         i, j = row_i[n], row_j[n]
-        one, other = _root(i, parent, moved), _root(j, parent, moved)
+        one = _root(i, parent, moved)
+        other = _root(j, parent, moved)
         for k in range(crossed.shape[1]):
             left_open = moved[i, k] - moved[j, k] - crossed[n, k]
             if one == other:
@@ -177,11 +178,9 @@ def side(position, row, point, n, period, lattice):
     """
     if row < 0:
         return 0.0, 0.0, 0.0
-    x, y, z = (
-        position[row, 0] - point[n, 0],
-        position[row, 1] - point[n, 1],
-        position[row, 2] - point[n, 2],
-    )
+    x = position[row, 0] - point[n, 0]
+    y = position[row, 1] - point[n, 1]
+    z = position[row, 2] - point[n, 2]
     if lattice is not None:
         return nearest_of(x, y, z, lattice)
     return nearest_image(x, period[0]), nearest_image(y, period[1]), nearest_image(z, period[2])
@@ -234,13 +233,15 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         i, j = row_i[n], row_j[n]
         if i < 0 or j < 0:
             return n
-        near_x, near_y, near_z = (
-            (0.0, 0.0, 0.0) if seen is None else (seen[n, 0], seen[n, 1], seen[n, 2])
-        )
+        near_x, near_y, near_z = 0.0, 0.0, 0.0
+        if seen is not None:
+            near_x, near_y, near_z = seen[n, 0], seen[n, 1], seen[n, 2]
         x = image_near(position[i, 0] - position[j, 0], near_x, period[0])
         y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
         z = image_near(position[i, 2] - position[j, 2], near_z, period[2])
-        length, radius_i, radius_j = _length(x, y, z), diameter[i] / 2, diameter[j] / 2
+        length = _length(x, y, z)
+        radius_i = diameter[i] / 2
+        radius_j = diameter[j] / 2
         if length == 0.0:
             return n
         if seen is None:
@@ -258,7 +259,8 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         share = _share_of_i(length, radius_i, radius_j)
         for k, along in enumerate((x, y, z)):
             out[n, k] = position[i, k] - share * along
-            side, half = position[i, k] - out[n, k], 0.5 * (1 - hair) * period[k]
+            side = position[i, k] - out[n, k]
+            half = 0.5 * (1 - hair) * period[k]
             if abs(side) >= half or abs(side - along) >= half:
                 return n
     return row_i.size

@@ -8,8 +8,11 @@ import math
 
 from xcg.compiled._jit import inlined
 
-_SQRT2, _LN2 = math.sqrt(2.0), math.log(2.0)
-_TAN_EIGHTH, _QUARTER, _HALF_PI = math.sqrt(2.0) - 1.0, 0.25 * math.pi, 0.5 * math.pi
+_SQRT2 = math.sqrt(2.0)
+_LN2 = math.log(2.0)
+_TAN_EIGHTH = math.sqrt(2.0) - 1.0
+_QUARTER = 0.25 * math.pi
+_HALF_PI = 0.5 * math.pi
 _LEAST_LENGTH = 1e-300  # keeps the quotient at the origin a number
 
 
@@ -17,7 +20,8 @@ _LEAST_LENGTH = 1e-300  # keeps the quotient at the origin a number
 def angle(y, x):
     """Angle of a point (x, y) with y >= 0 to the x axis, from 0 to pi, to 5e-16; 0 at the origin."""
     across = abs(x)
-    less, more = min(across, y), max(across, y)
+    less = min(across, y)
+    more = max(across, y)
     steep = less > _TAN_EIGHTH * more
     t = (less - more if steep else less) / ((less + more if steep else more) + _LEAST_LENGTH)
     z = t * t

@@ -7,10 +7,13 @@ rounding of the whole ball.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
+from xcg.compiled.arrays import image_of
 
 _BALL = 4.0 * math.pi / 3.0
 MOST_CROSSINGS = 16  # of one ray; further ones are left out
@@ -56,9 +59,12 @@ def _beyond_one(c):
 @inner
 def _beyond_two(b, c):
     """Volume of the unit ball with y > b and z > c, both from -1 to 1."""
-    volume, sign = 0.0, 1.0
+    volume = 0.0
+    sign = 1.0
     if b < 0.0:
-        volume, sign, b = _beyond_one(c), -1.0, -b
+        volume = _beyond_one(c)
+        sign = -1.0
+        b = -b
     if c < 0.0:
         return volume + sign * (_beyond_one(b) - 2.0 * _in_octant(0.0, b, -c))
     return volume + sign * 2.0 * _in_octant(0.0, b, c)
@@ -67,12 +73,19 @@ def _beyond_two(b, c):
 @inner
 def ball_beyond(a, b, c):
     """Volume of the unit ball with x > a, y > b and z > c."""
-    a, b, c = min(1.0, max(-1.0, a)), min(1.0, max(-1.0, b)), min(1.0, max(-1.0, c))
-    volume, sign = 0.0, 1.0
+    a = min(1.0, max(-1.0, a))
+    b = min(1.0, max(-1.0, b))
+    c = min(1.0, max(-1.0, c))
+    volume = 0.0
+    sign = 1.0
     if a < 0.0:
-        volume, sign, a = _beyond_two(b, c), -1.0, -a
+        volume = _beyond_two(b, c)
+        sign = -1.0
+        a = -a
     if b < 0.0:
-        volume, sign, b = volume + sign * _beyond_two(a, c), -sign, -b
+        volume += sign * _beyond_two(a, c)
+        sign = -sign
+        b = -b
     if c < 0.0:
         return volume + sign * (_beyond_two(a, b) - _in_octant(a, b, -c))
     return volume + sign * _in_octant(a, b, c)
@@ -94,29 +107,63 @@ def _disc_in_quarter(a, b):
 def disc_beyond(a, b):
     """Area of the unit disc with x > a and y > b."""
     a, b = min(1.0, max(-1.0, a)), min(1.0, max(-1.0, b))
-    area, sign = 0.0, 1.0
+    area = 0.0
+    sign = 1.0
     if a < 0.0:
         side = abs(b)
-        half = math.acos(side) - side * math.sqrt(1.0 - side * side)  # of the segment beyond b
-        area, sign, a = half if b >= 0.0 else math.pi - half, -1.0, -a
+        area = math.acos(side) - side * math.sqrt(1.0 - side * side)  # of the segment beyond b
+        if b < 0.0:
+            area = math.pi - area
+        sign = -1.0
+        a = -a
     if b < 0.0:
         half = math.acos(a) - a * math.sqrt(1.0 - a * a)
         return area + sign * (half - _disc_in_quarter(a, -b))
     return area + sign * _disc_in_quarter(a, b)
 
 
+@inner
+def _beyond(a, b, c, discs):
+    """Part of the unit ball, or of the unit disc across the axis `discs`, with x > a, y > b and z > c."""
+    if discs < 0:
+        return ball_beyond(a, b, c)
+    planes = (a, b, c)
+    if planes[discs] > 0.0:
+        return 0.0
+    if discs == 0:
+        return disc_beyond(b, c)
+    if discs == 1:
+        return disc_beyond(a, c)
+    return disc_beyond(a, b)
+
+
+class Cells(NamedTuple):
+    """Cells of a mesh along x, y and z.
+
+    Attributes
+    ----------
+    lower, step, shape : (3,)
+        Lowest edge, size and number of the cells. An axis with a step of infinity is not divided.
+    period : (3,)
+        Period, infinity along axes that are not periodic.
+    """
+
+    lower: NDArray
+    step: NDArray
+    shape: NDArray
+    period: NDArray
+
+
 @leaf
-def add_shares(position, radius, values, group, lower, step, count, period, discs, corner, out):
+def add_shares(position, radius, values, group, cells, discs, corner, out):
     """Add values of grains to the cells that they overlap, in proportion to the volume that they share.
 
     Parameters
     ----------
     position, radius, values, group : (n, 3), (n,), (n, k), (n,)
         Grains; `group` says which of the sums each belongs to.
-    lower, step, count : (3,)
-        Lowest edge, size and number of the cells. An axis with a step of infinity is not divided.
-    period : (3,)
-        Period, infinity along axes that are not periodic.
+    cells : Cells
+        The cells.
     discs : int
         The axis of the discs, whose shares follow from areas; -1 for spheres.
     corner : (m,)
@@ -124,21 +171,24 @@ def add_shares(position, radius, values, group, lower, step, count, period, disc
     out : (groups, nx, ny, nz, k)
         Sums, which are added to.
     """
-    full = math.pi if discs >= 0 else _BALL
+    lower, step, shape, period = cells
+    full = _BALL
+    if discs >= 0:
+        full = math.pi
     for n in range(position.shape[0]):
         r = radius[n]
-        ix0, ix1 = _images(position[n, 0], r, lower[0], step[0], count[0], period[0])
-        iy0, iy1 = _images(position[n, 1], r, lower[1], step[1], count[1], period[1])
-        iz0, iz1 = _images(position[n, 2], r, lower[2], step[2], count[2], period[2])
+        ix0, ix1 = _images(position[n, 0], r, lower[0], step[0], shape[0], period[0])
+        iy0, iy1 = _images(position[n, 1], r, lower[1], step[1], shape[1], period[1])
+        iz0, iz1 = _images(position[n, 2], r, lower[2], step[2], shape[2], period[2])
         for ix in range(ix0, ix1 + 1):
-            x = position[n, 0] + (ix * period[0] if ix else 0.0)
-            x0, x1 = _cells(x, r, lower[0], step[0], count[0])
+            x = image_of(position[n, 0], ix, period[0])
+            x0, x1 = _cells(x, r, lower[0], step[0], shape[0])
             for iy in range(iy0, iy1 + 1):
-                y = position[n, 1] + (iy * period[1] if iy else 0.0)
-                y0, y1 = _cells(y, r, lower[1], step[1], count[1])
+                y = image_of(position[n, 1], iy, period[1])
+                y0, y1 = _cells(y, r, lower[1], step[1], shape[1])
                 for iz in range(iz0, iz1 + 1):
-                    z = position[n, 2] + (iz * period[2] if iz else 0.0)
-                    z0, z1 = _cells(z, r, lower[2], step[2], count[2])
+                    z = image_of(position[n, 2], iz, period[2])
+                    z0, z1 = _cells(z, r, lower[2], step[2], shape[2])
                     ny, nz = y1 - y0 + 2, z1 - z0 + 2
                     for i in range(x0, x1 + 2):
                         a = _face(i, x, r, lower[0], step[0])
@@ -146,29 +196,20 @@ def add_shares(position, radius, values, group, lower, step, count, period, disc
                             b = _face(j, y, r, lower[1], step[1])
                             for k in range(z0, z1 + 2):
                                 c = _face(k, z, r, lower[2], step[2])
-                                if discs == 2:
-                                    beyond = disc_beyond(a, b) if c <= 0.0 else 0.0
-                                elif discs == 1:
-                                    beyond = disc_beyond(a, c) if b <= 0.0 else 0.0
-                                elif discs == 0:
-                                    beyond = disc_beyond(b, c) if a <= 0.0 else 0.0
-                                else:
-                                    beyond = ball_beyond(a, b, c)
-                                corner[((i - x0) * ny + j - y0) * nz + k - z0] = beyond
+                                place = ((i - x0) * ny + j - y0) * nz + k - z0
+                                corner[place] = _beyond(a, b, c, discs)
                     for i in range(x1 - x0 + 1):
                         for j in range(y1 - y0 + 1):
                             for k in range(z1 - z0 + 1):
-                                at, over = (i * ny + j) * nz + k, ((i + 1) * ny + j) * nz + k
-                                share = max(
-                                    0.0,
-                                    (
-                                        (corner[at] - corner[at + 1])
-                                        - (corner[at + nz] - corner[at + nz + 1])
-                                        - (corner[over] - corner[over + 1])
-                                        + (corner[over + nz] - corner[over + nz + 1])
-                                    )
-                                    / full,
+                                at = (i * ny + j) * nz + k
+                                over = ((i + 1) * ny + j) * nz + k
+                                inside = (
+                                    (corner[at] - corner[at + 1])
+                                    - (corner[at + nz] - corner[at + nz + 1])
+                                    - (corner[over] - corner[over + 1])
+                                    + (corner[over + nz] - corner[over + nz + 1])
                                 )
+                                share = max(0.0, inside / full)
                                 for q in range(values.shape[1]):
                                     out[group[n], x0 + i, y0 + j, z0 + k, q] += share * values[n, q]
 
@@ -208,14 +249,17 @@ def _place(point, corner, place):
     """Write the point of a triangle (3, 3) nearest to a point into `place`; after Ericson (2005), 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
-        ab, ac = corner[1, k] - corner[0, k], corner[2, k] - corner[0, k]
+        ab = corner[1, k] - corner[0, k]
+        ac = corner[2, k] - corner[0, k]
         d1 += ab * (point[k] - corner[0, k])
         d2 += ac * (point[k] - corner[0, k])
         d3 += ab * (point[k] - corner[1, k])
         d4 += ac * (point[k] - corner[1, k])
         d5 += ab * (point[k] - corner[2, k])
         d6 += ac * (point[k] - corner[2, k])
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
     if d1 <= 0.0 and d2 <= 0.0:
         v, w = 0.0, 0.0
     elif d3 >= 0.0 and d4 <= d3:
@@ -257,7 +301,9 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
         Distance, positive on the side of the normal, and number of the triangle; set here.
     """
     for n in range(len(points)):
-        least, facing, best = 1e300, 0.0, 0
+        least = 1e300
+        facing = 0.0
+        best = 0
         for t in range(len(corners)):
             away = 0.0
             for k in range(3):
@@ -265,7 +311,8 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
             if away**0.5 - radius[t] > least * (1.0 + _TIE):
                 continue
             _place(points[n], corners[t], place)
-            square, across = 0.0, 0.0
+            square = 0.0
+            across = 0.0
             for k in range(3):
                 square += (points[n, k] - place[k]) ** 2
                 across += (points[n, k] - place[k]) * normals[t, k]
@@ -273,8 +320,12 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
             if away < least * (1.0 - _TIE) or (
                 away <= least * (1.0 + _TIE) and abs(across) > abs(facing)
             ):
-                least, facing, best = min(least, away), across, t
-        distance[n] = least if facing >= 0.0 else -least
+                least = min(least, away)
+                facing = across
+                best = t
+        distance[n] = least
+        if facing < 0.0:
+            distance[n] = -least
         triangle[n] = best
 
 
@@ -303,25 +354,25 @@ def crossings(points, directions, reach, corners, centre, radius, out):
                 away += (points[n, k] - centre[t, k]) ** 2
             if away > (reach + radius[t]) ** 2:
                 continue
-            e0, e1, e2 = (
-                corners[t, 1, 0] - corners[t, 0, 0],
-                corners[t, 1, 1] - corners[t, 0, 1],
-                corners[t, 1, 2] - corners[t, 0, 2],
-            )
-            f0, f1, f2 = (
-                corners[t, 2, 0] - corners[t, 0, 0],
-                corners[t, 2, 1] - corners[t, 0, 1],
-                corners[t, 2, 2] - corners[t, 0, 2],
-            )
-            x0, x1, x2 = (
-                points[n, 0] - corners[t, 0, 0],
-                points[n, 1] - corners[t, 0, 1],
-                points[n, 2] - corners[t, 0, 2],
-            )
-            q0, q1, q2 = x1 * e2 - x2 * e1, x2 * e0 - x0 * e2, x0 * e1 - x1 * e0
+            e0 = corners[t, 1, 0] - corners[t, 0, 0]
+            e1 = corners[t, 1, 1] - corners[t, 0, 1]
+            e2 = corners[t, 1, 2] - corners[t, 0, 2]
+            f0 = corners[t, 2, 0] - corners[t, 0, 0]
+            f1 = corners[t, 2, 1] - corners[t, 0, 1]
+            f2 = corners[t, 2, 2] - corners[t, 0, 2]
+            x0 = points[n, 0] - corners[t, 0, 0]
+            x1 = points[n, 1] - corners[t, 0, 1]
+            x2 = points[n, 2] - corners[t, 0, 2]
+            q0 = x1 * e2 - x2 * e1
+            q1 = x2 * e0 - x0 * e2
+            q2 = x0 * e1 - x1 * e0
             for m in range(directions.shape[1]):
-                d0, d1, d2 = directions[n, m, 0], directions[n, m, 1], directions[n, m, 2]
-                p0, p1, p2 = d1 * f2 - d2 * f1, d2 * f0 - d0 * f2, d0 * f1 - d1 * f0
+                d0 = directions[n, m, 0]
+                d1 = directions[n, m, 1]
+                d2 = directions[n, m, 2]
+                p0 = d1 * f2 - d2 * f1
+                p1 = d2 * f0 - d0 * f2
+                p2 = d0 * f1 - d1 * f0
                 volume = e0 * p0 + e1 * p1 + e2 * p2
                 if volume == 0.0:
                     continue

@@ -15,11 +15,11 @@ from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.polynomials import (
     RADIUS,
-    SCRATCH,
     TINY,
     along_marginal,
     along_shells,
     clipped,
+    closed_for,
     fill_lucy_lines,
     fill_lucy_planes,
     fill_shells,
@@ -47,7 +47,9 @@ SHORT_ORDER = 4
 _FEW = 24
 _MANY = 48
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
-AFTER, BEFORE = 1, 2  # sides of the foot of a node
+# sides of the foot of a node
+AFTER = 1
+BEFORE = 2
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -82,11 +84,13 @@ def _antiderivative(kind, h2, t):
 def _quadrature(kind, table, h2, t0, t1):
     """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
     half = math.sqrt(1.0 - h2)
-    a0, a1 = math.asin(max(-1.0, t0 / half)), math.asin(min(1.0, t1 / half))
+    a0 = math.asin(max(-1.0, t0 / half))
+    a1 = math.asin(min(1.0, t1 / half))
     total = 0.0
     for lower, upper in ((a0, min(a1, 0.0)), (max(a0, 0.0), a1)):
         if upper > lower:
-            mean, span = 0.5 * (upper + lower), 0.5 * (upper - lower)
+            mean = 0.5 * (upper + lower)
+            span = 0.5 * (upper - lower)
             for g in range(_NODES.size):
                 angle = mean + span * _NODES[g]
                 t = half * math.sin(angle)
@@ -117,45 +121,44 @@ def segment(kind, table, h2, t0, t1):
         return _tabulated_segment(kind, table, h2, t0, t1)
     lower = _antiderivative(kind, h2, abs(t0))
     upper = _antiderivative(kind, h2, abs(t1))
-    return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
+    # odd functions
+    if t0 < 0.0:
+        lower = -lower
+    if t1 < 0.0:
+        upper = -upper
+    return upper - lower
 
 
 # --- many nodes at once ----------------------------------------------------------------------------------
 
 
 @leaf
-def fill_segments(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
-    """Write the mean of the value over segments, in closed form, seen from `count` nodes.
-
-    `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent`
-    (integers), and `rows`, see `xcg.compiled.polynomials`.
-    """
+def fill_segments(kind, table, length, along, q2, count, out, closed):
+    """Write the mean of the value over segments, in closed form, seen from `count` nodes."""
     if kind is LUCY_FULL:
-        fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
+        fill_lucy_lines(length, along, q2, count, out, closed)
     elif kind >= TABLE:
-        _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
+        _fill_tabulated(kind, table, length, along, q2, count, out, closed)
     elif kind == LUCY + 1:
-        fill_lucy_planes(1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
+        fill_lucy_planes(length, along, q2, count, out, closed)
     elif kind == HEAVISIDE:
-        _fill_chords(1.0, 0.0, 1.0 / length, length, along, q2, count, out)
+        _fill_chords(1.0, 0.0, length, along, q2, count, out)
     elif kind == HEAVISIDE + 2:
-        _fill_chords(math.pi, -math.pi / 3.0, 1.0 / length, length, along, q2, count, out)
+        _fill_chords(math.pi, -math.pi / 3.0, length, along, q2, count, out)
     else:
         _fill_one_by_one(kind, table, length, along, q2, count, out)
 
 
 @inner
-def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+def _fill_tabulated(kind, table, length, along, q2, count, out, closed):
     if table is PLAIN:
         return
     if not has_shells(table):
-        _fill_quadrature(kind, table, 1.0 / length, length, along, q2, count, out, ratio)
+        _fill_quadrature(kind, table, length, along, q2, count, out, closed.ratio)
     elif kind == TABLE + 1:
         _fill_one_by_one(kind, table, length, along, q2, count, out)
     else:
-        fill_shells(
-            table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows
-        )
+        fill_shells(table[SHELLS], length, along, q2, count, out, closed)
 
 
 @inner
@@ -168,21 +171,25 @@ def _fill_one_by_one(kind, table, length, along, q2, count, out):
 
 
 @inner
-def _fill_chords(flat, cube, per_length, length, along, q2, count, out):
+def _fill_chords(flat, cube, length, along, q2, count, out):
     """Write the mean of ``flat + 3 cube t^2`` over the clipped segment, t from the foot of the node."""
+    per_length = 1.0 / length
     for k in range(padded(count)):
         a, b, _ = clipped(q2[k], along[k], length)
         out[k] = per_length * (flat * (b - a) + cube * (b * b * b - a * a * a))
 
 
 @inner
-def _fill_quadrature(kind, table, per_length, length, along, q2, count, out, last):
+def _fill_quadrature(kind, table, length, along, q2, count, out, last):
     """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node.
 
     `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the
     node, where a kernel may have a cusp, on either side of it.
     """
-    order = _FEW if length <= 0.7 else _MANY
+    per_length = 1.0 / length
+    order = _MANY
+    if length <= 0.7:
+        order = _FEW
     for k in range(padded(count)):
         a, b, h2 = clipped(q2[k], along[k], length)
         half2 = max(0.0, 1.0 - h2)
@@ -190,7 +197,8 @@ def _fill_quadrature(kind, table, per_length, length, along, q2, count, out, las
         a, b = min(a, half), min(b, half)
         along[k] = a / (half + math.sqrt(max(0.0, half2 - a * a)) + TINY)
         last[k] = b / (half + math.sqrt(max(0.0, half2 - b * b)) + TINY)
-        q2[k], out[k] = h2, 0.0
+        q2[k] = h2
+        out[k] = 0.0
     for side in (AFTER, BEFORE):
         for g in range(order):
             x = _LINE_POINTS[order, g] * _LINE_POINTS[order, g]
@@ -211,19 +219,15 @@ def _crossing(first, last, h2, x, side):
         first, last = max(0.0, first), max(0.0, last)
     else:
         first, last = max(0.0, -last), max(0.0, -first)
-    half, v = math.sqrt(max(0.0, 1.0 - h2)), first + x * (last - first)
+    half = math.sqrt(max(0.0, 1.0 - h2))
+    v = first + x * (last - first)
     turn = 1.0 / (1.0 + v * v)
-    t, across = 2.0 * half * v * turn, half * (1.0 - v * v) * turn
+    t = 2.0 * half * v * turn
+    across = half * (1.0 - v * v) * turn
     return min(1.0, h2 + t * t), across, (last - first) * across * turn
 
 
 # --- from Python ----------------------------------------------------------------------------------------
-
-
-def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Scratch of the closed form of this length: the same memory as floats and as integers, integers, and rows."""
-    ratio = np.zeros(room)
-    return ratio, ratio.view("int64"), np.zeros(room, "int64"), np.zeros((SCRATCH, room))
 
 
 def mean_along(
@@ -235,9 +239,12 @@ def mean_along(
 ) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
-    along = points @ end / length if length > 0.0 else np.zeros(len(points))
-    rule = SHORT_ORDER if length < SHORT and order == 0 else order
-    return _means(length, rule, along, (points * points).sum(axis=1), kind, table)
+    along = np.zeros(len(points))
+    if length > 0.0:
+        along = points @ end / length
+    if order == 0 and length < SHORT:
+        order = SHORT_ORDER
+    return _means(length, order, along, (points * points).sum(axis=1), kind, table)
 
 
 def _means(
@@ -249,14 +256,17 @@ def _means(
     table: NDArray | None,
 ) -> NDArray:
     """Mean of the kernel over one segment, seen from many nodes."""
-    count, room = along.size, padded(along.size)
-    lists = np.zeros((3, room))
-    lists[0, :count], lists[1, :count] = along, q2
+    count = along.size
+    room = padded(along.size)
+    feet, squares, means = np.zeros((3, room))
+    feet[:count] = along
+    squares[:count] = q2
     if order:
-        fill_gauss(kind, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
+        points, weights = (rule[order] for rule in gauss_rules(order))
+        fill_gauss(kind, table, points, weights, length, feet, squares, count, means)
     else:
-        fill_segments(kind, table, length, *lists[:2], count, lists[2], *closed_for(room))
-    return lists[2, :count]
+        fill_segments(kind, table, length, feet, squares, count, means, closed_for(room))
+    return means[:count]
 
 
 def largest_error(
@@ -295,7 +305,8 @@ def largest_error(
 
 # Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in
 # docs/evaluation.md
-FEWEST, PER_RIM = 3, 5
+FEWEST = 3
+PER_RIM = 5
 _CELL_POINTS, _CELL_WEIGHTS = gauss_rules(*range(1, FEWEST + PER_RIM + 1))
 
 
@@ -326,10 +337,14 @@ def _list_points(place, half, inner2, outer2, apart, values, at, weight):
     the number of points.
     """
     if half == 0.0:
-        values[at, 0], values[weight, 0] = place, 1.0
-        return 1 if inner2 <= place * place < outer2 else 0
-    nearest, radius, count = math.sqrt(inner2), math.sqrt(outer2), 0
-    lowest, highest = max(place - half, -radius), min(place + half, radius)
+        values[at, 0] = place
+        values[weight, 0] = 1.0
+        return int(inner2 <= place * place < outer2)
+    nearest = math.sqrt(inner2)
+    radius = math.sqrt(outer2)
+    count = 0
+    lowest = max(place - half, -radius)
+    highest = min(place + half, radius)
     for low, high in ((lowest, min(highest, -nearest)), (max(lowest, nearest), highest)):
         if low < high:
             many = FEWEST + math.ceil(PER_RIM * min(1.0, (high - low) / math.sqrt(apart)))
@@ -343,11 +358,34 @@ def _list_points(place, half, inner2, outer2, apart, values, at, weight):
     return count
 
 
-@inner
-def _integrals_along(q2, place, half, step, node, many, kind, table, factor, out, first):
-    """Add to `many` nodes along an axis, from one on, the integral of the kernel over the extent of each."""
-    for k in range(many):
-        middle = place - (node + k) * step  # the same bits whichever block the nodes are in
+class RowOfCells(NamedTuple):
+    """Cells of a row along the last axis, as seen from a point, in the order of the axes.
+
+    Attributes
+    ----------
+    place : tuple of float
+        The point minus the node with number 0 in the row.
+    half : tuple of float
+        Half of the cell's extent along each axis.
+    step : float
+        Spacing of the nodes.
+    node, many : int
+        Number of the first node, and how many there are.
+    """
+
+    place: tuple[float, float, float]
+    half: tuple[float, float, float]
+    step: float
+    node: int
+    many: int
+
+
+@inlined
+def _integrals_along(q2, row, kind, table, factor, out, first):
+    """Add to the nodes of a row the integral of the kernel over the extent of each along it."""
+    half = row.half[2]
+    for k in range(row.many):
+        middle = row.place[2] - (row.node + k) * row.step  # the same bits in any block of nodes
         if half > 0.0:
             out[first + k] += factor * segment(kind, table, q2, middle - half, middle + half)
         elif q2 + middle * middle < 1.0:
@@ -355,74 +393,67 @@ def _integrals_along(q2, place, half, step, node, many, kind, table, factor, out
 
 
 @inner
-def _add_columns(
-    da,
-    half_a,
-    db,
-    half_b,
-    dc,
-    half_c,
-    step,
-    node,
-    many,
-    kind,
-    table,
-    rims,
-    norm,
-    values,
-    out,
-    at,
-):
-    """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
+def _add_columns(row, kind, table, rims, norm, values, out, first):
+    """Add the integral of the kernel over the cells of a row."""
+    da, db, _ = row.place
+    half_a, half_b, _ = row.half
     nearest = 0.0
     for farthest in rims:
         apart = farthest - nearest
-        for i in range(
-            _list_points(
-                da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2
-            )
-        ):
-            across2, inner, inner2 = values[OF_Y, i] * values[OF_Y, i], 0.0, 0.0
+        many = _list_points(
+            da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2
+        )
+        for i in range(many):
+            across2 = values[OF_Y, i] * values[OF_Y, i]
+            inner = 0.0
+            inner2 = 0.0
             for rim in rims:
                 outer2 = rim * rim - across2
                 if outer2 > 0.0:
-                    for j in range(
-                        _list_points(db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2)
-                    ):
+                    points = _list_points(
+                        db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2
+                    )
+                    for j in range(points):
                         q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
-                        here = norm * values[OF_Y2, i] * values[OF_Z2, j]
+                        factor = norm * values[OF_Y2, i] * values[OF_Z2, j]
                         if q2 < 1.0:
-                            _integrals_along(
-                                q2, dc, half_c, step, node, many, kind, table, here, out, at
-                            )
+                            _integrals_along(q2, row, kind, table, factor, out, first)
                     inner2 = outer2
                 inner = rim
         nearest = farthest
 
 
 @inner
-def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, first):
+def integrate_row(place, node, many, share, volumes, kernel, values, out, first):
     """Add a share of the mean of the kernel over the cells of `many` nodes of a row along the last axis.
 
-    A point minus the first of them, number `node` along that axis, is (da, db, dc - node x step),
-    in the order of the axes. Where cells cover the whole support along an axis, the marginal takes
-    the place of points there.
+    `place` is a point minus the node with number 0 in the row, in the order of the axes, and `node`
+    the number of the first of these nodes. Where cells cover the whole support along an axis, the
+    marginal takes the place of points there.
     """
     kind, table, norm, rims, once, twice, _ = kernel
     norm *= share
-    (a, b, c), half = volumes.order, volumes.half
-    half_a, half_b, half_c, step, covered = half[a], half[b], half[c], volumes.rows.steps[c], 0
+    a, b, c = volumes.order
+    da, db, dc = place
+    half_a = volumes.half[a]
+    half_b = volumes.half[b]
+    half_c = volumes.half[c]
     for k in range(3):
-        if half[k] > 0.0:
-            norm /= 2.0 * half[k]
+        if volumes.half[k] > 0.0:
+            norm /= 2.0 * volumes.half[k]
+    covered = 0
     if abs(da) + 1.0 <= half_a:
-        da, half_a, covered = 0.0, 0.0, 1
+        da = 0.0
+        half_a = 0.0
+        covered = 1
     if abs(db) + 1.0 <= half_b:
-        db, half_b, covered = 0.0, 0.0, covered + 1
-    cells = da, half_a, db, half_b, dc, half_c, step, node, many
+        db = 0.0
+        half_b = 0.0
+        covered += 1
+    row = RowOfCells((da, db, dc), (half_a, half_b, half_c), volumes.rows.steps[c], node, many)
     if covered == 0:
-        _add_columns(*cells, kind, table, rims, norm, values, out, first)
+        _add_columns(row, kind, table, rims, norm, values, out, first)
     elif covered == 1:
-        _add_columns(*cells, once.kind, once.table, rims, norm, values, out, first)
+        _add_columns(row, once.kind, once.table, rims, norm, values, out, first)
     else:
-        _add_columns(*cells, twice.kind, twice.table, rims, norm, values, out, first)
+        _add_columns(row, twice.kind, twice.table, rims, norm, values, out, first)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
+from xcg.compiled.arrays import along_active
 from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
@@ -32,8 +33,19 @@ _ROUNDING = 1e-13  # what centring one grain, or several in one place, leaves, o
 # A derivative is determined where the grains span no less of its axis.
 _SPANNED = 1.0 - 1e-6
 # Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
-COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
-GRADIENT, EXPLAINED, DETERMINED, MEAN, INVERSE, FOUND = 0, 9, 15, 18, 21, 27
+COUNT = 0
+MASS = 1
+MOMENTUM = 2
+OFFSET = 5
+SHEAR = 8
+SPREAD = 17
+SUMS = 23
+GRADIENT = 0
+EXPLAINED = 9
+DETERMINED = 15
+MEAN = 18
+INVERSE = 21
+FOUND = 27
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -90,6 +102,15 @@ def _unfinished(matrix, turns):
     return some
 
 
+@inlined
+def _turn_rows(first, second, cosine, sine):
+    """Turn pairs of numbers (TILE,) by angles."""
+    for n in range(TILE):
+        a, b = first[n], second[n]
+        first[n] = cosine[n] * a - sine[n] * b
+        second[n] = sine[n] * a + cosine[n] * b
+
+
 @inner
 def _rotate(matrix, vectors, p, q, turns, cosine, sine):
     """Turn the axes p and q of the marked matrices (3, 3, TILE) so that their entries p, q vanish."""
@@ -98,23 +119,11 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
         turn = turns[n] & (matrix[p, q, n] != 0.0)
         cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
-        for n in range(TILE):
-            c, s = cosine[n], sine[n]
-            a, b = matrix[k, p, n], matrix[k, q, n]
-            matrix[k, p, n] = c * a - s * b
-            matrix[k, q, n] = s * a + c * b
+        _turn_rows(matrix[k, p], matrix[k, q], cosine, sine)
     for k in range(3):
-        for n in range(TILE):
-            c, s = cosine[n], sine[n]
-            a, b = matrix[p, k, n], matrix[q, k, n]
-            matrix[p, k, n] = c * a - s * b
-            matrix[q, k, n] = s * a + c * b
+        _turn_rows(matrix[p, k], matrix[q, k], cosine, sine)
     for k in range(3):
-        for n in range(TILE):
-            c, s = cosine[n], sine[n]
-            a, b = vectors[k, p, n], vectors[k, q, n]
-            vectors[k, p, n] = c * a - s * b
-            vectors[k, q, n] = s * a + c * b
+        _turn_rows(vectors[k, p], vectors[k, q], cosine, sine)
 
 
 @inner
@@ -124,7 +133,7 @@ def _descending(matrix, n):
     for k in range(1, 3):
         if matrix[k, k, n] > matrix[first, first, n]:
             first = k
-    second = 1 if first == 0 else 0
+    second = int(first == 0)
     third = 3 - first - second
     if matrix[third, third, n] <= matrix[second, second, n]:
         return first, second, third
@@ -147,7 +156,8 @@ def principal(tensor, values, vectors):
     matrix = np.zeros((3, 3, TILE))
     axes = np.empty((3, 3, TILE))
     turns = np.empty(TILE, np.bool_)
-    cosine, sine = np.empty(TILE), np.empty(TILE)
+    cosine = np.empty(TILE)
+    sine = np.empty(TILE)
     for first in range(0, tensor.shape[0], TILE):
         # what is left in the last tile is finished already
         many = min(TILE, tensor.shape[0] - first)
@@ -217,7 +227,9 @@ def _null_vector(matrix, shift, vector):
         vector[0], vector[1], vector[2] = 1.0, 0.0, 0.0
         for k in range(3):
             if matrix[0, k] != 0.0 or matrix[1, k] != 0.0 or matrix[2, k] != 0.0:
-                vector[0], vector[1], vector[2] = matrix[0, k], matrix[1, k], matrix[2, k]
+                vector[0] = matrix[0, k]
+                vector[1] = matrix[1, k]
+                vector[2] = matrix[2, k]
         most = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     for k in range(3):
         vector[k] /= math.sqrt(most)
@@ -283,10 +295,13 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
     apart = matrix[0, 0]
     middle = 0.5 * (matrix[1, 1] + matrix[2, 2])
     half = 0.5 * (matrix[1, 1] - matrix[2, 2])
-    above, below = matrix[1, 2], matrix[2, 1]
+    above = matrix[1, 2]
+    below = matrix[2, 1]
     square = half * half + above * below
     # the others are middle + root and middle - root, NaN if they are complex
-    root = math.sqrt(max(0.0, square)) if square >= -(_IMAGINARY**2) else math.nan
+    root = math.nan
+    if square >= -(_IMAGINARY**2):
+        root = math.sqrt(max(0.0, square))
     if not apart < middle + root:
         place = 0
     elif apart >= middle - root:
@@ -296,7 +311,10 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
     sign = 1.0
     for k in range(3):
         if k == place:
-            value, x, y, z = apart, 1.0, 0.0, 0.0
+            value = apart
+            x = 1.0
+            y = 0.0
+            z = 0.0
         else:
             value = middle + sign * root
             if half * sign > 0.0 or (half == 0.0 and abs(below) >= abs(above)):
@@ -304,7 +322,8 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
             else:
                 y, z = above, sign * root - half
             if y == 0.0 and z == 0.0:  # a multiple of the identity
-                y, z = (1.0, 0.0) if sign > 0.0 else (0.0, 1.0)
+                y = 0.5 + 0.5 * sign
+                z = 1.0 - y
             x = matrix[0, 1] * y + matrix[0, 2] * z
             if x != 0.0:  # else it is at right angles to the first
                 y = (value - apart) * y
@@ -370,6 +389,12 @@ def _put_three(rows, first, n, values):
     rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n] = values
 
 
+@inlined
+def _one_if(known):
+    """Return 1 for what is known, else NaN."""
+    return 1.0 if known else np.nan
+
+
 @inner
 def _moved(shear, u, offsets):
     """Compute a row of B from the sums of m Psi u x of one component."""
@@ -419,11 +444,9 @@ def fit_rows(rows, first, found, many, flags):
     flags : int
         See `flags_of`.
     """
-    active_x = flags & 1 != 0
-    active_y = flags & 2 != 0
-    active_z = flags & 4 != 0
+    active = (flags & 1 != 0, flags & 2 != 0, flags & 4 != 0)
     about_node = flags & 8 != 0
-    full = int(active_x) + int(active_y) + int(active_z)
+    full = int(active[0]) + int(active[1]) + int(active[2])
     # as unsigned numbers: signed ones are looked at for counting from the end
     count = first + np.uint64(COUNT)
     of_mass = first + np.uint64(MASS)
@@ -441,8 +464,12 @@ def fit_rows(rows, first, found, many, flags):
         mass = rows[of_mass, n]
         per_mass = 1.0 / mass if mass > 0.0 else 0.0
         offsets = _three(rows, offset, n)
-        shift = 0.0 if about_node else per_mass
-        x, y, z = shift * offsets[0], shift * offsets[1], shift * offsets[2]
+        shift = per_mass
+        if about_node:
+            shift = 0.0
+        x = shift * offsets[0]
+        y = shift * offsets[1]
+        z = shift * offsets[2]
         _put_three(rows, mean, n, (x, y, z))
         about_xx, about_xy, about_xz = _three(rows, spread, n)
         about_yy, about_yz, about_zz = _three(rows, spread + three, n)
@@ -456,35 +483,56 @@ def fit_rows(rows, first, found, many, flags):
         rounding = _ROUNDING * (about_xx + about_yy + about_zz)
         # along the other axes all offsets are zero, and any spread gives a gradient of zero
         own = trace / full
-        xx = xx if active_x else own
-        yy = yy if active_y else own
-        zz = zz if active_z else own
-        c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        if not active[0]:
+            xx = own
+        if not active[1]:
+            yy = own
+        if not active[2]:
+            zz = own
+        c00 = yy * zz - yz * yz
+        c01 = xz * yz - xy * zz
+        c02 = xy * yz - xz * yy
+        c11 = xx * zz - xz * xz
+        c12 = xy * xz - xx * yz
+        c22 = xx * yy - xy * xy
         determinant = xx * c00 + xy * c01 + xz * c02
         minors = c00 + c11 + c22
         size = xx + yy + zz
         rank = full
-        px, py, pz = 1.0, 1.0, 1.0  # the part of each axis that the grains span
+        # the part of each axis that the grains span
+        px = 1.0
+        py = 1.0
+        pz = 1.0
         if not trace > rounding:
             rank = 0
             px, py, pz = 0.0, 0.0, 0.0
-            c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            c00 = 0.0
+            c01 = 0.0
+            c02 = 0.0
+            c11 = 0.0
+            c12 = 0.0
+            c22 = 0.0
         elif determinant > _WELL_CONDITIONED * own * own * own:
             scale = 1.0 / determinant
             c00, c01, c02 = scale * c00, scale * c01, scale * c02
-            c11, c12, c22 = scale * c11, scale * c12, scale * c22
+            c11 = scale * c11
+            c12 = scale * c12
+            c22 = scale * c22
         elif minors <= _ONE_LINE * size * size:
             rank = full - 2
             scale = 1.0 / size
             px, py, pz = scale * xx, scale * yy, scale * zz
             scale = scale * scale
             c00, c01, c02 = scale * xx, scale * xy, scale * xz
-            c11, c12, c22 = scale * yy, scale * yz, scale * zz
+            c11 = scale * yy
+            c12 = scale * yz
+            c22 = scale * zz
         elif minors > _WELL_SPREAD * size * size and abs(determinant) <= _ONE_PLANE * minors * size:
             rank = full - 1
             scale = 1.0 / minors
-            px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
+            px = 1.0 - scale * c00
+            py = 1.0 - scale * c11
+            pz = 1.0 - scale * c22
             across = -scale * size
             c00 = scale * (size * px - xx)
             c01 = scale * (across * c01 - xy)
@@ -493,21 +541,17 @@ def fit_rows(rows, first, found, many, flags):
             c12 = scale * (across * c12 - yz)
             c22 = scale * (size * pz - zz)
         else:
-            xx = xx if active_x else 0.0
-            yy = yy if active_y else 0.0
-            zz = zz if active_z else 0.0
+            xx, yy, zz = along_active(xx, yy, zz, active)
             rank, spanned, pseudo = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
             px, py, pz = spanned
             c00, c01, c02, c11, c12, c22 = pseudo
         # the spread that stands for offsets of zero has an inverse too, which is not part of M^+
-        of_xx = c00 if active_x else 0.0
-        of_yy = c11 if active_y else 0.0
-        of_zz = c22 if active_z else 0.0
+        of_xx, of_yy, of_zz = along_active(c00, c11, c22, active)
         _put_three(rows, inverse, n, (of_xx, c01, c02))
         _put_three(rows, inverse + three, n, (of_yy, c12, of_zz))
-        known_x = 1.0 if mass > 0.0 and (not active_x or px > _SPANNED) else np.nan
-        known_y = 1.0 if mass > 0.0 and (not active_y or py > _SPANNED) else np.nan
-        known_z = 1.0 if mass > 0.0 and (not active_z or pz > _SPANNED) else np.nan
+        known_x = _one_if(mass > 0.0 and (px > _SPANNED or not active[0]))
+        known_y = _one_if(mass > 0.0 and (py > _SPANNED or not active[1]))
+        known_z = _one_if(mass > 0.0 and (pz > _SPANNED or not active[2]))
         _put_three(rows, determined, n, (known_x, known_y, known_z))
         b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if mass > 0.0:
@@ -523,8 +567,12 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three, n, g1)
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-        known = 1.0 if rows[count, n] > rank + 1 else np.nan
-        e00, e01, e02 = known * dot(g0, b0), known * dot(g0, b1), known * dot(g0, b2)
-        e11, e12, e22 = known * dot(g1, b1), known * dot(g1, b2), known * dot(g2, b2)
+        known = _one_if(rows[count, n] > rank + 1)
+        e00 = known * dot(g0, b0)
+        e01 = known * dot(g0, b1)
+        e02 = known * dot(g0, b2)
+        e11 = known * dot(g1, b1)
+        e12 = known * dot(g1, b2)
+        e22 = known * dot(g2, b2)
         _put_three(rows, explained, n, (e00, e01, e02))
         _put_three(rows, explained + three, n, (e11, e12, e22))

@@ -5,33 +5,85 @@ as records (x, y, z, radius), sorted by level and cell, so that the cells along 
 can reach are one run of records. A particle looks for partners in its own level and in levels of
 larger particles, never of smaller ones: forward cells in its own level (each pair once), all near
 cells in the others.
-
-A level is a row of three arrays:
-
-lower, inverse : (levels, 3)
-    Corner of the cells (m), and the inverse of their edges (m-1).
-cells : (levels, 3)
-    Number of cells along each axis; one where the period is too short for three.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import jit
-from xcg.compiled.arrays import nearest_image, sort_by_key
+from xcg.compiled.arrays import image_of, nearest_image, sort_by_key
 from xcg.compiled.radial_distribution import count_pair
+
+
+class Levels(NamedTuple):
+    """Levels of size, from small particles to large, and their cells.
+
+    Attributes
+    ----------
+    lower, inverse : (levels, 3)
+        Corner of the cells (m), and the inverse of their edges (m-1).
+    cells : (levels, 3)
+        Number of cells along each axis; one where the period is too short for three.
+    first_cell : (levels + 1,)
+        Number of the first cell of each level, all levels counted through, and number of cells.
+    largest : (levels,)
+        Largest radius of each level (m).
+    period : (3,)
+        Period of each axis (m), infinite without one.
+    fold : (levels, 3)
+        The period along axes where a level has one cell, so that each distance is wrapped by
+        itself; else infinity.
+    skin : float
+        Pairs closer than the sum of their radii and this are found (m).
+    slack : float
+        Rounding of coordinates, added to reaches (m).
+    """
+
+    lower: NDArray
+    inverse: NDArray
+    cells: NDArray
+    first_cell: NDArray
+    largest: NDArray
+    period: NDArray
+    fold: NDArray
+    skin: float
+    slack: float
+
+
+class Records(NamedTuple):
+    """Particles sorted by level and cell.
+
+    Attributes
+    ----------
+    values : (n, 4)
+        x, y, z and radius of each (m).
+    of_level : (levels + 1,)
+        First record of each level, and number of records.
+    of_cell : (all cells + 1,)
+        First record of each cell, and number of records.
+    """
+
+    values: NDArray
+    of_level: NDArray
+    of_cell: NDArray
 
 
 @jit
 def cell_of(x, lower, inverse, count):
     """Cell that holds x along one axis; the first and the last take all that lies outside."""
     c = math.floor((x - lower) * inverse)
-    return 0 if c < 0 else (count - 1 if c >= count else int(c))
+    if c < 0:
+        return 0
+    if c >= count:
+        return count - 1
+    return int(c)
 
 
 @jit
-def locate(position, level, corner, period, lower, inverse, cells, first_cell, wrapped, cell):
+def locate(position, level, corner, levels, wrapped, cell):
     """Wrap particles into the periodic box, and find the cell of each.
 
     Parameters
@@ -40,17 +92,19 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
         Centres.
     level : (n,)
         Level of each particle.
-    corner, period : (3,)
-        Lower edge of the box, and its period; infinite without one.
-    lower, inverse, cells : (levels, 3)
+    corner : (3,)
+        Lower edge of the box.
+    levels : Levels
         The levels.
-    first_cell : (levels,)
-        Number of the first cell of each level, all levels counted through.
     wrapped : (n, 3)
         Centres inside the box, set here.
     cell : (n,)
         Number of each particle's cell, set here.
     """
+    period = levels.period
+    lower = levels.lower
+    inverse = levels.inverse
+    cells = levels.cells
     for i in range(position.shape[0]):
         number = 0
         k = level[i]
@@ -60,7 +114,7 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
                 x -= period[a] * math.floor((x - corner[a]) / period[a])
             wrapped[i, a] = x
             number = number * cells[k, a] + cell_of(x, lower[k, a], inverse[k, a], cells[k, a])
-        cell[i] = first_cell[k] + number
+        cell[i] = levels.first_cell[k] + number
 
 
 @jit
@@ -68,7 +122,9 @@ def write_records(order, wrapped, radius, records):
     """Write x, y, z and radius of particles to records (n, 4), in an order (n,) by cell."""
     for n in range(order.size):
         i = order[n]
-        records[n, 0], records[n, 1], records[n, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
+        records[n, 0] = wrapped[i, 0]
+        records[n, 1] = wrapped[i, 1]
+        records[n, 2] = wrapped[i, 2]
         records[n, 3] = radius[i]
 
 
@@ -77,10 +133,8 @@ def _reached(x, reach, lower, inverse, count, period):
     """First and last cell that [x - reach, x + reach] meets; beyond 0 ... count - 1 these are periodic images."""
     if count == 1:
         return 0, 0
-    first, last = (
-        math.floor((x - reach - lower) * inverse),
-        math.floor((x + reach - lower) * inverse),
-    )
+    first = math.floor((x - reach - lower) * inverse)
+    last = math.floor((x + reach - lower) * inverse)
     if math.isinf(period):
         return max(0, min(first, count - 1)), max(0, min(last, count - 1))
     return int(first), int(last)
@@ -89,68 +143,31 @@ def _reached(x, reach, lower, inverse, count, period):
 @jit
 def _image(c, count):
     """Return the number of periods between a cell and the box."""
-    return -1 if c < 0 else (1 if c >= count else 0)
+    if c < 0:
+        return -1
+    if c >= count:
+        return 1
+    return 0
 
 
 @jit
-def find(
-    first,
-    last,
-    records,
-    first_record,
-    first_cell,
-    starts,
-    lower,
-    inverse,
-    cells,
-    largest,
-    period,
-    fold,
-    skin,
-    slack,
-    most,
-    left,
-    right,
-    group,
-    whose,
-    is_original,
-    across,
-    counts,
-):
+def find(first, last, levels, records, most, left, right, histogram):
     """Pairs of the records `first` to `last` with partners in their own and larger levels.
 
     Parameters
     ----------
     first, last : int
         Records whose partners are looked for.
-    records : (n, 4)
-        x, y, z, radius, sorted by level and cell.
-    first_record : (levels + 1,)
-        First record of each level.
-    first_cell : (levels,)
-        See `locate`.
-    starts : (all cells + 1,)
-        First record of each cell.
-    lower, inverse, cells : (levels, 3)
-        The levels, from small particles to large.
-    largest : (levels,)
-        Largest radius of each level.
-    period : (3,)
-        Period of each axis, infinite without one.
-    fold : (levels, 3)
-        The period along axes where a level has one cell, so that each distance is wrapped by
-        itself; else infinity.
-    skin : float
-        Pairs closer than the sum of their radii and this are found.
-    slack : float
-        Rounding of coordinates, added to reaches.
+    levels : Levels
+        The levels.
+    records : Records
+        The particles.
     most : int
         The search ends once more pairs than this are found.
     left, right : (capacity,)
         Buffers for pairs of records.
-    group, whose, is_original, across, counts : array or None
-        See `xcg.compiled.radial_distribution.count_pair`. If `counts` is not None, pairs are
-        counted there instead of kept.
+    histogram : Histogram or None
+        If given, pairs are counted there instead of kept.
 
     Returns
     -------
@@ -159,12 +176,18 @@ def find(
     found, tested : int
         Number of pairs found, and of pairs whose distance was computed.
     """
-    found, tested = 0, 0
+    lower, inverse, cells, first_cell, largest, period, fold, skin, slack = levels
+    values, of_level, of_cell = records
+    found = 0
+    tested = 0
     own = 0
     for i in range(first, last):
-        while i >= first_record[own + 1]:
+        while i >= of_level[own + 1]:
             own += 1
-        xi, yi, zi, ri = records[i, 0], records[i, 1], records[i, 2], records[i, 3]
+        xi = values[i, 0]
+        yi = values[i, 1]
+        zi = values[i, 2]
+        ri = values[i, 3]
         for k in range(own, largest.size):
             folds = not (
                 math.isinf(fold[k, 0]) and math.isinf(fold[k, 1]) and math.isinf(fold[k, 2])
@@ -182,54 +205,41 @@ def find(
                 x0 = ix
             for cx in range(x0, x1 + 1):
                 image_x = _image(cx, nx)
-                shift_x = image_x * period[0] if image_x else 0.0
+                shift_x = image_of(0.0, image_x, period[0])
                 plane = first_cell[k] + (cx - image_x * nx) * ny * nz
                 own_plane = same and cx == ix
                 for cy in range(iy if own_plane else y0, y1 + 1):
                     image_y = _image(cy, ny)
-                    shift_y = image_y * period[1] if image_y else 0.0
+                    shift_y = image_of(0.0, image_y, period[1])
                     column = plane + (cy - image_y * ny) * nz
                     after = i + 1 if own_plane and cy == iy else 0
                     for image_z in range(_image(z0, nz), _image(z1, nz) + 1):
-                        begin = max(after, starts[column + max(z0 - image_z * nz, 0)])
-                        end = starts[column + min(z1 - image_z * nz, nz - 1) + 1]
-                        shift_z = image_z * period[2] if image_z else 0.0
+                        begin = max(after, of_cell[column + max(z0 - image_z * nz, 0)])
+                        end = of_cell[column + min(z1 - image_z * nz, nz - 1) + 1]
+                        shift_z = image_of(0.0, image_z, period[2])
                         tested += max(end - begin, 0)
                         if found > most:
                             return left, right, found, tested
-                        if counts is None and found + end - begin > left.size:
-                            left, right = (
-                                _grown(left, found + end - begin),
-                                _grown(right, found + end - begin),
-                            )
+                        if histogram is None and found + end - begin > left.size:
+                            left = _grown(left, found + end - begin)
+                            right = _grown(right, found + end - begin)
                         for j in range(begin, end):
-                            dx = records[j, 0] - xi + shift_x
-                            dy = records[j, 1] - yi + shift_y
-                            dz = records[j, 2] - zi + shift_z
+                            dx = values[j, 0] - xi + shift_x
+                            dy = values[j, 1] - yi + shift_y
+                            dz = values[j, 2] - zi + shift_z
                             if folds:
                                 dx = nearest_image(dx, fold[k, 0])
                                 dy = nearest_image(dy, fold[k, 1])
                                 dz = nearest_image(dz, fold[k, 2])
-                            touch = records[j, 3] + ri + skin
+                            touch = values[j, 3] + ri + skin
                             square = dx * dx + dy * dy + dz * dz
-                            if counts is None:
+                            if histogram is None:
                                 left[found] = i
                                 right[found] = j
                                 found += square < touch * touch
                             elif square < touch * touch:
-                                count_pair(
-                                    i,
-                                    j,
-                                    dx,
-                                    dy,
-                                    dz,
-                                    math.sqrt(square) / touch,
-                                    group,
-                                    whose,
-                                    is_original,
-                                    across,
-                                    counts,
-                                )
+                                distance = math.sqrt(square) / touch
+                                count_pair(i, j, (dx, dy, dz), distance, histogram)
     return left, right, found, tested
 
 
@@ -246,7 +256,8 @@ def rows_of_pairs(left, right, row):
     """Turn pairs of records into pairs of rows, the lower row `left`, in place; `row` (n,) is that of each record."""
     for n in range(left.size):
         i, j = row[left[n]], row[right[n]]
-        left[n], right[n] = min(i, j), max(i, j)
+        left[n] = min(i, j)
+        right[n] = max(i, j)
 
 
 @jit
@@ -266,27 +277,27 @@ def sort_pairs(low, high, rows, first, last, pairs):
     pairs : (m, 2)
         Entries of the range are set here.
     """
-    before, count = 0, 0
+    before = 0
+    count = 0
     for n in range(low.size):
         before += low[n] < first
         count += first <= low[n] < last
-    own_low, own_high, order = (
-        np.empty(count, low.dtype),
-        np.empty(count, low.dtype),
-        np.empty(count, np.int64),
-    )
+    own_low = np.empty(count, low.dtype)
+    own_high = np.empty(count, low.dtype)
+    order = np.empty(count, np.int64)
     count = 0
     for n in range(low.size):
         if first <= low[n] < last:
-            own_low[count], own_high[count] = low[n] - first, high[n]
+            own_low[count] = low[n] - first
+            own_high[count] = high[n]
             count += 1
     sort_by_key(own_high, np.zeros(rows + 1, np.int64), order)
-    low_by_high, high_by_high = np.empty(count, low.dtype), np.empty(count, low.dtype)
+    low_by_high = np.empty(count, low.dtype)
+    high_by_high = np.empty(count, low.dtype)
     for n in range(count):
-        low_by_high[n], high_by_high[n] = own_low[order[n]], own_high[order[n]]
+        low_by_high[n] = own_low[order[n]]
+        high_by_high[n] = own_high[order[n]]
     sort_by_key(low_by_high, np.zeros(last - first + 1, np.int64), order)
     for n in range(count):
-        pairs[before + n, 0], pairs[before + n, 1] = (
-            low_by_high[order[n]] + first,
-            high_by_high[order[n]],
-        )
+        pairs[before + n, 0] = low_by_high[order[n]] + first
+        pairs[before + n, 1] = high_by_high[order[n]]

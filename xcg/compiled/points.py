@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
+from xcg.compiled.arrays import along_active, image_of
 from xcg.compiled.cell_means import mean_over_cell, volumes_in_ball
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import (
     BATCH,
+    NO_BRANCH,
     NODE,
     OTHER,
     Q2,
@@ -29,39 +31,11 @@ from xcg.compiled.reach import (
     Y,
     Z,
     batch_reaches,
+    images_in_reach,
     nodes_in_ball,
-    periodic_images,
 )
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
-
-
-def reference_deposit(place, velocity, mass, constants, node, value):
-    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: kinematic columns up to SQUARED, and constants.
-
-    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,)
-    below 1.
-    """
-    seen = ((place - node) ** 2).sum(axis=1) < 1.0
-    x, u, six = (place - node)[seen], (velocity - velocity[seen][:1])[seen], np.triu_indices(3)
-    weight = value(np.sqrt((x * x).sum(axis=1)))
-    w = weight * mass[seen]
-    kinetic, spread = np.einsum("n,ni,nj", w, u, u)[six], np.einsum("n,ni,nj", w, x, x)[six]
-    linear = np.einsum("n,nj,ni->ji", w, x, np.column_stack([np.ones(len(u)), u]))
-    squared = (w * w) @ x, np.einsum("n,ni,nj", w * w, x, x)[six]
-    flow = [
-        [w.sum()],
-        w @ u,
-        [seen.sum()],
-        kinetic,
-        [w @ w],
-        linear.ravel(),
-        spread,
-        *squared,
-        [0.0],
-    ]
-    return np.concatenate(flow), weight @ constants[seen]
-
 
 MASS = 0
 MOMENTUM = 1  # m u: x y z
@@ -78,11 +52,20 @@ SQUARE_SPREAD = 33  # (m Psi)^2 x x: xx xy xz yy yz zz
 SQUARES = (SQUARE, *range(SQUARE_OFFSET, SQUARE_SPREAD + 6))
 
 # what a grain's record holds
-PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
+PLACE = 0
+SPEED = 3
+WEIGHED = 6
+GROUP = 7
+GRAIN = 8
 
 # how many kinematic columns each level of detail takes; some are spare, so that all start at a multiple
 # of four
-NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR, SQUARED = 0, 8, 12, 16, 32, 40
+NONE = 0
+VELOCITY = 8
+FLUCTUATION = 12
+CUBIC = 16
+LINEAR = 32
+SQUARED = 40
 _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
 
@@ -158,12 +141,18 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     reference : (nodes of the block, 3)
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
-    begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, table, norm = kernel.kind, kernel.table, kernel.norm
+    begin = nodes.begin
+    end = nodes.end
+    active = nodes.active
+    period = nodes.period
+    kind = kernel.kind
+    table = kernel.table
+    norm = kernel.norm
     lists, records = scratch
     values, numbers = lists
-    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    q2, weight, columns = values[Q2], values[WEIGHT], grains.constants.shape[1]
+    q2 = values[Q2]
+    weight = values[WEIGHT]
+    columns = grains.constants.shape[1]
     for batch in range(grains.batches.shape[0]):
         if not batch_reaches(grains.batches, batch, begin, end, active, period):
             continue
@@ -171,20 +160,21 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
         _list_grains(listed, grains, records)
         for i in range(listed.size):
             p = np.uint64(records[i, GROUP])
-            x0 = records[i, PLACE] if active[0] else 0.0
-            y0 = records[i, PLACE + 1] if active[1] else 0.0
-            z0 = records[i, PLACE + 2] if active[2] else 0.0
-            first_x, last_x = periodic_images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
-            first_y, last_y = periodic_images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
-            first_z, last_z = periodic_images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+            x0, y0, z0 = along_active(
+                records[i, PLACE], records[i, PLACE + 1], records[i, PLACE + 2], active
+            )
+            place = (x0, y0, z0)
+            first_x, last_x = images_in_reach(0, place, NO_BRANCH, nodes)
+            first_y, last_y = images_in_reach(1, place, NO_BRANCH, nodes)
+            first_z, last_z = images_in_reach(2, place, NO_BRANCH, nodes)
             if first_x > last_x or first_y > last_y or first_z > last_z:
                 continue
             for image_x in range(first_x, last_x + 1):
-                x = x0 + image_x * period[0] if image_x else x0
+                x = image_of(x0, image_x, period[0])
                 for image_y in range(first_y, last_y + 1):
-                    y = y0 + image_y * period[1] if image_y else y0
+                    y = image_of(y0, image_y, period[1])
                     for image_z in range(first_z, last_z + 1):
-                        z = z0 + image_z * period[2] if image_z else z0
+                        z = image_of(z0, image_z, period[2])
                         hits = nodes_in_ball(x, y, z, nodes.rows, lists)
                         hits += points_in_ball(x, y, z, nodes.cells, lists)
                         hits += volumes_in_ball(x, y, z, nodes.volumes, kernel, lists)
@@ -207,33 +197,32 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
                                 moments,
                             )
                         for d in range(0, columns, 4):
-                            c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
-                            c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
+                            first = GRAIN + d
+                            four = (
+                                records[i, first],
+                                records[i, first + 1],
+                                records[i, first + 2],
+                                records[i, first + 3],
+                            )
                             for k in range(hits):
-                                add4(
-                                    moments,
-                                    p,
-                                    numbers[NODE, k],
-                                    level + d,
-                                    weight[k],
-                                    c0,
-                                    c1,
-                                    c2,
-                                    c3,
-                                )
+                                add4(moments, p, numbers[NODE, k], level + d, weight[k], four)
 
 
 @inner
 def _list_grains(rows, grains, records):
     """Gather the rows of some grains, spread over memory, all requested at once."""
-    per_cutoff, origin = 1.0 / grains.cutoff, grains.origin
-    position, velocity, constants = grains.position, grains.velocity, grains.constants
+    per_cutoff = 1.0 / grains.cutoff
+    origin = grains.origin
+    position = grains.position
+    velocity = grains.velocity
+    constants = grains.constants
     for i in range(rows.size):
         n = rows[i]
         for k in range(3):
             records[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
             records[i, SPEED + k] = velocity[n, k]
-        records[i, WEIGHED], records[i, GROUP] = grains.mass[n], grains.phase[n]
+        records[i, WEIGHED] = grains.mass[n]
+        records[i, GROUP] = grains.phase[n]
         for k in range(constants.shape[1]):
             records[i, GRAIN + k] = constants[n, k]
 
@@ -241,72 +230,73 @@ def _list_grains(rows, grains, records):
 @inner
 def _add_flow(p, records, i, lists, hits, level, moments, reference):
     """Add one grain to the kinematic columns of the nodes that it reaches."""
-    mass, vx, vy, vz = (
-        records[i, WEIGHED],
-        records[i, SPEED],
-        records[i, SPEED + 1],
-        records[i, SPEED + 2],
-    )
+    mass = records[i, WEIGHED]
+    vx = records[i, SPEED]
+    vy = records[i, SPEED + 1]
+    vz = records[i, SPEED + 2]
     values, numbers = lists
     for k in range(hits):
-        n, x, y, z = np.uint64(numbers[NODE, k]), values[X, k], values[Y, k], values[Z, k]
+        n = np.uint64(numbers[NODE, k])
+        x = values[X, k]
+        y = values[Y, k]
+        z = values[Z, k]
         if math.isnan(reference[n, 0]):
             reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
-        ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
+        ux = vx - reference[n, 0]
+        uy = vy - reference[n, 1]
+        uz = vz - reference[n, 2]
         w = values[WEIGHT, k] * mass
         wx, wy, wz = w * ux, w * uy, w * uz
-        add4(moments, p, n, MASS, 1.0, w, wx, wy, wz)
-        add4(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
+        add4(moments, p, n, MASS, 1.0, (w, wx, wy, wz))
+        add4(moments, p, n, COUNT, 1.0, (1.0, wx * ux, wx * uy, wx * uz))
         if level >= FLUCTUATION:
-            add4(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
+            add4(moments, p, n, KINETIC + 3, 1.0, (wy * uy, wy * uz, wz * uz, w * w))
         if level >= LINEAR:
-            add4(moments, p, n, OFFSET, x, w, wx, wy, wz)
-            add4(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
-            add4(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
+            add4(moments, p, n, OFFSET, x, (w, wx, wy, wz))
+            add4(moments, p, n, OFFSET + 4, y, (w, wx, wy, wz))
+            add4(moments, p, n, OFFSET + 8, z, (w, wx, wy, wz))
             wx, wy, wz = w * x, w * y, w * z
-            add4(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
-            add4(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)
+            add4(moments, p, n, SPREAD, 1.0, (wx * x, wx * y, wx * z, wy * y))
+            add4(moments, p, n, SPREAD + 4, 1.0, (wy * z, wz * z, w * wx, w * wy))
             if level >= SQUARED:
-                add4(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
-                add4(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
+                add4(moments, p, n, SQUARE_OFFSET + 2, w, (wz, wx * x, wx * y, wx * z))
+                add4(moments, p, n, SQUARE_SPREAD + 3, w, (wy * y, wy * z, wz * z, 0.0))
 
 
 @inner
 def _add_cubes(p, records, i, lists, hits, moments, reference):
     """Add m |u|^2 u of one grain to the nodes that it reaches."""
-    mass, vx, vy, vz = (
-        records[i, WEIGHED],
-        records[i, SPEED],
-        records[i, SPEED + 1],
-        records[i, SPEED + 2],
-    )
+    mass = records[i, WEIGHED]
+    vx = records[i, SPEED]
+    vy = records[i, SPEED + 1]
+    vz = records[i, SPEED + 2]
     values, numbers = lists
     for k in range(hits):
         n = np.uint64(numbers[NODE, k])
-        ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
-        add4(
-            moments,
-            p,
-            n,
-            CUBE,
-            values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz),
-            ux,
-            uy,
-            uz,
-            0.0,
-        )
+        ux = vx - reference[n, 0]
+        uy = vy - reference[n, 1]
+        uz = vz - reference[n, 2]
+        weight = values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz)
+        add4(moments, p, n, CUBE, weight, (ux, uy, uz, 0.0))
 
 
 @inner
 def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
-    kind, table, norm = kernel.kind, kernel.table, kernel.norm
+    kind = kernel.kind
+    table = kernel.table
+    norm = kernel.norm
     values, numbers = lists
-    q2, other = values[Q2], values[OTHER]
+    q2 = values[Q2]
+    other = values[OTHER]
     for image in range(meet.shape[0]):
-        move_x, move_y, move_z = meet[image, 0], meet[image, 1], meet[image, 2]
+        move_x = meet[image, 0]
+        move_y = meet[image, 1]
+        move_z = meet[image, 2]
         for k in range(hits):
-            x, y, z = values[X, k] + move_x, values[Y, k] + move_y, values[Z, k] + move_z
+            x = values[X, k] + move_x
+            y = values[Y, k] + move_y
+            z = values[Z, k] + move_z
             q2[k] = min(1.0, x * x + y * y + z * z)
             if volumes is not None:
                 mean_over_cell(x, y, z, volumes, kernel, values, other, k)
@@ -316,11 +306,16 @@ def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
         for k in range(hits):
             if q2[k] >= 1.0:
                 continue
-            n, w = np.uint64(numbers[NODE, k]), mass * values[WEIGHT, k] * (mass * other[k])
+            n = np.uint64(numbers[NODE, k])
+            w = mass * values[WEIGHT, k] * (mass * other[k])
             moments[p, n, _COLUMNS[SQUARE]] += w
             if level >= SQUARED:
                 x, y, z = values[X, k], values[Y, k], values[Z, k]
-                to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
-                add4(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
-                add4(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
+                to_x = w * (x + move_x)
+                to_y = w * (y + move_y)
+                to_z = w * (z + move_z)
+                add4(moments, p, n, SQUARE_OFFSET, 1.0, (to_x, to_y, to_z, x * to_x))
+                add4(
+                    moments, p, n, SQUARE_SPREAD + 1, 1.0, (x * to_y, x * to_z, y * to_y, y * to_z)
+                )
                 moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z

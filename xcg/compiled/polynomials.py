@@ -20,8 +20,10 @@ the cutoff; L1 and L2 are its integrals over a line and a plane at distance q, a
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.elementary import add_logarithms, angle
@@ -29,7 +31,9 @@ from xcg.compiled.reach import padded
 
 # What stands in `shells` (rows, shells), column by column: radius, zero where there is no shell,
 # number of powers, a multiple of AT_ONCE, and the coefficient a_n / (n + 1) of each power.
-RADIUS, POWERS, FIRST = 0, 1, 2
+RADIUS = 0
+POWERS = 1
+FIRST = 2
 AT_ONCE = 4
 # rows of scratch
 _H2, _R0, _R1, _LEVER, _APART, _EVEN, _ODD, _END, _SLOPE = (np.uint64(k) for k in range(9))
@@ -39,13 +43,40 @@ SCRATCH = 9
 TINY = 1e-290
 
 
+class Closed(NamedTuple):
+    """Scratch of closed forms.
+
+    Attributes
+    ----------
+    ratio, bits : (room,)
+        The same memory as floats and as integers.
+    exponent : (room,)
+        Integers.
+    rows : (SCRATCH, room)
+        Floats.
+    """
+
+    ratio: NDArray
+    bits: NDArray
+    exponent: NDArray
+    rows: NDArray
+
+
+def closed_for(room: int) -> Closed:
+    """Make scratch for lists of this length."""
+    ratio = np.zeros(room)
+    return Closed(ratio, ratio.view("int64"), np.zeros(room, "int64"), np.zeros((SCRATCH, room)))
+
+
 @leaf
-def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, exponent, rows):
+def fill_shells(shells, length, along, q2, count, out, closed):
     """Write the mean of the shells over segments, seen from `count` nodes, in loops that vectorise.
 
     Arguments as in `xcg.compiled.lines.fill_segments`.
     """
     room = padded(count)
+    per_length = 1.0 / length
+    ratio, bits, exponent, rows = closed
     for k in range(room):
         out[k] = 0.0
     for j in range(shells.shape[1]):
@@ -58,33 +89,38 @@ def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, 
             half = math.sqrt(radius2 - h2)
             begin = max(-along[k], -half)
             end = max(begin, min(length - along[k], half))
-            r0, r1, apart = math.sqrt(h2 + begin * begin), math.sqrt(h2 + end * end), end - begin
+            r0 = math.sqrt(h2 + begin * begin)
+            r1 = math.sqrt(h2 + end * end)
+            apart = end - begin
             both = r0 + r1
-            rows[_H2, k], rows[_R0, k], rows[_R1, k] = h2, r0, r1
-            rows[_LEVER, k], rows[_APART, k] = (
-                begin * (begin + end) / (both + TINY),
-                per_length * apart,
-            )
-            rows[_EVEN, k], rows[_ODD, k], rows[_END, k], rows[_SLOPE, k] = 0.0, 0.0, 0.0, 0.0
+            rows[_H2, k] = h2
+            rows[_R0, k] = r0
+            rows[_R1, k] = r1
+            rows[_LEVER, k] = begin * (begin + end) / (both + TINY)
+            rows[_APART, k] = per_length * apart
+            rows[_EVEN, k] = 0.0
+            rows[_ODD, k] = 0.0
+            rows[_END, k] = 0.0
+            rows[_SLOPE, k] = 0.0
             ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
         for n in range(int(shells[POWERS, j]) - AT_ONCE, -1, -AT_ONCE):
-            a0, a1, a2, a3 = (
-                shells[FIRST + n, j],
-                shells[FIRST + n + 1, j],
-                shells[FIRST + n + 2, j],
-                shells[FIRST + n + 3, j],
-            )
-            p0, p1, p2, p3 = (
-                (n + 2.0) / (n + 1.0),
-                (n + 3.0) / (n + 2.0),
-                (n + 4.0) / (n + 3.0),
-                (n + 5.0) / (n + 4.0),
-            )
+            a0 = shells[FIRST + n, j]
+            a1 = shells[FIRST + n + 1, j]
+            a2 = shells[FIRST + n + 2, j]
+            a3 = shells[FIRST + n + 3, j]
+            p0 = (n + 2.0) / (n + 1.0)
+            p1 = (n + 3.0) / (n + 2.0)
+            p2 = (n + 4.0) / (n + 3.0)
+            p3 = (n + 5.0) / (n + 4.0)
             for k in range(room):
-                h2, r0, r1, end = rows[_H2, k], rows[_R0, k], rows[_R1, k], rows[_END, k]
+                h2 = rows[_H2, k]
+                r0 = rows[_R0, k]
+                r1 = rows[_R1, k]
+                end = rows[_END, k]
                 e3 = a3 + p3 * h2 * rows[_ODD, k]
                 e2 = a2 + p2 * h2 * rows[_EVEN, k]
-                e1, e0 = a1 + p1 * h2 * e3, a0 + p0 * h2 * e2
+                e1 = a1 + p1 * h2 * e3
+                e0 = a0 + p0 * h2 * e2
                 slope = rows[_SLOPE, k] * r0 + end
                 end = end * r1 + e3
                 slope = slope * r0 + end
@@ -93,7 +129,8 @@ def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, 
                 end = end * r1 + e1
                 rows[_SLOPE, k] = slope * r0 + end
                 rows[_END, k] = end * r1 + e0
-                rows[_EVEN, k], rows[_ODD, k] = e0, e1
+                rows[_EVEN, k] = e0
+                rows[_ODD, k] = e1
         for k in range(room):
             out[k] += rows[_APART, k] * (rows[_END, k] + rows[_LEVER, k] * rows[_SLOPE, k])
             rows[_ODD, k] *= per_length * rows[_H2, k]
@@ -108,11 +145,16 @@ def along_shells(shells, h2, t0, t1):
         half2 = shells[RADIUS, j] * shells[RADIUS, j] - h2
         if half2 <= 0.0:
             continue
-        begin, end = max(t0, -math.sqrt(half2)), min(t1, math.sqrt(half2))
+        begin = max(t0, -math.sqrt(half2))
+        end = min(t1, math.sqrt(half2))
         if end <= begin:
             continue
-        r0, r1 = math.sqrt(h2 + begin * begin), math.sqrt(h2 + end * end)
-        even, odd, value, slope = 0.0, 0.0, 0.0, 0.0
+        r0 = math.sqrt(h2 + begin * begin)
+        r1 = math.sqrt(h2 + end * end)
+        even = 0.0
+        odd = 0.0
+        value = 0.0
+        slope = 0.0
         for n in range(int(shells[POWERS, j]) - 2, -1, -2):
             odd = shells[FIRST + n + 1, j] + (n + 3.0) / (n + 2.0) * h2 * odd
             slope = slope * r0 + value
@@ -120,7 +162,8 @@ def along_shells(shells, h2, t0, t1):
             even = shells[FIRST + n, j] + (n + 2.0) / (n + 1.0) * h2 * even
             slope = slope * r0 + value
             value = value * r1 + even
-        both, apart = r0 + r1, end - begin
+        both = r0 + r1
+        apart = end - begin
         total += apart * (value + begin * (begin + end) / (both + TINY) * slope)
         total += h2 * odd * math.log((both + apart + TINY) / (max(0.0, both - apart) + TINY))
     return total
@@ -136,7 +179,8 @@ def along_marginal(shells, h2, t0, t1):
     for j in range(shells.shape[1]):
         half2 = shells[RADIUS, j] * shells[RADIUS, j] - h2
         if half2 > 0.0:
-            begin, end = max(t0, -math.sqrt(half2)), min(t1, math.sqrt(half2))
+            begin = max(t0, -math.sqrt(half2))
+            end = min(t1, math.sqrt(half2))
             if begin < end:
                 total += _marginal_to(shells, j, h2, end) - _marginal_to(shells, j, h2, begin)
     return total
@@ -153,9 +197,15 @@ def _marginal_to(shells, j, h2, t):
     t^2, and two angles, of even and of odd powers of r. The even and odd parts of w(h) are their
     factors: ``pi w(h)`` is taken into the angles, and small t lose no digits.
     """
-    radius, a2 = shells[RADIUS, j], h2 + t * t
-    u, h = math.sqrt(max(0.0, radius * radius - a2)), math.sqrt(h2)
-    even, odd, even_line, odd_line, line = 0.0, 0.0, 0.0, 0.0, 0.0
+    radius = shells[RADIUS, j]
+    a2 = h2 + t * t
+    u = math.sqrt(max(0.0, radius * radius - a2))
+    h = math.sqrt(h2)
+    even = 0.0
+    odd = 0.0
+    even_line = 0.0
+    odd_line = 0.0
+    line = 0.0
     for m in range(int(shells[POWERS, j]) - 2, 0, -2):
         odd = (m + 2.0) * shells[FIRST + m + 1, j] + h2 * odd
         odd_line = (odd + (m + 1.0) * a2 * odd_line) / m
@@ -176,7 +226,9 @@ def _marginal_to(shells, j, h2, t):
 @inner
 def _log_term(h2, t):
     """Inverse hyperbolic sine of t / h, and zero on the line itself, where its factor h^2 or h^4 vanishes."""
-    return 0.0 if h2 < 1e-280 else math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
+    if h2 < 1e-280:
+        return 0.0
+    return math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
 
 
 @inner
@@ -209,7 +261,10 @@ def lucy_line_value(q2, by_gradient):
         rest = half2 * (1.0 - t * t)  # 1 - r^2
         r = math.sqrt(1.0 - rest)
         p = rest / (1.0 + r)
-        total += _RIM_WEIGHTS[g] * (-12.0 * p * p if by_gradient else p * p * p * (1.0 + 3.0 * r))
+        value = p * p * p * (1.0 + 3.0 * r)
+        if by_gradient:
+            value = -12.0 * p * p
+        total += _RIM_WEIGHTS[g] * value
     return half * total
 
 
@@ -236,7 +291,8 @@ def lucy_plane(h2, t):
     u2 = max(0.0, 1.0 - a2)
     u = math.sqrt(u2)
     h = math.sqrt(h2)
-    t2, h4 = t * t, h2 * h2
+    t2 = t * t
+    h4 = h2 * h2
     even0 = 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
     even = (-0.5 + 3.0 * h2 + 1.5 * h4) * u
     even += 1.5 * (1.0 + h2) * u * (u2 / 3.0 + t2)
@@ -257,24 +313,28 @@ def clipped(q2, along, length):
 
 
 @inner
-def fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exponent):
+def fill_lucy_lines(length, along, q2, count, out, closed):
     """As `lucy_line` at both ends of the clipped segment, in loops that vectorise.
 
     The two logarithms are one: for ends at distances r0, r1 from the node and l from each other,
     asinh(t1 / h) - asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
     """
     room = padded(count)
+    per_length = 1.0 / length
+    ratio, bits, exponent, _ = closed
     for k in range(room):
         a, b, h2 = clipped(q2[k], along[k], length)
         a2, b2 = a * a, b * b
         r0, r1 = math.sqrt(h2 + a2), math.sqrt(h2 + b2)
         h4 = h2 * h2
         # P with r^2 = h^2 + t^2, even powers first
-        c0, c2 = 1.0 - 6.0 * h2 - 3.0 * h4, -2.0 - 2.0 * h2
+        c0 = 1.0 - 6.0 * h2 - 3.0 * h4
+        c2 = -2.0 - 2.0 * h2
         even = b * (c0 + b2 * (c2 - 0.6 * b2)) - a * (c0 + a2 * (c2 - 0.6 * a2))
         odd = b * r1 * (2.0 * b2 + 5.0 * h2) - a * r0 * (2.0 * a2 + 5.0 * h2)
         out[k] = per_length * (even + odd)
-        both, apart = r0 + r1, b - a
+        both = r0 + r1
+        apart = b - a
         ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
         q2[k] = 3.0 * per_length * h4
     add_logarithms(ratio, bits, exponent, q2, room, out)
@@ -286,7 +346,8 @@ def _plane_end(h2, t):
 
     These are the part without logarithm, times t, and the factor of log((1 + u) / distance).
     """
-    t2, h4 = t * t, h2 * h2
+    t2 = t * t
+    h4 = h2 * h2
     r2 = h2 + t2
     u2 = max(0.0, 1.0 - r2)
     u = math.sqrt(u2)
@@ -296,25 +357,33 @@ def _plane_end(h2, t):
 
 
 @inner
-def fill_lucy_planes(per_length, length, along, q2, count, out, ratio, bits, exponent, rows):
+def fill_lucy_planes(length, along, q2, count, out, closed):
     """As `lucy_plane` at both ends of the clipped segment, in loops that vectorise.
 
     The angles at both ends are one, of the product of the first and the mirror image of the second.
     """
     room = padded(count)
-    first, last, ratio_last = rows[0], rows[1], rows[2]
+    per_length = 1.0 / length
+    ratio, bits, exponent, rows = closed
+    first = rows[0]
+    last = rows[1]
+    ratio_last = rows[2]
     for k in range(room):
         a, b, h2 = clipped(q2[k], along[k], length)
         ua, ra, part_a, factor_a = _plane_end(h2, a)
         ub, rb, part_b, factor_b = _plane_end(h2, b)
-        h, even = math.sqrt(h2), 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
-        turn, both = max(0.0, b * ua - a * ub), ua * ub
+        h = math.sqrt(h2)
+        even = 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
+        turn = max(0.0, b * ua - a * ub)
+        both = ua * ub
         total = even * angle(turn, both + a * b) - 1.6 * h2 * h2 * h * angle(
             h * turn, h2 * both + a * b
         )
         out[k] = 2.0 * per_length * (total - (part_b - part_a))
-        ratio[k], ratio_last[k] = (1.0 + ua) / (ra + TINY), (1.0 + ub) / (rb + TINY)
-        first[k], last[k] = -2.0 * per_length * factor_a, 2.0 * per_length * factor_b
+        ratio[k] = (1.0 + ua) / (ra + TINY)
+        ratio_last[k] = (1.0 + ub) / (rb + TINY)
+        first[k] = -2.0 * per_length * factor_a
+        last[k] = 2.0 * per_length * factor_b
     add_logarithms(ratio, bits, exponent, first, room, out)
     for k in range(room):
         ratio[k] = ratio_last[k]

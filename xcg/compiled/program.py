@@ -21,9 +21,20 @@ from xcg.compiled.simd import (
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,
 # but for a load and a store, which say what to load or store.
 (
-    CONSTANT, LOAD, STORE, ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE_ROOT, WHERE_POSITIVE, AT_LEAST_ZERO,
-    ZERO_IF_UNKNOWN, FIT, PART,
-) = range(13)  # fmt: skip
+    CONSTANT,
+    LOAD,
+    STORE,
+    ADD,
+    SUBTRACT,
+    MULTIPLY,
+    DIVIDE,
+    SQUARE_ROOT,
+    WHERE_POSITIVE,
+    AT_LEAST_ZERO,
+    ZERO_IF_UNKNOWN,
+    FIT,
+    PART,
+) = range(13)
 THREE = np.uint64(3)
 _NUMBER = np.dtype("float64")
 BYTES = _NUMBER.itemsize
@@ -47,11 +58,10 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
     """
     fits = len(numbers) >= rows and numbers.size == len(numbers) * width
     if not (fits and numbers.dtype == _NUMBER and numbers.flags.carray):
-        read_only = "" if numbers.flags.writeable else ", which is read-only"
         raise ValueError(
             f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the "
             f"other in memory that can be written to; this is an array {numbers.shape} of "
-            f"{numbers.dtype} with strides {numbers.strides}{read_only}"
+            f"{numbers.dtype} with strides {numbers.strides}, writeable={numbers.flags.writeable}"
         )
     if not numbers.size:
         return 0

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inner, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
@@ -35,10 +35,14 @@ ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (
 OTHER = ROW_X  # no longer needed once the nodes are listed
 # and as integers. (Plain integers would be compiled for one by one.)
 ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
-LISTS, NUMBERS = 12, 6
+LISTS = 12
+NUMBERS = 6
 
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
+
+
+NO_BRANCH = (0.0, 0.0, 0.0)
 
 
 class Nodes(NamedTuple):
@@ -96,8 +100,22 @@ def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
     # nearly all: no more than the interval itself
     if x + high - period < first and x + low + period > last:
-        return 0, 0 if x + high >= first and x + low <= last else -1
+        if x + high < first or x + low > last:
+            return 0, -1
+        return 0, 0
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
+
+
+@inlined
+def images_in_reach(k, place, branch, nodes):
+    """First and last periodic image, along axis k, of a segment that is closer than 1 to a block of nodes.
+
+    A place is a segment without a branch. Along axes that do not count both are zero.
+    """
+    reach = 1.0 * nodes.active[k]
+    lowest = min(0.0, branch[k]) - reach
+    highest = max(0.0, branch[k]) + reach
+    return periodic_images(place[k], lowest, highest, nodes.begin[k], nodes.end[k], nodes.period[k])
 
 
 @inner
@@ -128,8 +146,11 @@ def lists_for(
     low, high, steps, _ = rows
     most = 1
     for first, end, far, step, counts in zip(low, high, reach, steps, active, strict=True):
+        reached = 2
+        if counts:
+            reached += int(far / step)
         # no more than there are: along an axis with one node the spacing means nothing
-        most *= min(end - first, int(far / step) + 2 if counts else 2)
+        most *= min(end - first, reached)
     room = padded(max(most, least)) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
@@ -159,7 +180,8 @@ def nodes_in_ball(x, y, z, rows, lists):
     if rows is None:
         return 0
     low, high, steps, per_steps = rows
-    values, numbers = lists.values, lists.numbers
+    values = lists.values
+    numbers = lists.numbers
     x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
     z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
@@ -170,13 +192,16 @@ def nodes_in_ball(x, y, z, rows, lists):
         ramp8(values, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
-        dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx = x - ix * steps[0]
+        begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, EIGHT):
             fill8(values, ROW_X, count + j, dx)
             add_scalar8(values, ROW_Y, count + j, 0.0, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
-    lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
+    lowest = float(z0)
+    highest = float(z1 - 1)
+    per_step = per_steps[2]
     for k in range(padded(count)):
         dx, dy = values[ROW_X, k], values[ROW_Y, k]
         row2 = dx * dx + dy * dy
@@ -188,8 +213,12 @@ def nodes_in_ball(x, y, z, rows, lists):
         numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
     hits = 0
     for k in range(count):
-        first, left = numbers[FIRST, k], numbers[MANY, k]
-        dx, dy, row2, row = values[ROW_X, k], values[ROW_Y, k], values[ROW2, k], numbers[ROW, k]
+        first = numbers[FIRST, k]
+        left = numbers[MANY, k]
+        dx = values[ROW_X, k]
+        dy = values[ROW_Y, k]
+        row2 = values[ROW2, k]
+        row = numbers[ROW, k]
         while True:
             add_scalar8(values, Q2, hits, row2, OF_Z2, first)
             fill8(values, X, hits, dx)
@@ -233,7 +262,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     if rows is None:
         return 0
     low, high, steps, per_steps = rows
-    values, numbers = lists.values, lists.numbers
+    values = lists.values
+    numbers = lists.numbers
     x0, x1 = node_range(
         x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0]
     )
@@ -247,19 +277,25 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     # how far u moves from the nearest point of the line for each unit of half chord
     tilt = 0.0
     if bz != 0.0:
-        tilt = (
-            bz / math.sqrt(across2 * (across2 + bz * bz))
-            if across2 > 1e-30
-            else math.copysign(1e30, bz)
-        )
+        tilt = math.copysign(1e30, bz)
+        if across2 > 1e-30:
+            tilt = bz / math.sqrt(across2 * (across2 + bz * bz))
     real = values.dtype.type
-    zero, one, two = real(0.0), real(1.0), real(2.0)
+    zero = real(0.0)
+    one = real(1.0)
+    two = real(2.0)
     # nodes are counted from the one below the start, so that few digits are enough, and the same
     # whatever the box
-    base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
-    y, step_y, by = real(y - base_y * steps[1]), real(steps[1]), real(by)
-    z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
-    ez, per_length = real(bz * per_length), real(per_length)
+    base_y = math.floor(y * per_steps[1])
+    base_z = math.floor(z * per_steps[2])
+    y = real(y - base_y * steps[1])
+    step_y = real(steps[1])
+    by = real(by)
+    z = real(z - base_z * steps[2])
+    step_z = real(steps[2])
+    per_step = real(per_steps[2])
+    ez = real(bz * per_length)
+    per_length = real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
         ramp8(values, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
@@ -267,25 +303,29 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         ramp8(values, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
     count = 0
     for ix in range(x0, x1):
-        dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
-        dx2, dx_dot = real(dx * dx), real(dx * bx)
+        dx = ix * steps[0] - x
+        begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx2 = real(dx * dx)
+        dx_dot = real(dx * bx)
         for j in range(0, y1 - y0, EIGHT):
             add_scalar8(values, ROW2, count + j, dx2, OF_Y2, j)
             add_scalar8(values, ROW_DOT, count + j, dx_dot, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
-    c2, per_c2, tilt, rise = (
-        real(across2),
-        real(1.0 / across2 if across2 > 0.0 else 0.0),
-        real(tilt),
-        real(bz),
-    )
+    c2 = real(across2)
+    per_c2 = zero
+    if across2 > 0.0:
+        per_c2 = real(1.0 / across2)
+    tilt = real(tilt)
+    rise = real(bz)
     for k in range(padded(count)):
-        row2, dot = values[ROW2, k], values[ROW_DOT, k]
+        row2 = values[ROW2, k]
+        dot = values[ROW_DOT, k]
         u = dot * per_c2
         move = np.sqrt(max(zero, one - (row2 - dot * u))) * tilt
-        upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
+        upper = min(one, max(zero, u + move))
+        lower = min(one, max(zero, u - move))
         rest_upper = one - (row2 + upper * (upper * c2 - two * dot))
         rest_lower = one - (row2 + lower * (lower * c2 - two * dot))
         top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
@@ -296,8 +336,11 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         numbers[MANY, k] = np.int32(max(zero, end - begin + one))
     hits = 0
     for k in range(count):
-        first, left = numbers[FIRST, k], numbers[MANY, k]
-        row2, foot, row = values[ROW2, k], values[ROW_DOT, k] * per_length, numbers[ROW, k]
+        first = numbers[FIRST, k]
+        left = numbers[MANY, k]
+        row2 = values[ROW2, k]
+        foot = values[ROW_DOT, k] * per_length
+        row = numbers[ROW, k]
         while True:
             add_scalar8(values, Q2, hits, row2, OF_Z2, first)
             add_scalar8(values, ALONG, hits, foot, OF_Z, first)
@@ -382,21 +425,16 @@ def spatial_order(
     `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which
     stay in cache. The order is stable, so that sums have one order only.
     """
-    count, sizes = len(position), [size, size, size]
-    extent = [
-        high - low if counts else 0.0
-        for low, high, counts in zip(lower, upper, active, strict=True)
-    ]
-    while math.prod(e / s + PENCIL for e, s in zip(extent, sizes, strict=True)) > max(
-        MOST_CELLS, 4.0 * count
-    ):
-        sizes[max(range(3), key=lambda k: extent[k] / sizes[k])] *= (
-            2.0  # a few grains are far astray
-        )
-    along_x, along_y, along_z = (int(e / s) + 1 for e, s in zip(extent, sizes, strict=True))
-    pencils_y, pencils_z = (along_y - 1) // PENCIL + 1, (along_z - 1) // PENCIL + 1
+    count = len(position)
+    sizes = np.full(3, size)
+    extent = np.where(active, np.subtract(upper, lower), 0.0)
+    while np.prod(extent / sizes + PENCIL) > max(MOST_CELLS, 4.0 * count):
+        sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
+    along_x, along_y, along_z = ((extent / sizes).astype(int) + 1).tolist()
+    pencils_y = (along_y - 1) // PENCIL + 1
+    pencils_z = (along_z - 1) // PENCIL + 1
     keys = pencils_y * pencils_z * along_x * PENCIL * PENCIL
     cell = np.empty(count, short_integers(max(keys, count)))
-    x, y, z = (s if counts else math.inf for s, counts in zip(sizes, active, strict=True))
+    x, y, z = np.where(active, sizes, np.inf).tolist()
     _cells_in_pencils(position, tuple(lower), (x, y, z), along_x, pencils_z, cell)
     return counting_sort(cell, keys)

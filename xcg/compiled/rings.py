@@ -11,7 +11,10 @@ from xcg.compiled._jit import inner, leaf
 from xcg.compiled.smoothing import fill_values
 
 ROOM = 8  # numbers beyond the last that `fill_values` may write
-_MASS, _FLUCTUATION, _CUBIC, _LINEAR = points.MASS, points.FLUCTUATION, points.CUBIC, points.LINEAR
+_MASS = points.MASS
+_FLUCTUATION = points.FLUCTUATION
+_CUBIC = points.CUBIC
+_LINEAR = points.LINEAR
 
 
 class Rings(NamedTuple):
@@ -66,20 +69,31 @@ def ring_references(given, rings, turns, mean, difference):
     for n in range(mean.shape[0]):
         total = x = y = z = 0.0
         for k in range(rings.start[n], rings.start[n + 1]):
-            row, share = rings.where[k], rings.share[k]
-            first, second = given[row, 0], given[row, 1]
+            row = rings.where[k]
+            share = rings.share[k]
+            first = given[row, 0]
+            second = given[row, 1]
             if turns:
-                c, s = rings.cosine[k], rings.sine[k]
+                c = rings.cosine[k]
+                s = rings.sine[k]
                 first, second = c * first + s * second, c * second - s * first
-            difference[k, 0], difference[k, 1], difference[k, 2] = first, second, given[row, 2]
+            difference[k, 0] = first
+            difference[k, 1] = second
+            difference[k, 2] = given[row, 2]
             if math.isfinite(first):
                 total += share
-                x, y, z = x + share * first, y + share * second, z + share * given[row, 2]
-        mean[n, 0], mean[n, 1], mean[n, 2] = x / total, y / total, z / total
+                x += share * first
+                y += share * second
+                z += share * given[row, 2]
+        mean[n, 0] = x / total
+        mean[n, 1] = y / total
+        mean[n, 2] = z / total
         for k in range(rings.start[n], rings.start[n + 1]):
-            here = math.isfinite(difference[k, 0])
-            for c in range(3):
-                difference[k, c] = difference[k, c] - mean[n, c] if here else 0.0
+            if math.isfinite(difference[k, 0]):
+                for c in range(3):
+                    difference[k, c] -= mean[n, c]
+            else:
+                difference[k] = 0.0
 
 
 @inner
@@ -93,7 +107,8 @@ def _turn(record, columns, rank, c, s, tensor):
         for k in range(count):
             if k // apart % 3 == 0:
                 x, y = tensor[k], tensor[k + apart]
-                tensor[k], tensor[k + apart] = c * x + s * y, c * y - s * x
+                tensor[k] = c * x + s * y
+                tensor[k + apart] = c * y - s * x
         apart *= 3
     for k in range(count):
         record[columns[k]] = tensor[k]
@@ -102,7 +117,9 @@ def _turn(record, columns, rank, c, s, tensor):
 @inner
 def _shift(record, flow, level, d):
     """Shift the moments of a record from velocities u to u + d."""
-    mass, momentum, kinetic = record[_MASS], flow.momentum, flow.kinetic
+    mass = record[_MASS]
+    momentum = flow.momentum
+    kinetic = flow.kinetic
     if level == _CUBIC:
         trace = along = square = 0.0
         for i in range(3):
@@ -123,7 +140,8 @@ def _shift(record, flow, level, d):
     if level >= _FLUCTUATION:
         for i in range(3):
             for j in range(i, 3):
-                p, q = record[momentum[i]], record[momentum[j]]
+                p = record[momentum[i]]
+                q = record[momentum[j]]
                 record[kinetic[i, j]] += p * d[j] + d[i] * q + mass * d[i] * d[j]
     if level >= _LINEAR:
         for i in range(3):
@@ -196,20 +214,29 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
     """
     kind, table, norm = kernel
     position, mass, group = grains
-    per_cutoff, q2, weight, part_of = 1.0 / cutoff, scratch[0], scratch[1], scratch[2]
-    cosine, sine = scratch[3], scratch[4]
+    per_cutoff = 1.0 / cutoff
+    q2 = scratch[0]
+    weight = scratch[1]
+    part_of = scratch[2]
+    cosine = scratch[3]
+    sine = scratch[4]
     for i in range(mass.size):
         x, y = position[i, 0], position[i, 1]
-        radius, azimuth = math.sqrt(x * x + y * y), math.atan2(y, x)
-        along, across = math.cos(azimuth), math.sin(azimuth)
+        radius = math.sqrt(x * x + y * y)
+        azimuth = math.atan2(y, x)
+        along = math.cos(azimuth)
+        across = math.sin(azimuth)
         for n in range(np.searchsorted(rings.place[:, 0], radius - cutoff), rings.place.shape[0]):
             r = rings.place[n, 0]
             if r - radius >= cutoff:
                 break
-            dz = position[i, 2] - rings.place[n, 1] if tilts else 0.0
+            dz = 0.0
+            if tilts:
+                dz = position[i, 2] - rings.place[n, 1]
             if abs(dz) >= cutoff:
                 continue
-            below, half = 2.0 * r * radius, math.pi
+            below = 2.0 * r * radius
+            half = math.pi
             above = r * r + radius * radius + dz * dz - cutoff * cutoff
             if above >= below:
                 continue
@@ -230,14 +257,14 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                     # cos(angle - azimuth), sin(azimuth - angle)
                     c = rings.cosine[k] * along + rings.sine[k] * across
                     s = rings.cosine[k] * across - rings.sine[k] * along
-                    px, py, pz = (
-                        (radius * c - r) * per_cutoff,
-                        radius * s * per_cutoff,
-                        dz * per_cutoff,
-                    )
+                    px = (radius * c - r) * per_cutoff
+                    py = radius * s * per_cutoff
+                    pz = dz * per_cutoff
                     length2 = px * px + py * py + pz * pz
                     if length2 < 1.0:
-                        q2[hits], cosine[hits], sine[hits] = length2, c, s
+                        q2[hits] = length2
+                        cosine[hits] = c
+                        sine[hits] = s
                         part_of[hits] = rings.share[k]
                         hits += 1
                     k += 1
@@ -247,14 +274,20 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
             for a in range(4):
                 sums[a, 0], sums[a, 1], sums[a, 2] = 0.0, 0.0, 0.0
             for k in range(hits):
-                c, s, w = cosine[k], sine[k], weight[k] * part_of[k]
-                px, py, pz = (radius * c - r) * per_cutoff, radius * s * per_cutoff, dz * per_cutoff
+                c = cosine[k]
+                s = sine[k]
+                w = weight[k] * part_of[k]
+                px = (radius * c - r) * per_cutoff
+                py = radius * s * per_cutoff
+                pz = dz * per_cutoff
+                parts = (w, w * px, w * py, w * pz)
                 for a in range(4):
-                    part = w if a == 0 else (w * px if a == 1 else (w * py if a == 2 else w * pz))
-                    sums[a, 0] += part * c
-                    sums[a, 1] += part * s
-                    sums[a, 2] += part
-            g, column, m2 = group[i], 0, mass[i] * mass[i] / dimension
+                    sums[a, 0] += parts[a] * c
+                    sums[a, 1] += parts[a] * s
+                    sums[a, 2] += parts[a]
+            g = group[i]
+            column = 0
+            m2 = mass[i] * mass[i] / dimension
             for a in range(4):
                 for b in range(a, 4):
                     found = 2.0 * (sums[a, 0] * sums[b, 0] + sums[a, 1] * sums[b, 1])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
-from xcg.compiled.arrays import Reduced, gauss_rules
+from xcg.compiled.arrays import Reduced, along_active, gauss_rules, image_of
 from xcg.compiled.cell_means import volumes_along_segment
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
@@ -26,46 +26,12 @@ from xcg.compiled.reach import (
     Q2,
     WEIGHT,
     batch_reaches,
+    images_in_reach,
     no_bounds,
     nodes_around_segment,
-    periodic_images,
-)  # fmt: skip
+)
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
-
-
-def reference_deposit_segments(start, branch, force, node, active, value):
-    """Sum segments (n, 3) at one node (3,) as `deposit_segments` does at many: force x branch, (3, 3).
-
-    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at
-    distances below 1.
-    """
-    total, (x, weights) = np.zeros((3, 3)), (rule[48] for rule in gauss_rules(48))
-    for begin, along, carried in zip(start, branch, force, strict=True):
-        away, length = (begin - node)[active], np.linalg.norm(along[active])
-        foot = away @ along[active] / length
-        h2 = away @ away - foot * foot
-        half = np.sqrt(max(0.0, 1.0 - h2))
-        first, last = (
-            np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
-        )
-        # angles on either side of the foot
-        for low, high in (
-            (first, min(last, 0.0)),
-            (max(first, 0.0), last),
-        ):
-            if low < high:
-                q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
-                mean = (
-                    (high - low)
-                    / length
-                    * half
-                    * weights
-                    @ (value(q) * np.cos(low + (high - low) * x))
-                )
-                total += mean * np.outer(carried, along)
-    return total
-
 
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the
 # next even one.
@@ -73,13 +39,14 @@ RULES = (2, 4, 6, 8, 10, 12)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to
 # centre; the contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
-# Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each
-# cutoff of its length.
-IN_CELL = 6
 # Contacts so many places ahead are prefetched, and the particles of those that are nearer.
-FAR_AHEAD, AHEAD = 24, 8
+FAR_AHEAD = 24
+AHEAD = 8
 # what a segment's record holds
-START, BRANCH, FORCE, GROUP = 0, 3, 6, 9
+START = 0
+BRANCH = 3
+FORCE = 6
+GROUP = 9
 SEGMENT = 10
 RUN = 64  # segments, neighbours in space, that are passed over together, or listed together
 _LAST = np.uint64(8)
@@ -110,6 +77,8 @@ class ContactRows(NamedTuple):
         Contact point.
     on_i : (n, 3)
         What the side of i carries: the force on i, or another vector.
+    on_j : (n, 3) or None
+        What the side of j carries; None for the opposite of that of i, as of forces.
     position, phase : (m, 3), (m,)
         Of the particles.
     period : tuple
@@ -122,31 +91,20 @@ class ContactRows(NamedTuple):
     row_j: NDArray
     point: NDArray
     on_i: NDArray
+    on_j: NDArray | None
     position: NDArray
     phase: NDArray
     period: tuple[float, float, float]
     lattice: Reduced | None
 
 
-@leaf
-def list_segments(
-    contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, bounds, longest
-):
-    """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
+class SegmentChoice(NamedTuple):
+    """Selection of the segments to list.
 
-    Without `segments` they are only measured. None leaves code out when the loop is compiled, here
-    and below.
-
-    Each side of a contact runs from its particle's centre to the contact point. Both sides are one
-    segment, of the first, where they carry opposite vectors, lie on one line, on opposite sides of
-    the point, and in one phase.
-
-    Parameters
+    Attributes
     ----------
     contacts : ContactRows
         The contacts.
-    on_j : (n, 3) or None
-        What the side of j carries; None for the opposite of that of i, as of forces.
     second : bool
         Whether the segments of the partners are wanted.
     others : int
@@ -158,6 +116,31 @@ def list_segments(
         The one whose segments are listed, and their unit of length.
     origin : tuple
         Of the starts.
+    """
+
+    contacts: ContactRows
+    second: bool
+    others: int
+    cutoffs: NDArray
+    cutoff: float
+    origin: tuple[float, float, float]
+
+
+@leaf
+def list_segments(listing, rows, segments, bounds, longest):
+    """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
+
+    Without `segments` they are only measured. None leaves code out when the loop is compiled, here
+    and below.
+
+    Each side of a contact runs from its particle's centre to the contact point. Both sides are one
+    segment, of the first, where they carry opposite vectors, lie on one line, on opposite sides of
+    the point, and in one phase.
+
+    Parameters
+    ----------
+    listing : SegmentChoice
+        The contacts, and which of their segments are wanted.
     rows : (k,)
         Which contacts, in the order of the list.
     segments : (k, SEGMENT) or None
@@ -174,8 +157,13 @@ def list_segments(
     bool
         Whether any contact has a second segment.
     """
-    position, phase = contacts.position, contacts.phase
-    per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
+    contacts, second, others, cutoffs, cutoff, origin = listing
+    position = contacts.position
+    phase = contacts.phase
+    per_cutoff = 1.0 / cutoff
+    more = False
+    last = rows.size - 1
+    most = (0.0, 0.0, 0.0, 0.0)
     alone = cutoffs.size == 1  # phases are not looked at where there is one
     for k in range(rows.size):
         far = rows[min(k + FAR_AHEAD, last)]
@@ -184,7 +172,7 @@ def list_segments(
             segments[k, GROUP] = -1.0
         _prefetch(contacts, far, rows[min(k + AHEAD, last)], alone)
         n = np.int64(rows[k])
-        i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second, alone)
+        i, j, two, ax, ay, az = _side(contacts, n, second, alone)
         more = more or two
         if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
             continue
@@ -197,22 +185,24 @@ def list_segments(
         if segments is not None:
             for c in range(3):
                 segments[k, START + c] = (position[i, c] - origin[c]) * per_cutoff
-            segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
-            carried, sign = contacts.on_i, cutoff
-            if second or contacts.row_i[n] < 0:
-                if on_j is None:
-                    sign = -cutoff
-                else:
-                    carried = on_j
-            segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
-            segments[k, FORCE + 2] = sign * carried[n, 2]
+            segments[k, BRANCH] = x
+            segments[k, BRANCH + 1] = y
+            segments[k, BRANCH + 2] = z
+            of_j = second or contacts.row_i[n] < 0
+            _write_carried(segments, k, contacts.on_i, contacts.on_j, n, of_j, cutoff)
             segments[k, GROUP] = 0.0
-            if others or not alone:
-                partner = others - 1 if j < 0 else phase[j]
-                segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+            if not alone:
+                segments[k, GROUP] = phase[i]
+            if others:
+                partner = others - 1
+                if j >= 0:
+                    partner = phase[j]
+                segments[k, GROUP] = phase[i] * others + partner
     for k in range(3):
-        longest[k] = math.nan if math.isnan(most[3]) else most[k]
+        longest[k] = most[k]
     longest[3] = math.sqrt(most[3])
+    if math.isnan(most[3]):
+        longest[:] = math.nan
     return more
 
 
@@ -230,33 +220,54 @@ def _prefetch(contacts, far, later, alone):
 
 
 @inlined
-def _side(contacts, n, opposite, second, alone):
+def _side(contacts, n, second, alone):
     """Particle and partner of a segment of contact n, whether it has two segments, and the branch.
 
-    `opposite`: the sides carry opposite vectors; `alone`: there is one phase.
+    `alone`: there is one phase.
     """
-    row_i, row_j, point, _, position, phase, wrap, lattice = contacts
+    row_i, row_j, point, _, on_j, position, phase, wrap, lattice = contacts
     i, j = row_i[n], row_j[n]
     ax, ay, az = side(position, i, point, n, wrap, lattice)
     bx, by, bz = side(position, j, point, n, wrap, lattice)
     two = i >= 0 and j >= 0
     if (
-        opposite
+        on_j is None
         and two
         and (alone or phase[i] == phase[j])
         and _on_one_line(ax, ay, az, bx, by, bz)
     ):
-        ax, ay, az, two = ax - bx, ay - by, az - bz, False
+        ax = ax - bx
+        ay = ay - by
+        az = az - bz
+        two = False
     if i < 0 or second:
         i, j, ax, ay, az = j, i, bx, by, bz
     return i, j, two, ax, ay, az
 
 
 @inlined
+def _write_carried(segments, k, on_i, on_j, n, of_j, unit):
+    """Write what a side of contact n carries, times a unit, to a segment."""
+    if on_j is None:
+        if of_j:
+            unit = -unit
+        for c in range(3):
+            segments[k, FORCE + c] = unit * on_i[n, c]
+        return
+    carried = on_i
+    if of_j:
+        carried = on_j
+    for c in range(3):
+        segments[k, FORCE + c] = unit * carried[n, c]
+
+
+@inlined
 def _longer(most, x, y, z):
     """Largest components, and squared length, of the branches so far and one more; the last is NaN if any is."""
     length2 = x * x + y * y + z * z
-    most2 = most[3] if length2 <= most[3] or math.isnan(most[3]) else length2
+    most2 = most[3]
+    if not (length2 <= most2 or math.isnan(most2)):
+        most2 = length2
     return max(most[0], abs(x)), max(most[1], abs(y)), max(most[2], abs(z)), most2
 
 
@@ -271,11 +282,11 @@ def _widen(bounds, k, start, branch):
 @inner
 def _on_one_line(ax, ay, az, bx, by, bz):
     """Return whether two vectors point opposite ways along one line."""
-    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    area2, most = (
-        cx * cx + cy * cy + cz * cz,
-        (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz),
-    )
+    cx = ay * bz - az * by
+    cy = az * bx - ax * bz
+    cz = ax * by - ay * bx
+    area2 = cx * cx + cy * cy + cz * cz
+    most = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
     return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most
 
 
@@ -330,41 +341,44 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         Scratch: in single precision where that is enough for distances and weights; sums are in
         double.
     closed : tuple or None
-        Scratch for the closed form, see `closed_for` in `lines`; None leaves out segments that need
+        Scratch for the closed form, see `xcg.compiled.polynomials.closed_for`; None leaves out segments that need
         it, and code when the loop is compiled.
     rest : bool
         Leave out all other segments.
     moments : (groups, nodes of the block, 9)
         Sums, added to: force component by branch component, row by row.
     """
-    begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, table = kernel.kind, kernel.table
-    norm = kernel.norm if nodes.volumes is None else 1.0
+    begin = nodes.begin
+    end = nodes.end
+    active = nodes.active
+    period = nodes.period
+    kind = kernel.kind
+    table = kernel.table
+    norm = 1.0
+    if nodes.volumes is None:
+        norm = kernel.norm
     values, numbers = lists
     records = segments.records
-    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    along, q2, w = values[ALONG], values[Q2], values[WEIGHT]
+    along = values[ALONG]
+    q2 = values[Q2]
+    w = values[WEIGHT]
     here = True
     for i in range(records.shape[0]):
         if i % RUN == 0:
             here = batch_reaches(segments.bounds, i // RUN, begin, end, active, period)
         if not here or records[i, GROUP] < 0.0:
             continue
-        x0 = records[i, START] if active[0] else 0.0
-        y0 = records[i, START + 1] if active[1] else 0.0
-        z0 = records[i, START + 2] if active[2] else 0.0
-        bx = -records[i, BRANCH] if active[0] else 0.0
-        by = -records[i, BRANCH + 1] if active[1] else 0.0
-        bz = -records[i, BRANCH + 2] if active[2] else 0.0
-        first_x, last_x = periodic_images(
-            x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0]
+        x0, y0, z0 = along_active(
+            records[i, START], records[i, START + 1], records[i, START + 2], active
         )
-        first_y, last_y = periodic_images(
-            y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1]
+        bx, by, bz = along_active(
+            -records[i, BRANCH], -records[i, BRANCH + 1], -records[i, BRANCH + 2], active
         )
-        first_z, last_z = periodic_images(
-            z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2]
-        )
+        place = (x0, y0, z0)
+        branch = (bx, by, bz)
+        first_x, last_x = images_in_reach(0, place, branch, nodes)
+        first_y, last_y = images_in_reach(1, place, branch, nodes)
+        first_z, last_z = images_in_reach(2, place, branch, nodes)
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)
@@ -373,62 +387,41 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
             continue
         per_length = 1.0 / length if length > 0.0 else 0.0
         for image_x in range(first_x, last_x + 1):
-            x = x0 + image_x * period[0] if image_x else x0
+            x = image_of(x0, image_x, period[0])
             for image_y in range(first_y, last_y + 1):
-                y = y0 + image_y * period[1] if image_y else y0
+                y = image_of(y0, image_y, period[1])
                 for image_z in range(first_z, last_z + 1):
-                    z = z0 + image_z * period[2] if image_z else z0
+                    z = image_of(z0, image_z, period[2])
                     hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes.rows, lists)
                     hits += points_around_segment(
                         x, y, z, bx, by, bz, per_length, nodes.cells, lists
                     )
                     if nodes.volumes is not None:  # with their weights
-                        hits = _list_volumes(
-                            x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists
+                        hits = volumes_along_segment(
+                            (x, y, z), branch, length, nodes.volumes, kernel, lists
                         )
                     elif points:
-                        fill_gauss(
-                            kind,
-                            table,
-                            GAUSS_POINTS,
-                            GAUSS_WEIGHTS,
-                            points,
-                            length,
-                            along,
-                            q2,
-                            hits,
-                            w,
-                        )
+                        rule = GAUSS_POINTS[points, :points]
+                        shares = GAUSS_WEIGHTS[points, :points]
+                        fill_gauss(kind, table, rule, shares, length, along, q2, hits, w)
                     elif closed is not None:
-                        fill_segments(kind, table, length, along, q2, hits, w, *closed)
+                        fill_segments(kind, table, length, along, q2, hits, w, closed)
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
-
-
-@inner
-def _list_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists):
-    """List the nodes whose cells a segment reaches, with their weights: points for parts of a cutoff at most."""
-    if volumes is None:
-        return 0
-    points, shares, parts = (
-        GAUSS_POINTS[IN_CELL, :IN_CELL],
-        GAUSS_WEIGHTS[IN_CELL, :IN_CELL],
-        max(1, math.ceil(length)),
-    )
-    return volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, kernel, lists)
 
 
 @inner
 def _add_dyad(moments, records, i, norm, numbers, w, hits):
     """Add weight x norm x force x branch of segment i to the nine columns of each node."""
     p = np.uint64(records[i, GROUP])
-    f0, f1, f2 = (
-        norm * records[i, FORCE],
-        norm * records[i, FORCE + 1],
-        norm * records[i, FORCE + 2],
-    )
-    a0, a1, a2 = records[i, BRANCH], records[i, BRANCH + 1], records[i, BRANCH + 2]
+    f0 = norm * records[i, FORCE]
+    f1 = norm * records[i, FORCE + 1]
+    f2 = norm * records[i, FORCE + 2]
+    a0 = records[i, BRANCH]
+    a1 = records[i, BRANCH + 1]
+    a2 = records[i, BRANCH + 2]
     for k in range(hits):
-        n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
-        add4(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
-        add4(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
+        n = np.uint64(numbers[NODE, k])
+        v = np.float64(w[k])
+        add4(moments, p, n, 0, v, (f0 * a0, f0 * a1, f0 * a2, f1 * a0))
+        add4(moments, p, n, 4, v, (f1 * a1, f1 * a2, f2 * a0, f2 * a1))
         moments[p, n, _LAST] += v * (f2 * a2)

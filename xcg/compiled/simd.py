@@ -22,7 +22,8 @@ from numba.extending import intrinsic
 
 from xcg.compiled._jit import cgutils
 
-FOUR, EIGHT = 4, 8
+FOUR = 4
+EIGHT = 8
 TILE = 64  # nodes that the algebra is done for at a time
 
 
@@ -83,36 +84,45 @@ def typed(context, builder, signature, args):
     return place, value
 
 
-def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
+def pointers(context, builder, signature, args):
+    """Pointers to numbers of the array, see `pointer_to`, by the numbers of the arguments that are its indices."""
+    place, _ = typed(context, builder, signature, args)
+
+    def pointer(indices, lanes):
+        places = [place(k) for k in indices]
+        return pointer_to(context, builder, signature.args[0], args[0], places, lanes)
+
+    return pointer
+
+
+def _add4(typingctx, records, group, row, first, weight, columns):
     def generate(context, builder, signature, args):
-        place, value = typed(context, builder, signature, args)
-        source = [place(1), place(2), place(3)]
-        pointer, align = pointer_to(context, builder, signature.args[0], args[0], source, FOUR)
-        weights, columns = (
-            vector_of(builder, [value(4)] * FOUR),
-            vector_of(builder, [value(k) for k in range(5, 9)]),
-        )
-        sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
-        builder.store(sums, pointer, align=align)
+        _, value = typed(context, builder, signature, args)
+        pointer = pointers(context, builder, signature, args)
+        source, align = pointer((1, 2, 3), FOUR)
+        weights = vector_of(builder, [value(4)] * FOUR)
+        numbers = vector_of(builder, cgutils.unpack_tuple(builder, args[5]))
+        sums = builder.fadd(builder.load(source, align=align), builder.fmul(weights, numbers))
+        builder.store(sums, source, align=align)
         return context.get_dummy_value()
 
-    return types.void(records, group, row, first, weight, a, b, c, d), generate
+    four = types.UniTuple(records.dtype, FOUR)
+    return types.void(records, group, row, first, weight, four), generate
 
 
 @compiled_as(_add4)
-def add4(records, group, row, first, weight, a, b, c, d):
-    """``records[group, row, first : first + 4] += weight * (a, b, c, d)``."""
+def add4(records, group, row, first, weight, columns):
+    """``records[group, row, first : first + 4] += weight * columns``, of four columns."""
     real = records.dtype.type
-    records[group, row, first : first + FOUR] += real(weight) * np.array((a, b, c, d), real)
+    records[group, row, first : first + FOUR] += real(weight) * np.array(columns, real)
 
 
 def _fill8(typingctx, lists, row, at, value):
     def generate(context, builder, signature, args):
-        place, number = typed(context, builder, signature, args)
-        pointer, align = pointer_to(
-            context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT
-        )
-        builder.store(vector_of(builder, [number(3)] * EIGHT), pointer, align=align)
+        _, number = typed(context, builder, signature, args)
+        pointer = pointers(context, builder, signature, args)
+        target, align = pointer((1, 2), EIGHT)
+        builder.store(vector_of(builder, [number(3)] * EIGHT), target, align=align)
         return context.get_dummy_value()
 
     return types.void(lists, row, at, value), generate
@@ -126,14 +136,13 @@ def fill8(lists, row, at, value):
 
 def _add_scalar8(typingctx, lists, row, at, value, table, first):
     def generate(context, builder, signature, args):
-        place, number = typed(context, builder, signature, args)
-        source, align = pointer_to(
-            context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT
-        )
-        target, _ = pointer_to(
-            context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT
-        )
-        add = builder.add if isinstance(signature.args[0].dtype, types.Integer) else builder.fadd
+        _, number = typed(context, builder, signature, args)
+        pointer = pointers(context, builder, signature, args)
+        source, align = pointer((4, 5), EIGHT)
+        target, _ = pointer((1, 2), EIGHT)
+        add = builder.fadd
+        if isinstance(lists.dtype, types.Integer):
+            add = builder.add
         sums = add(vector_of(builder, [number(3)] * EIGHT), builder.load(source, align=align))
         builder.store(sums, target, align=align)
         return context.get_dummy_value()
@@ -149,19 +158,13 @@ def add_scalar8(lists, row, at, value, table, first):
 
 def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     def generate(context, builder, signature, args):
-        place, number = typed(context, builder, signature, args)
-        target, align = pointer_to(
-            context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT
-        )
-        square, _ = pointer_to(
-            context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT
-        )
+        _, number = typed(context, builder, signature, args)
+        pointer = pointers(context, builder, signature, args)
+        target, align = pointer((1, 3), EIGHT)
+        square, _ = pointer((2, 3), EIGHT)
         begin, step, origin, factor = (vector_of(builder, [number(k)] * EIGHT) for k in range(4, 8))
-        number_type = context.get_data_type(signature.args[0].dtype)
-        ramp = ir.Constant(
-            ir.VectorType(number_type, EIGHT),
-            [ir.Constant(number_type, float(k)) for k in range(EIGHT)],
-        )
+        vector = ir.VectorType(context.get_data_type(lists.dtype), EIGHT)
+        ramp = ir.Constant(vector, [float(k) for k in range(EIGHT)])
         d = builder.fsub(builder.fmul(builder.fadd(begin, ramp), step), origin)
         builder.store(builder.fmul(factor, d), target, align=align)
         builder.store(builder.fmul(d, d), square, align=align)

@@ -29,7 +29,9 @@ from xcg.compiled.polynomials import AT_ONCE, lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
-LUCY, HEAVISIDE, TABLE = 0, 3, 6
+LUCY = 0
+HEAVISIDE = 3
+TABLE = 6
 LUCY_FULL = None
 PLAIN = None  # in place of a table
 
@@ -77,7 +79,6 @@ SHELLS = 2
 # Of a table of codimension 0: number of coefficients of a polynomial of y = 2 q^2 - 1, and these,
 # the highest power first, where the profile is such a polynomial to rounding; else 0.
 EVEN = 3
-_POWERS = tuple(np.uint64(k) for k in range(PIECE))
 
 # --- value and gradient ----------------------------------------------------------------------------------
 
@@ -138,8 +139,10 @@ def _plain_gradient(kind, q2):
 @inlined
 def tabulated(kind, table, row, q2):
     """Value (row 0), or derivative divided by q (row 1). In codimension 1 both end like the chord, sqrt(1 - q^2)."""
-    found = interpolate(table, row, q2)
-    return math.sqrt(1.0 - q2) * found if kind == TABLE + 1 else found
+    factor = interpolate(table, row, q2)
+    if kind == TABLE + 1:
+        factor *= math.sqrt(1.0 - q2)
+    return factor
 
 
 @inlined
@@ -150,14 +153,10 @@ def interpolate(table, row, q2):
     x = math.sqrt(q2) * table.shape[1]
     k = np.uint64(min(x, table.shape[1] - 1.0))
     y = 2.0 * (x - k) - 1.0
-    total = table[row, k, _POWERS[0]]
-    total = total * y + table[row, k, _POWERS[1]]
-    total = total * y + table[row, k, _POWERS[2]]
-    total = total * y + table[row, k, _POWERS[3]]
-    total = total * y + table[row, k, _POWERS[4]]
-    total = total * y + table[row, k, _POWERS[5]]
-    total = total * y + table[row, k, _POWERS[6]]
-    return total * y + table[row, k, _POWERS[7]]
+    total = table[row, k, np.uint64(0)]
+    for power in range(np.uint64(1), np.uint64(PIECE)):
+        total = total * y + table[row, k, power]
+    return total
 
 
 # --- many nodes at once ----------------------------------------------------------------------------------
@@ -220,37 +219,52 @@ def _at(kind, table, r2):
         q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
         p = np.float32(1.0) - q
         return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
-    return value(kind, table, max(0.0, r2)) if r2 < 1.0 else 0.0
+    if r2 < 1.0:
+        return value(kind, table, max(0.0, r2))
+    return 0.0
 
 
 @leaf
-def fill_gauss(kind, table, points, weights, order, length, along, q2, count, out):
-    """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
+def fill_gauss(kind, table, points, weights, length, along, q2, count, out):
+    """Write the mean of the value over segments, by a rule of Gauss-Legendre, seen from `count` nodes.
 
     A node lies at squared distance q2 from the start of its segment, and its foot at `along` from
     there. The precision is that of the arrays. Points lie in pairs of one weight about the middle.
     """
-    real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
-    room = padded(count) if kind is LUCY_FULL else count
-    if order == 4:  # what most contacts take: all roots take turns in one loop
-        u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
-        u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
-        w, w1 = real(weights[4, 0]), real(weights[4, 1])
+    real = out.dtype.type
+    two = out.dtype.type(2.0)
+    last = points.size - 1
+    room = count
+    if kind is LUCY_FULL:
+        room = padded(count)
+    if points.size == 4:  # what most contacts take: all roots take turns in one loop
+        u0 = real(points[0] * length)
+        u1 = real(points[1] * length)
+        u2 = real(points[2] * length)
+        u3 = real(points[3] * length)
+        w = real(weights[0])
+        w1 = real(weights[1])
         for k in range(room):
-            r2, t = q2[k], along[k]
+            r2 = q2[k]
+            t = along[k]
             a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
-            c, d = r2 + u1 * (u1 - two * t), r2 + u2 * (u2 - two * t)
+            c = r2 + u1 * (u1 - two * t)
+            d = r2 + u2 * (u2 - two * t)
             outer = _at(kind, table, a) + _at(kind, table, b)
             out[k] = w * outer + w1 * (_at(kind, table, c) + _at(kind, table, d))
     else:
         for k in range(room):
             out[k] = real(0.0)
-        for g in range((order + 1) // 2):
-            u, v = real(points[order, g] * length), real(points[order, last - g] * length)
-            # the middle one is its own partner
-            w = real(weights[order, g] * (0.5 if g == last - g else 1.0))
+        for g in range((points.size + 1) // 2):
+            u = real(points[g] * length)
+            v = real(points[last - g] * length)
+            weight = weights[g]
+            if g == last - g:  # the middle one is its own partner
+                weight *= 0.5
+            w = real(weight)
             for k in range(room):
-                a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
+                a = q2[k] + u * (u - two * along[k])
+                b = q2[k] + v * (v - two * along[k])
                 out[k] += w * (_at(kind, table, a) + _at(kind, table, b))
 
 

@@ -29,22 +29,30 @@ def sum_waves(angle, numbers, sums):
         for d in range(dimension):
             most = max(most, abs(numbers[m, d]))
     # an axis that a layer does not have is a factor of one
-    cosine, sine = np.ones((3, 2 * most + 1, LANES)), np.zeros((3, 2 * most + 1, LANES))
-    real, imaginary = np.zeros((waves, LANES)), np.zeros((waves, LANES))
+    cosine = np.ones((3, 2 * most + 1, LANES))
+    sine = np.zeros((3, 2 * most + 1, LANES))
+    real = np.zeros((waves, LANES))
+    imaginary = np.zeros((waves, LANES))
     for first in range(0, count, LANES):
         for lane in range(LANES):
             n = first + lane
             for d in range(dimension):
                 for h in range(most + 1):
-                    is_particle = n < count
-                    re = math.cos(h * angle[n, d]) if is_particle else 0.0
-                    im = math.sin(h * angle[n, d]) if is_particle else 0.0
-                    cosine[d, most + h, lane], sine[d, most + h, lane] = re, im
-                    cosine[d, most - h, lane], sine[d, most - h, lane] = re, -im
+                    re = 0.0
+                    im = 0.0
+                    if n < count:
+                        re = math.cos(h * angle[n, d])
+                        im = math.sin(h * angle[n, d])
+                    cosine[d, most + h, lane] = re
+                    sine[d, most + h, lane] = im
+                    cosine[d, most - h, lane] = re
+                    sine[d, most - h, lane] = -im
         for m in range(waves):
             a = numbers[m, 0] + most
             b = numbers[m, 1] + most
-            c = numbers[m, 2] + most if dimension == 3 else most
+            c = most
+            if dimension == 3:
+                c += numbers[m, 2]
             for lane in range(LANES):
                 re = cosine[0, a, lane] * cosine[1, b, lane] - sine[0, a, lane] * sine[1, b, lane]
                 im = cosine[0, a, lane] * sine[1, b, lane] + sine[0, a, lane] * cosine[1, b, lane]

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import in_whole_rows, require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.facts import SETUP
 from xcg.scene.frame import measure, steps_in
@@ -78,19 +78,13 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
         )
     particles = [name for name in _PARTICLES if name in ds]
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
-    outputs = [
-        *particles,
-        *(["diameter"] if "volume" in ds and "diameter" not in ds else []),
-        *contacts,
-    ]
-    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds} | {
-        "body": ds[by_body]
-    }
+    outputs = [*particles, *contacts]
+    if "volume" in ds and "diameter" not in ds:
+        outputs.append("diameter")
+    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds}
+    given["body"] = ds[by_body]
     core = {name: [d for d in array.dims if d != "time"] for name, array in given.items()}
-    whole = [
-        array.chunk(dict.fromkeys(core[name], -1)) if array.chunks else array
-        for name, array in given.items()
-    ]
+    whole = [in_whole_rows(array) for array in given.values()]
     setup = describe(ds).setup
     arrays = xr.apply_ufunc(
         partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic),
@@ -106,13 +100,14 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
         data[name] = array.assign_attrs(
             units=units_in(row.units, setup.unit_system), long_name=row.long_name
         )
-    line = f"xcg: group_bodies({by_body!r})"
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}
-    attrs["history"] = f"{attrs['history']}\n{line}" if "history" in attrs else line
-    grouped = xr.Dataset(
-        data, {n: ds[n] for n in ("time", "step", "component", SETUP) if n in ds.coords}, attrs
-    )
-    return measure(grouped) if grouped.chunks == {} else grouped
+    line = f"xcg: group_bodies({by_body!r})"
+    attrs["history"] = f"{attrs.get('history', '')}\n{line}".lstrip("\n")
+    coords = {n: ds[n] for n in ("time", "step", "component", SETUP) if n in ds.coords}
+    grouped = xr.Dataset(data, coords, attrs)
+    if grouped.chunks:
+        return grouped
+    return measure(grouped)
 
 
 def _over_time(
@@ -126,19 +121,18 @@ def _over_time(
     }
     out = {}
     for name in outputs:
-        row = variable(name)
-        out[name] = np.full((len(arrays[0]), *row.shape(rows[row.dims[0]])), row.fill, row.dtype)
+        kind = variable(name)
+        shape = kind.shape(rows[kind.dims[0]])
+        out[name] = np.full((len(arrays[0]), *shape), kind.fill, kind.dtype)
     for t, (frame, lattice, source) in enumerate(steps_in(given, periodic)):
         bodies, id_of_row = _bodies(frame, lattice, f"group_bodies, {source}")
         if "contact_i" in frame:
             for side in ("contact_i", "contact_j"):
-                row_of_side = rows_of(frame["particle_id"], frame[side])
-                there = np.where(frame[side] < 0, frame[side], _MISSING)
-                frame[side] = (
-                    np.where(row_of_side >= 0, id_of_row[row_of_side], there)
-                    if len(id_of_row)
-                    else there
-                )
+                row = rows_of(frame["particle_id"], frame[side])
+                body = np.where(frame[side] < 0, frame[side], _MISSING)
+                is_particle = row >= 0
+                body[is_particle] = id_of_row[row[is_particle]]
+                frame[side] = body
             outside = frame["contact_i"] != frame["contact_j"]
             bodies |= {name: frame[name][outside] for name in _CONTACTS if name in frame}
         for name in outputs:
@@ -152,17 +146,16 @@ def _bodies(
     """Bodies of one frame, and the body's id of each sphere."""
     ids = frame["particle_id"]
     body = frame["body"]
-    own = body < 0
-    identity = np.where(own, body.max(initial=-1) + 1 + ids, body)
-    found, first, group = np.unique(identity, return_index=True, return_inverse=True)
+    identity = np.where(body < 0, body.max(initial=-1) + 1 + ids, body)
+    body_ids, first, group = np.unique(identity, return_index=True, return_inverse=True)
     mass = frame["mass"]
 
     def total(values: NDArray) -> NDArray:
-        out = np.zeros((len(found), *values.shape[1:]))
+        out = np.zeros((len(body_ids), *values.shape[1:]))
         np.add.at(out, group, values)
         return out
 
-    bodies = {"particle_id": found, "mass": total(mass)}
+    bodies = {"particle_id": body_ids, "mass": total(mass)}
     anchor = frame["position"][first]
     apart = frame["position"] - anchor[group]
     offset = lattice.shortest(apart)
@@ -181,11 +174,11 @@ def _bodies(
         if name in frame:
             differ = frame[name] != bodies[name][group]
             if differ.any():
-                other = differ.argmax()
-                one = first[group[other]]
+                row = differ.argmax()
+                leader = first[group[row]]
                 raise SceneError(
-                    f"{source}: spheres {ids[one]} and {ids[other]} are of one body ({identity[one]}) and differ in "
-                    f"{name} ({frame[name][one]}, {frame[name][other]}): give single spheres a negative body, or "
+                    f"{source}: spheres {ids[leader]} and {ids[row]} are of one body ({identity[leader]}) and differ "
+                    f"in {name} ({frame[name][leader]}, {frame[name][row]}): give single spheres a negative body, or "
                     f"leave the variable out: ds.drop_vars({name!r})"
                 )
     return bodies, identity

@@ -81,7 +81,7 @@ def domain_of(
             )
         return {}
     edges = _edges(box, steps) * unit
-    found = {"box": edges}
+    domain = {"box": edges}
     if lattice is None:
         if shear_rate and any(np.any(rate) for rate in shear_rate.values()):
             raise SceneError(
@@ -89,7 +89,7 @@ def domain_of(
                 f"the tilt at each step as well: lattice={{{next(iter(shear_rate))!r}: tilts}}, in Lees-Edwards boxes "
                 "the offset of the images"
             )
-        return found
+        return domain
     vectors = _vectors(edges, lattice, periodic, unit)
     if shear_rate is None:
         rates = _rates(vectors, periodic, time)
@@ -97,22 +97,25 @@ def domain_of(
         rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(
             len(edges), shear_rate, "shear_rate"
         )
-    tilted = _tilts(vectors)[:, [COMPONENTS.index(a) for a in periodic]].any()
+    axes = [COMPONENTS.index(a) for a in periodic]
+    tilted = _tilts(vectors)[:, axes].any()
     if tilted or rates.any():
-        found["lattice"] = vectors
+        domain["lattice"] = vectors
     if rates.any():
-        found["lattice_velocity"] = rates
-    return found
+        domain["lattice_velocity"] = rates
+    return domain
 
 
 def _entries(steps: int, given: Mapping[str, ArrayLike], name: str) -> NDArray:
     """Matrices (t, 3, 3) of numbers such as {"xy": value}, which stands in row y and column x."""
-    wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
-    out = np.zeros((steps, 3, 3))
+    wrong = {repr(given)}
+    if isinstance(given, Mapping):
+        wrong = set(given) - set(_SHEARS)
     if wrong:
         raise SceneError(
             f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers"
         )
+    out = np.zeros((steps, 3, 3))
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)
@@ -186,11 +189,11 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
             f"the tilt of the box changes by up to {largest:.2g} periods from step to step; where it is half of one or "
             "more, the rate of shear that follows is wrong: give shear_rate=, for example {'xy': 0.1} (s-1)"
         )
+    seen[0, 0] = seen[1, 0]
+    seen[1, -1] = seen[0, -1]
     lengths = np.diff(time)[:, None, None]
-    seen[0, 0], seen[1, -1] = seen[1, 0], seen[0, -1]
-    before, after = (
-        np.concatenate(parts) for parts in ((lengths[:1], lengths), (lengths, lengths[-1:]))
-    )
+    before = np.concatenate([lengths[:1], lengths])
+    after = np.concatenate([lengths, lengths[-1:]])
     rates[:, axes] = (after * seen[0] + before * seen[1]) / (before + after)
     return rates
 
@@ -233,7 +236,8 @@ class BoxMotion:
         if first.vectors is None and later.vectors is None:
             stretch[wraps] = later.period[wraps] / first.period[wraps] - 1.0
             return cls(np.diag(stretch), moved - stretch * lower, later, np.eye(wraps.sum()))
-        before, after = first.given, later.given
+        before = first.given
+        after = later.given
         turned = same_vectors(before, after, np.flatnonzero(wraps))
         gradient = (np.linalg.pinv(before) @ (turned @ after - before)).T
         return cls(gradient, moved - gradient @ lower, later, turned)
@@ -260,7 +264,8 @@ class BoxMotion:
         moved = later["position"][there] - position - self.shift - position @ self.gradient.T
         if "image" not in first:
             return self.lattice.shortest(moved)
-        before, after = first["image"][here], later["image"][there]
+        before = first["image"][here]
+        after = later["image"][there]
         axes = self.lattice.axes
         crossed = np.argwhere(np.delete(after - before, axes, axis=1))
         if crossed.size:

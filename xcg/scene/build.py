@@ -61,16 +61,19 @@ def to_dataset(
     """
     data = {}
     for name, values in (*arrays.items(), *box.items()):
-        row = BOX[name] if name in box else variable(name, values.dtype, values.ndim - 1)
+        row = BOX.get(name) or variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    unit, long_name = units_in("s", setup.unit_system), "time"
+    unit = units_in("s", setup.unit_system)
+    long_name = "time"
     if time is None:
-        unit, long_name = "1", NUMBERED
+        time = step
+        unit = "1"
+        long_name = NUMBERED
     coords: dict[str, Any] = {
         "time": (
             "time",
-            np.asarray(step if time is None else time, float),
+            np.asarray(time, float),
             {"units": unit, "long_name": long_name, "axis": "T"},
         ),
         "step": (
@@ -94,34 +97,35 @@ def to_dataset(
         "dimension": setup.dimension,
         "plane": setup.plane,
         "unit_system": setup.unit_system,
-        **({} if setup.gravity is None else {"gravity": np.asarray(setup.gravity)}),
-        **({} if setup.thickness is None else {"thickness": setup.thickness}),
-        **({"sides": setup.sides} if "contact_i" in data else {}),
-        **measured,
     }
+    if setup.gravity is not None:
+        about["gravity"] = np.asarray(setup.gravity)
+    if setup.thickness is not None:
+        about["thickness"] = setup.thickness
+    if "contact_i" in data:
+        about["sides"] = setup.sides
+    about |= measured
     coords[SETUP] = setup_of(about)
     return mark_measured(storable(xr.Dataset(data, coords, about)))
 
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
-    if (
-        isinstance(values, (list, tuple))
-        and len(values)
-        and np.ndim(values[0]) == len(variable(name).dims)
-    ):
+    dims = len(variable(name).dims)
+    if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == dims:
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
-    dims = len(variable(name).dims)
     if array.ndim == dims:
         return [array]
     if array.ndim == dims + 1:
         return list(array)
-    shape = ["n", "3"][:dims]
-    equal = f"; where all are equal, give numpy.full(({', '.join(shape)}{',' * (dims == 1)}), {array.tolist()})"
+    equal = ""
+    if array.size in (1, 3) and array.ndim < dims:
+        shape = {1: "(n,)", 2: "(n, 3)"}[dims]
+        equal = f"; where all are equal, give numpy.full({shape}, {array.tolist()})"
+    expected = {1: "1 dimension", 2: "2 dimensions"}[dims]
     raise SceneError(
-        f"'{name}' has shape {array.shape}: expected {dims} dimension{'s' * (dims > 1)} for one step, or {dims + 1} "
-        f"with time first{equal if array.size in (1, 3) and array.ndim < dims else ''}"
+        f"'{name}' has shape {array.shape}: expected {expected} for one step, or {dims + 1} with time first{equal}"
     )
 
 
@@ -144,10 +148,12 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
             f"{name!r} is a variable of contacts, as its name begins with 'contact_', and there are none: give them as "
             "contact_i= and contact_j=, or give a variable of particles another name"
         )
+    counts = ", ".join(map(str, rows[:3]))
+    if len(rows) > 3:
+        counts += ", ..."
     raise SceneError(
-        f"{name!r} has shape {np.shape(values) if isinstance(values, np.ndarray) else (len(values), '...')}: expected "
-        f"(n,), (n, 3) or (n, 3, 3) for a step, with n = {', '.join(map(str, rows[:3]))}{', ...' * (len(rows) > 3)}, "
-        f"and one such array for each of {len(rows)} steps"
+        f"{name!r} has shape {getattr(values, 'shape', (len(values), '...'))}: expected (n,), (n, 3) or (n, 3, 3) for "
+        f"a step, with n = {counts}, and one such array for each of {len(rows)} steps"
     )
 
 
@@ -278,55 +284,86 @@ def scene_from_arrays(
     steps = {
         name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES
     }
+    keys = {"particle": "position", "contact": "contact_i"}
     for name in (name for name in given if name not in VARIABLES):
-        key = "position" if variable(name).dims[0] == "particle" else "contact_i"
-        steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
+        key = keys[variable(name).dims[0]]
+        rows = [len(values) for values in steps.get(key, [])]
+        steps[name] = _split_own(name, given[name], rows)
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
-    numbers = np.arange(total) if step is None else np.atleast_1d(step)
-    times = None if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
-    for name, values in (("time", times), ("step", numbers)):
-        if values is not None and values.shape != (total,):
-            raise SceneError(
-                f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
-            )
-    check_times(
-        numbers if times is None else times,
-        "a scene",
-        "sort the steps, and leave out those that stand twice",
-    )
+    numbers = np.arange(total)
+    if step is not None:
+        numbers = _one_for_each("step", np.atleast_1d(step), total)
+    times = None
+    if time is not None:
+        seconds = np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
+        times = _one_for_each("time", seconds, total)
+    rising = numbers if times is None else times
+    check_times(rising, "a scene", "sort the steps, and leave out those that stand twice")
     domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
+    lattices = [
+        Lattice.of({name: values[t] for name, values in domain.items()}, setup.periodic, source)
+        for t, source in enumerate(_sources(total))
+    ]
+    particles, contacts = _completed(steps, lattices, setup, allow_unknown)
+    if particles:
+        check_scene(particles[0], setup, lattices[0])
+        if times is not None and total > 1:
+            check_motion(particles[0], particles[1], float(times[1] - times[0]), lattices[0])
+    measured = measure_frames(particles)
+    arrays = _stacked(particles, "particle_id") | _stacked(contacts, "contact_i")
+    return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
+
+
+def _sources(total: int) -> list[str]:
+    """Names of the steps in messages."""
+    return ["scene"] if total == 1 else [f"step {t}" for t in range(total)]
+
+
+def _completed(
+    steps: Mapping[str, list[NDArray]],
+    lattices: Sequence[Lattice],
+    setup: Setup,
+    allow_unknown: bool,
+) -> tuple[list[Frame], list[Frame]]:
+    """Complete the particles and contacts of each step."""
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
-    particles, contacts = [], []
+    particles = []
+    contacts = []
     with Once().active():
-        for t in range(total):
-            source = f"step {t}" if total > 1 else "scene"
-            images = Lattice.of(
-                {name: values[t] for name, values in domain.items()}, setup.periodic, source
-            )
+        for t, source in enumerate(_sources(len(lattices))):
             frame = _prefix(steps, particle_names, "particle_id", t, source)
-            particles.append(complete_particles(frame, setup, source, images))
+            grains = complete_particles(frame, setup, source, lattices[t])
+            particles.append(grains)
             if contact_names:
                 frame = _prefix(steps, contact_names, "contact_i", t, source)
                 contacts.append(
                     complete_contacts(
-                        frame, particles[-1], images, setup, source, allow_unknown=allow_unknown
+                        frame, grains, lattices[t], setup, source, allow_unknown=allow_unknown
                     )
                 )
-    if particles:
-        first = Lattice.of({name: values[0] for name, values in domain.items()}, setup.periodic)
-        check_scene(particles[0], setup, first)
-        if times is not None and total > 1:
-            check_motion(particles[0], particles[1], float(times[1] - times[0]), first)
-    measured = measure_frames(particles)
+    return particles, contacts
+
+
+def _stacked(frames: Sequence[Frame], key: str) -> Frame:
+    """Stack the variables of frames, which are emptied, so that no more than one variable is there twice."""
+    if not frames:
+        return Frame()
+    rows = max(len(frame[key]) for frame in frames)
     arrays = Frame()
-    for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
-        rows = max((len(f[key]) for f in frames), default=0)
-        # so that no more than one variable is there twice
-        for name in list(frames[0]) if frames else ():
-            arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
-    return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
+    for name in list(frames[0]):
+        arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
+    return arrays
+
+
+def _one_for_each(name: str, values: NDArray, total: int) -> NDArray:
+    """Return values of the steps. Raise SceneError unless there is one for each step."""
+    if values.shape != (total,):
+        raise SceneError(
+            f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
+        )
+    return values
 
 
 def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
@@ -400,7 +437,9 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
         suggestion = ""
         if name in _OTHER_NAMES:
             suggestion = f"; did you mean {_OTHER_NAMES[name]}?"
-        elif not _extends_a_name(name, known):
+        elif not any(
+            name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known
+        ):
             suggestion = _likely_name(name, known)
         if suggestion:
             raise SceneError(
@@ -409,18 +448,15 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
             )
 
 
-def _extends_a_name(name: str, known: Sequence[str]) -> bool:
-    """Return whether a name is a known one with an ending, such as diameter_2."""
-    return any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
-
-
 def _likely_name(name: str, known: Sequence[str]) -> str:
     """Return the known name that was probably meant, as the end of a message; "" without one."""
     # all variables of contacts share this prefix, which would make them alike
-    prefix = "contact_" if name.startswith("contact_") else ""
+    prefix = ""
+    if name.startswith("contact_"):
+        prefix = "contact_"
     alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
     likely = did_you_mean(name.removeprefix(prefix), alike, 0.77)
-    return likely.replace("'", f"'{prefix}", 1) if likely else ""
+    return likely.replace("'", f"'{prefix}", 1)
 
 
 def _prefix(
@@ -434,22 +470,18 @@ def _prefix(
     if valid.all():
         return frame
     other, what = _NOT_PADDING[key]
-    there = frame.get(other, np.empty(0))
-    held = (
-        there != PADDING
-        if other == "contact_j"
-        else np.isfinite(there.reshape(len(there), -1)).any(axis=1)
-    )
+    values = frame.get(other, np.empty(0))
+    held = values != PADDING
+    if other == "position":
+        held = np.isfinite(values).any(axis=1)
     if len(held) == len(valid) and (held & ~valid).any():
         row = int(np.flatnonzero(held & ~valid)[0])
         raise SceneError(
             f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
         )
     # other lengths are refused where the frame is completed
-    return {
-        name: values[valid] if len(values) == len(valid) else values
-        for name, values in frame.items()
-    }
+    fitting = [name for name, values in frame.items() if len(values) == len(valid)]
+    return frame | {name: frame[name][valid] for name in fitting}
 
 
 # what rows of padding have not, and what to do where they have it

@@ -160,10 +160,10 @@ def require_scene(
     `instead` ends the advice with what can be asked for without them.
     """
     if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
-        shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
+        shown = ", ".join(map(str, getattr(ds, "data_vars", ds))) or "nothing"
         raise SceneError(
             f"{purpose} needs {sorted(missing)}: {_way_to(missing, map(str, ds))}{instead} "
-            f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
+            f"(this Dataset holds {shown})"
         )
 
 
@@ -229,8 +229,9 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         return ds
     ds = with_facts(ds)
     require_facts(ds, ("periodic", "dimension"), "the scene", _OF_ATTRIBUTES)
-    renamed = _renamed(ds)
-    scene = ds.swap_dims(renamed) if renamed else ds
+    scene = ds
+    if renamed := _renamed(ds):
+        scene = ds.swap_dims(renamed)
     if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
@@ -248,14 +249,16 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         if not (masked or floats) and (row is None or given.dims == ("time", *row.dims)):
             continue  # as nearly always
         array = scene[name]
-        found = array if row is None else _with_dims(array, row)
+        if row is not None:
+            array = _with_dims(array, row)
         if floats:
-            found = _mapped(partial(_whole, name=name), found, "int64")
-        if masked and "particle" in found.dims and not known_without_reading(scene, name):
-            found = _as_measured(found, scene.attrs)
-        if found is not array:
-            changed[name] = found
-    return scene.assign(changed) if changed else scene
+            array = _mapped(partial(_whole, name=name), array, "int64")
+        if masked and "particle" in array.dims and not known_without_reading(scene, name):
+            array = _as_measured(array, scene.attrs)
+        changed[name] = array
+    if not changed:
+        return scene
+    return scene.assign(changed)
 
 
 # --- dimensions ------------------------------------------------------------------------------------------
@@ -272,7 +275,8 @@ def _renamed(ds: xr.Dataset) -> dict[str, str]:
 def _taken_away(ds: xr.Dataset) -> list[str]:
     """Dimensions that a selection of one step, one particle or one contact has no more."""
     rows = {"time": ds.sizes, "particle": ds.variables["position"].dims}
-    rows |= {"contact": ds.variables["contact_i"].dims} if "contact_i" in ds else {}
+    if "contact_i" in ds:
+        rows["contact"] = ds.variables["contact_i"].dims
     return [dim for dim, dims in rows.items() if dim not in dims]
 
 
@@ -289,11 +293,11 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
         for n in map(str, ds.data_vars)
         if n not in BOX and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
     ]
-    found = {}
+    expanded = {}
     for name in names:
-        found[name] = ds[name].variable.set_dims([dim, *ds[name].dims])
-        found[name].encoding = ds[name].encoding
-    return ds.assign(found)
+        expanded[name] = ds[name].variable.set_dims([dim, *ds[name].dims])
+        expanded[name].encoding = ds[name].encoding
+    return ds.assign(expanded)
 
 
 def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable | None:
@@ -302,11 +306,9 @@ def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable 
         return BOX[name]
     row = variable(name, dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}
-    return (
-        row
-        if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"}
-        else None
-    )
+    if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"}:
+        return row
+    return None
 
 
 def as_selected(result: R, ds: xr.Dataset) -> R:
@@ -314,16 +316,21 @@ def as_selected(result: R, ds: xr.Dataset) -> R:
     if not isinstance(result, xr.Dataset) or "position" not in ds or "particle_id" not in ds:
         return result
     renamed = _renamed(ds)
-    taken_away = _taken_away(ds.swap_dims(renamed) if renamed else ds)
-    selected: xr.Dataset = result
-    if gone := {dim: 0 for dim in taken_away if dim in result.sizes}:
-        selected = selected.isel(gone)
+    taken_away = _taken_away(ds.swap_dims(renamed))
+    selected = result.isel({dim: 0 for dim in taken_away if dim in result.sizes})
     back = {
         dim: label
         for label, dim in renamed.items()
         if label in selected and selected[label].dims == (dim,)
     }
-    return cast(R, selected.swap_dims(back) if back else selected)
+    return cast(R, selected.swap_dims(back))
+
+
+def in_whole_rows(array: xr.DataArray) -> xr.DataArray:
+    """Chunk a lazy variable over time alone."""
+    if array.chunks is None:
+        return array
+    return array.chunk({dim: -1 for dim in array.dims if dim != "time"})
 
 
 def storable(ds: xr.Dataset) -> xr.Dataset:
@@ -342,13 +349,13 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
     SceneError
         If some are missing.
     """
-    found = in_order(ds, "component", COMPONENTS)
-    if found is None:
+    ordered = in_order(ds, "component", COMPONENTS)
+    if ordered is None:
         raise SceneError(
             f"the scene holds the components {labels_along(ds, 'component')}, and all of x, y, z are needed, each "
             "once: select components in the results, and axes with axes= and at="
         )
-    return found
+    return ordered
 
 
 def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None:
@@ -356,12 +363,16 @@ def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None
     labels = labels_along(ds, dim)
     if sorted(map(str, labels)) != sorted(axes) or ds.sizes.get(dim) != len(axes):
         return None
-    return ds if labels == list(axes) else ds.sel({dim: list(axes)})
+    if labels == list(axes):
+        return ds
+    return ds.sel({dim: list(axes)})
 
 
 def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
     """Labels along a dimension of components, x, y and z by default."""
-    return np.atleast_1d(ds.variables[dim]).tolist() if dim in ds.coords else list(COMPONENTS)
+    if dim not in ds.coords:
+        return list(COMPONENTS)
+    return np.atleast_1d(ds.variables[dim]).tolist()
 
 
 def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
@@ -370,7 +381,7 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
     lacking = [d for d in expected if d not in array.dims]
     spread = [str(d) for d in array.dims if d not in expected]
     if not lacking and not spread:
-        return array if array.dims == expected else array.transpose(*expected)
+        return array.transpose(*expected)
     size = array.size / max(array.sizes.get("time", 1), 1)
     if lacking == ["time"] and not spread:
         raise SceneError(
@@ -384,7 +395,7 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
             "'particle' in v.dims else v), and join with data_vars='minimal'"
         )
     for dim in spread:
-        whole = array.chunk({dim: -1}) if array.chunks is not None else array
+        whole = in_whole_rows(array)
         array = _mapped(partial(_same, name=str(array.name), dim=dim), whole, array.dtype, dim)
     return array.transpose(*expected)
 
@@ -434,7 +445,8 @@ def _mapped(
 
 def _same(values: NDArray, name: str, dim: str) -> NDArray:
     """Return the single value along the last axis, NaN aside."""
-    low, high = np.fmin.reduce(values, axis=-1), np.fmax.reduce(values, axis=-1)
+    low = np.fmin.reduce(values, axis=-1)
+    high = np.fmax.reduce(values, axis=-1)
     if (low < high).any():
         raise SceneError(
             f"'{name}' differs along '{dim}', as where parts with other contacts or boxes are joined by xr.concat "

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_whole
 from xcg.common.messages import SceneError, plain, unknown
 from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import counting_sort, short_integers
@@ -84,7 +85,7 @@ class Contacts:
         check_contacts(frame, row_i, row_j, lattice, source)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
-        force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
+        force = frame.get("contact_force", np.zeros_like(point))
         return cls(
             row_i, row_j, force, point, position, lattice, key_i, key_j, normal, threads=threads
         )
@@ -110,8 +111,7 @@ class Contacts:
     @property
     def first_row(self) -> NDArray:
         """The first particle of each contact that is there; negative where none is; (n,)."""
-        here = self.i >= 0
-        return self.i if here.all() else np.where(here, self.i, self.j)
+        return np.where(self.i >= 0, self.i, self.j)
 
     @property
     def branch_i(self) -> NDArray:
@@ -139,11 +139,10 @@ class Contacts:
             branch = sign * (radius - overlap[both] / 2)[:, None] * normal
             spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
             branches.append(branch)
-        branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
-        branch_i[both[spheres]], branch_j[both[spheres]] = (
-            branches[0][spheres],
-            branches[1][spheres],
-        )
+        branch_i = self.branch_i.copy()
+        branch_j = self.branch_j.copy()
+        branch_i[both[spheres]] = branches[0][spheres]
+        branch_j[both[spheres]] = branches[1][spheres]
         return replace(self, given_branches=(branch_i, branch_j))
 
     @property
@@ -171,7 +170,9 @@ class Contacts:
     @cached_property
     def normal(self) -> NDArray:
         """Unit vector from j to i, along `between` where none is given; zero where it is undefined; (n, 3)."""
-        return unit_vectors(self.between) if self.given_normal is None else self.given_normal
+        if self.given_normal is not None:
+            return self.given_normal
+        return unit_vectors(self.between)
 
     @cached_property
     def normal_force(self) -> NDArray:
@@ -256,16 +257,18 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
+        along = self.given_normal
+        if along is None:
+            along = self.between
         total = np.zeros((len(self.position), 6))
-        add_unit_squares(
-            self.i, self.j, self.between if self.given_normal is None else self.given_normal, total
-        )
+        add_unit_squares(self.i, self.j, along, total)
         return total
 
     @property
     def dyads(self) -> NDArray:
         """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
-        total, (branch_i, branch_j) = np.zeros((len(self.position), 3, 3)), self.branches
+        total = np.zeros((len(self.position), 3, 3))
+        branch_i, branch_j = self.branches
 
         def add(first: int, last: int) -> None:
             add_dyads(self.i, 1.0, self.force, branch_i, first, total[first:last])
@@ -339,28 +342,29 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
         If the scene has no wall of a name, or a number is not negative.
     """
     known = walls_of(ds)
-    given = [walls] if isinstance(walls, str | int | np.integer) else list(walls)
-    for wall in given:
-        if isinstance(wall, str) and wall not in known:
-            there = (
-                f"the walls of this scene are {', '.join(known)}"
-                if known
-                else "no wall of this scene has a name"
-            )
+    wanted = [walls] if isinstance(walls, str) or not np.iterable(walls) else list(walls)
+    numbers = []
+    for wall in wanted:
+        if is_whole(wall, -(2**63), -1):
+            numbers.append(int(wall))
+        elif isinstance(wall, str) and wall in known:
+            numbers.append(known[wall])
+        elif isinstance(wall, str):
+            listed = "no wall of this scene has a name"
+            if known:
+                listed = f"the walls of this scene are {', '.join(known)}"
             raise ValueError(
-                unknown("wall", wall, known, f"{there}; or give numbers as in contact_j")
+                unknown("wall", wall, known, f"{listed}; or give numbers as in contact_j")
             )
-        if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
+        else:
             raise ValueError(
                 f"walls: {plain(wall)} is no wall: expected names, or negative numbers as in contact_j"
             )
-    if not given:
+    if not numbers:
         raise ValueError(
             "walls: none is given; expected names, or negative numbers as in contact_j"
         )
-    return tuple(
-        dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given)
-    )
+    return tuple(dict.fromkeys(numbers))
 
 
 @takes_scene

@@ -120,8 +120,10 @@ class Description:
             If it is not known.
         """
         setup = self.setup
-        if setup.dimension == 3 or setup.thickness is not None:
-            return setup.thickness if setup.dimension == 2 else None
+        if setup.dimension == 3:
+            return None
+        if setup.thickness is not None:
+            return setup.thickness
         (across,) = set(COMPONENTS) - set(setup.plane)
         if across in self.edges:
             return across
@@ -140,7 +142,10 @@ class Description:
         k = next(k for k, a in enumerate(COMPONENTS) if a not in self.setup.plane)
         if isinstance(depth, str):
             return k, *self.edges[depth]
-        middle = 0.0 if self.corners is None else (self.corners[0][k] + self.corners[1][k]) / 2
+        middle = 0.0
+        if self.corners is not None:
+            low, high = self.corners
+            middle = (low[k] + high[k]) / 2
         return k, middle - depth / 2, middle + depth / 2
 
     def groups(self, by: str | None, groups: Sequence[int] | None = None) -> tuple[int, ...]:
@@ -171,14 +176,16 @@ class Description:
                 f"by={by!r}: expected an integer variable of the particles; this scene has "
                 f"{', '.join(shown) or 'none'}; ds.cg.assign_phases(edges=[...]) makes 'phase' from diameters"
             )
-        found = np.atleast_1d(self.values.get(by, ()) if groups is None else groups)
-        if not found.size:
+        if groups is None:
+            groups = self.values.get(by, ())
+        values = np.atleast_1d(groups)
+        if not values.size:
             raise ValueError(
                 f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
             )
-        if found.dtype.kind not in "iuf" or (found % 1 != 0).any():
+        if values.dtype.kind not in "iuf" or (values % 1 != 0).any():
             raise ValueError(f"groups={plain(groups)}: expected whole numbers, values of {by!r}")
-        return tuple(np.unique(found.astype("int64")).tolist())
+        return tuple(np.unique(values.astype("int64")).tolist())
 
 
 def describe(ds: xr.Dataset, by: str | None = None) -> Description:
@@ -187,11 +194,10 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     Nothing is read, but the six numbers of the first box where a lazy box changes.
     """
     ds = with_measures(ds)
-    gravity = ds.attrs.get("gravity")
     edges = _edges(ds)
     setup = Setup.make(
         periodic=ds.attrs.get("periodic", ""),
-        gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
+        gravity=ds.attrs.get("gravity"),
         dimension=int(ds.attrs.get("dimension", 3)),
         plane=ds.attrs.get("plane"),
         thickness=ds.attrs.get("thickness"),
@@ -201,16 +207,14 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     lasts, periods = _what_lasts(ds, setup, edges)
     for name in map(str, ds.data_vars):
         given = ds.variables[name]
-        texts = [
-            None if (text := given.attrs.get(key)) is None else str(text)
-            for key in ("units", "long_name")
-        ]
-        columns[name] = Column(tuple(map(str, given.dims)), given.dtype.kind, *texts)
-    corners = [
-        tuple(np.ravel(ds.attrs[end]).tolist())
-        for end in ("particle_lower", "particle_upper")
-        if end in ds.attrs
-    ]
+        texts = [given.attrs.get(key) for key in ("units", "long_name")]
+        units, long_name = (text if text is None else str(text) for text in texts)
+        dims = tuple(map(str, given.dims))
+        columns[name] = Column(dims, given.dtype.kind, units, long_name)
+    corners = None
+    if {"particle_lower", "particle_upper"} <= ds.attrs.keys():
+        lowest, highest = (np.ravel(ds.attrs[f"particle_{end}"]) for end in ("lower", "upper"))
+        corners = (tuple(lowest.tolist()), tuple(highest.tolist()))
     cylindrical = ds.attrs.get("frame") == "cylindrical"
     return Description(
         columns=columns,
@@ -221,9 +225,9 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         box_lasts=lasts,
         tilted="lattice" in ds,
         sizes={name: float(ds.attrs[name]) for name in SIZES if name in ds.attrs},
-        corners=(corners[0], corners[1]) if len(corners) == 2 else None,
+        corners=corners,
         position_known="position" in ds and known_without_reading(ds, "position"),
-        values={} if by is None else _values(ds, by),
+        values=_values(ds, by),
         cylindrical=cylindrical,
         radius=_largest_radius(ds) if cylindrical else None,
         lag=ds.attrs.get("lag"),
@@ -232,41 +236,33 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     )
 
 
-def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
+def _values(ds: xr.Dataset, by: str | None) -> dict[str, tuple[int, ...]]:
     """Values of an integer variable of the particles: those in memory, or the attributes that were measured."""
-    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
+    if by is None or by not in ds:
+        return {}
+    if ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
         return {}
     if is_in_memory(ds[by].variable):
-        valid = ds["particle_id"].to_numpy() >= 0
-        return {
-            by: tuple(
-                np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
-            )
-        }
-    return (
-        {by: tuple(np.ravel(ds.attrs.get(f"{by}_values", [])).tolist())}
-        if known_without_reading(ds, by)
-        else {}
-    )
+        ids = ds["particle_id"]
+        values = ds[by].transpose(*ids.dims).to_numpy()[ids.to_numpy() >= 0]
+    elif known_without_reading(ds, by):
+        values = ds.attrs.get(f"{by}_values", [])
+    else:
+        return {}
+    return {by: tuple(np.unique(values).tolist())}
 
 
 def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Edges of the first box: of one in memory; of a lazy one the attributes, which hold a box that does not change."""
-    box = None
-    lower = ds.attrs.get("box_lower")
-    upper = ds.attrs.get("box_upper")
-    given = ds.variables["box"] if "box" in ds else None
-    if (
-        given is not None
-        and given.size
-        and (given.chunks is None or lower is None or upper is None)
-    ):
+    in_attributes = {"box_lower", "box_upper"} <= ds.attrs.keys()
+    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or not in_attributes):
+        given = ds.variables["box"]
         # "step", too
         first = given.isel({dim: 0 for dim in given.dims if dim not in ("component", "bound")})
         box = first.transpose("component", "bound").to_numpy()
-    elif lower is not None and upper is not None:
-        box = np.stack([lower, upper], axis=1)
-    if box is None:
+    elif in_attributes:
+        box = np.stack([ds.attrs["box_lower"], ds.attrs["box_upper"]], axis=1)
+    else:
         return {}
     return {
         a: (float(low), float(high))
@@ -297,13 +293,12 @@ def _what_lasts(
             return bool(same.all()), (x, y, z)
     else:
         same = np.full(3, "box_lower" in ds.attrs and "lattice" not in ds)
-    lasting = [
-        a
-        for a, lasts in zip(COMPONENTS, same, strict=True)
-        if lasts and a in setup.periodic and a in edges
-    ]
-    x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
-    return bool(same.all()), (x, y, z)
+    periods = dict.fromkeys(COMPONENTS, np.inf)
+    for a, lasts in zip(COMPONENTS, same, strict=True):
+        if lasts and a in setup.periodic and a in edges:
+            low, high = edges[a]
+            periods[a] = high - low
+    return bool(same.all()), (periods["x"], periods["y"], periods["z"])
 
 
 def _largest_radius(ds: xr.Dataset) -> float | None:
@@ -366,21 +361,13 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
 def _summary(ds: xr.Dataset) -> Summary:
     # also by other dimensions
     steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)
-    particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
-    contacts = contacts if "contact_i" in ds else 0
+    particles = ds.sizes.get("particle", 1)
+    contacts = 0
+    if "contact_i" in ds:
+        contacts = ds.sizes.get("contact", 1)
     # one order, whatever that of a file is
-    there = [
-        name
-        for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)])
-        if name in ds.variables
-    ]
-    names = {
-        dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS
-    }
-    own = {
-        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")]
-        for dim in _ROWS
-    }
+    names = [name for name in VARIABLES if name in ds.variables and name not in ds.dims]
+    names += [n for n in map(str, ds.data_vars) if n not in VARIABLES and n not in BOX]
     missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
     sizes = ", ".join(
         f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs
@@ -389,7 +376,10 @@ def _summary(ds: xr.Dataset) -> Summary:
         f"scene of {steps} step{'s' * (steps != 1)} with up to {particles} particles and {contacts} contacts",
         [
             *rows_of_origin(ds),
-            *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
+            *(
+                (f"{dim}s", ", ".join(n for n in names if variable(n).dims[0] == dim) or "none")
+                for dim in ("particle", "contact")
+            ),
             ("missing", ", ".join(missing) or "nothing"),
             ("walls", ", ".join(f"{name} ({number})" for name, number in walls_of(ds).items())),
             ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
@@ -403,7 +393,6 @@ def _summary(ds: xr.Dataset) -> Summary:
     )
 
 
-_ROWS = ("particle", "contact")
 _SIDES = {
     "mean": "contacts listed from both sides are one, with the mean of both",
     "first": "contacts listed from both sides are one, as the first row has it",
@@ -413,25 +402,28 @@ _SIDES = {
 
 def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
     """Rows on where data come from and what holds for all of them: engine, files, times, gravity, units."""
-    gravity = ds.attrs.get("gravity")
-    system = ds.attrs.get("unit_system")
-    skipped = str(ds.attrs.get("skipped_files", ""))
-    pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
-    unit = units_in("m s^-2", system or "SI").removesuffix("1")
-    assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""
+    attrs = ds.attrs
+    system = attrs.get("unit_system")
+    gravity = ""
+    if attrs.get("gravity") is not None:
+        pull = ", ".join(f"{g:.6g}" for g in np.atleast_1d(attrs["gravity"]))
+        unit = units_in("m s^-2", system or "SI").removesuffix("1")
+        gravity = f"({pull}) {unit}".rstrip()
+    skipped = ""
+    if attrs.get("skipped_files"):
+        skipped = f"{len(str(attrs['skipped_files']).splitlines())} files"
+    units = {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units")
+    if "assumed_units" in attrs:
+        units += " (assumed: the files do not name them)"
     return [
-        ("engine", str(ds.attrs.get("engine", ""))),
-        ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
-        ("ignored", str(ds.attrs.get("ignored_columns", "")).replace("\n", "; ")),
-        ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
-        ("forces", str(ds.attrs.get("estimated_forces", ""))),
+        ("engine", str(attrs.get("engine", ""))),
+        ("files", str(attrs.get("files", "")).replace("\n", "; ")),
+        ("ignored", str(attrs.get("ignored_columns", "")).replace("\n", "; ")),
+        ("skipped", skipped),
+        ("forces", str(attrs.get("estimated_forces", ""))),
         ("time", _times(ds)),
-        ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
-        (
-            "units",
-            {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units")
-            + assumed,
-        ),
+        ("gravity", gravity),
+        ("units", units),
     ]
 
 
@@ -441,7 +433,10 @@ def _times(ds: xr.Dataset) -> str:
         return ""
     times = np.atleast_1d(ds["time"].to_numpy())
     unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
-    text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
+    text = f"{times[0]:g}"
+    if len(times) > 1:
+        text += f" to {times[-1]:g}"
+    text += f" {unit}"
     if not times_are_known(ds):
         text += "(numbers of steps, times are not known)"
     return text.rstrip()
@@ -453,9 +448,14 @@ def _box(ds: xr.Dataset) -> str:
         return "changes with time"
     edges = describe(ds).edges
     unit = units_in("m", ds.attrs.get("unit_system", "SI")).removesuffix("1")
-    text = ", ".join(
-        f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges
-    )
-    text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
-    changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
-    return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"
+    parts = [f"{a} {low:.6g} to {high:.6g}" for a, (low, high) in edges.items()]
+    if "lattice" in ds:
+        parts.append("tilted")
+    if "lattice_velocity" in ds:
+        parts.append("with images that move")
+    if not parts:
+        return "none"
+    text = f"{', '.join(parts)} {unit}".rstrip()
+    if "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1:
+        text += " (first step)"
+    return text

@@ -92,7 +92,9 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
             "the parts one by one, and join their averages"
         )
     lost = {name: value for part in parts for name, value in part.items() if name not in ds.attrs}
-    return ds.assign_attrs(lost) if lost else ds
+    if not lost:
+        return ds
+    return ds.assign_attrs(lost)
 
 
 def _facts_of(text: Any) -> dict[str, Any]:

@@ -97,7 +97,9 @@ class Lattice:
     @property
     def given(self) -> NDArray:
         """Vectors of the periodic axes (k, 3) as they were given, in the order of the axes."""
-        return self.basis if self.cell is None else self.cell[self.cell.any(axis=1)]
+        if self.cell is None:
+            return self.basis
+        return self.cell[self.cell.any(axis=1)]
 
     @property
     def axes(self) -> NDArray:
@@ -106,7 +108,9 @@ class Lattice:
 
     def scaled(self, unit: float) -> Lattice:
         """Return the lattice with lengths over `unit` (m) and the same rates, no edges or cell."""
-        vectors = None if self.vectors is None else self.vectors / unit
+        vectors = self.vectors
+        if vectors is not None:
+            vectors = vectors / unit
         return Lattice(self.period / unit, vectors=vectors, rates=self.rates)
 
     # --- vectors between two places ---
@@ -146,10 +150,11 @@ class Lattice:
         """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors."""
         if self.reduced is None:
             return minimum_image(vector, self.period, to)
-        away = vector if to is None else vector - to
+        if to is not None:
+            return self.shortest(vector - to) + to
         out = np.empty((len(vector), 3))
-        nearest_images(np.ascontiguousarray(away, float), self.reduced, out)
-        return out if to is None else out + to
+        nearest_images(np.ascontiguousarray(vector, float), self.reduced, out)
+        return out
 
     def numbers(self, vector: NDArray) -> NDArray:
         """Whole numbers (n, k) of lattice vectors nearest to vectors (n, 3)."""
@@ -293,7 +298,9 @@ class Lattice:
             return None
         rates = self.numbers(self.given) @ self.rates
         gradient = (np.linalg.pinv(self.given) @ rates).T * axes
-        return gradient if gradient.any() else None
+        if not gradient.any():
+            return None
+        return gradient
 
     @property
     def corner(self) -> NDArray:
@@ -408,8 +415,9 @@ def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
     """Box length along some axes, infinity along the others; shape (3,)."""
     lengths = np.full(3, np.inf)
     for k in axes:
-        lengths[k] = np.nan if edges is None else edges[k, 1] - edges[k, 0]
-        if not (np.isfinite(lengths[k]) and lengths[k] > 0):
+        if edges is not None:
+            lengths[k] = edges[k, 1] - edges[k, 0]
+        if not 0 < lengths[k] < np.inf:
             axis = COMPONENTS[k]
             raise SceneError(
                 f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; "
@@ -420,7 +428,9 @@ def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
 
 def _volume(vectors: NDArray) -> float:
     """Length, area or volume that vectors (k, 3) span; 1 for none."""
-    return float(np.prod(np.linalg.svd(vectors, compute_uv=False))) if len(vectors) else 1.0
+    if not len(vectors):
+        return 1.0
+    return float(np.prod(np.linalg.svd(vectors, compute_uv=False)))
 
 
 def _independent(vectors: NDArray) -> bool:
@@ -513,7 +523,8 @@ def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDA
     near = np.flatnonzero(has_images)
     if not near.size:
         return np.arange(len(vector)), vector
-    numbers = [(0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)]
+    most = short.any(axis=0).astype(int)  # one period, along the axes where images may be in reach
+    numbers = [(0, -1, 1)[: 1 + 2 * k] for k in most]
     shifts = np.array(list(product(*numbers)))
     images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
     inside = np.linalg.norm(images, axis=2) < reach[near, None]

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import extra, floats, is_whole
+from xcg.common.checks import check, extra, floats, is_whole, whole
 from xcg.common.drawing import label_of, set_label
 from xcg.common.messages import SceneError, plain, warn_user
 from xcg.scene.conform import require_scene, takes_scene
@@ -32,7 +32,8 @@ MIN_SILHOUETTE = 0.7
 # Spreads below this share of the mean are noise, such as densities that were computed from
 # single-precision masses.
 NOISE = 1e-3
-MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
+MAX_GRAINS = 20_000
+MAX_SILHOUETTES = 3_000
 
 
 @takes_scene
@@ -73,9 +74,8 @@ def find_phases(
         If `max_phases` or `steps` is less than 1.
     """
     require_scene(ds, ("diameter", "density"), "find_phases")
-    for name, value in (("max_phases", max_phases), ("steps", steps)):
-        if not is_whole(value, 1):
-            raise ValueError(f"{name}={plain(value)}: expected a whole number, 1 or more")
+    check("max_phases", max_phases, whole(1))
+    check("steps", steps, whole(1))
     count = ds.sizes["time"]
     some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()
@@ -109,7 +109,8 @@ def _warn_of_empty(edges: NDArray, attrs: Mapping[Any, Any]) -> None:
     """Warn where an edge leaves all grains on one side, by the smallest and largest diameters as measured."""
     if not {"dmin", "dmax"} <= set(attrs):
         return
-    smallest, largest = float(attrs["dmin"]), float(attrs["dmax"])
+    smallest = float(attrs["dmin"])
+    largest = float(attrs["dmax"])
     if beyond := [edge for edge in edges.tolist() if not smallest < edge <= largest]:
         warn_user(
             f"edges={beyond}: outside the diameters that were measured, {smallest:.6g} to {largest:.6g}, so that a "
@@ -174,9 +175,8 @@ def assign_phases(
         )
     require_scene(ds, (by,), "assign_phases")
     given = mapping or {}
-    if not given or not all(
-        is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()
-    ):
+    are_whole = [is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()]
+    if not given or not all(are_whole):
         raise ValueError(
             f"mapping={plain(mapping)}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
         )
@@ -205,10 +205,11 @@ def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
     frame = step_at(ds[["diameter", "density", "phase"]], index).compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
     plt = extra("matplotlib.pyplot", "plot", "drawing")
-    figure, axes = plt.subplots(
-        1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained"
-    )
-    left = np.atleast_1d(axes)[0]
+    columns, width = 1, 5
+    if len(scores):
+        columns, width = 2, 9
+    figure, axes = plt.subplots(1, columns, figsize=(width, 4), layout="constrained", squeeze=False)
+    left = axes[0, 0]
     for value in np.atleast_1d(ds.attrs["phase_values"]):
         here = frame["phase"].to_numpy() == value
         left.scatter(
@@ -223,7 +224,7 @@ def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
     set_label(left.yaxis, label_of(ds["density"], "density"))
     left.legend(title="phase")
     if len(scores):
-        right = axes[1]
+        right = axes[0, 1]
         right.plot(np.arange(2, 2 + len(scores)), scores, "o-")
         right.axhline(MIN_SILHOUETTE, color="0.6", ls=":")
         right.set(xlabel="clusters", ylabel="mean silhouette", ylim=(0, 1.02))
@@ -238,7 +239,9 @@ def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float
     KMeans = extra("sklearn.cluster", "phases", "finding phases").KMeans
 
     rng = np.random.default_rng(seed)
-    sample = points if len(points) <= MAX_GRAINS else rng.permutation(points)[:MAX_GRAINS]
+    sample = points
+    if len(points) > MAX_GRAINS:
+        sample = rng.permutation(points)[:MAX_GRAINS]
     distinct = len(np.unique(np.round(sample, 6), axis=0))
     labels = np.zeros(len(points), int)
     best = MIN_SILHOUETTE
@@ -295,19 +298,15 @@ def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
 def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: NDArray) -> NDArray:
     from scipy.spatial import cKDTree
 
-    return (
-        np.asarray(
-            cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]
-        )
-        + 1
-    )
+    _, row = cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)
+    return np.asarray(row) + 1
 
 
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
-    unknown = sorted(set(np.unique(values).tolist()) - set(table))
+    types, row = np.unique(values, return_inverse=True)
+    unknown = [value for value in types.tolist() if value not in table]
     if unknown:
         raise SceneError(
             f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur"
         )
-    found, row = np.unique(values, return_inverse=True)
-    return np.array([table[int(value)] for value in found], "int64")[row]
+    return np.array([table[value] for value in types.tolist()], "int64")[row]

@@ -23,7 +23,9 @@ _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 # Rows from both sides are one contact where their forces differ from opposite ones by no more than
 # this share of the larger, or of a hundredth of the mean force of such rows, and their points by
 # this share of the smaller radius.
-_OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.15
+_OPPOSITE = 0.25
+_SMALL_FORCE = 0.01
+_ONE_PLACE = 0.15
 # variables whose sign depends on the side
 _OF_SIDE = ("contact_force", "contact_normal")
 
@@ -200,7 +202,9 @@ def _copies(repeats: _Repeats, number: NDArray, source: str) -> tuple[NDArray, N
     """
     copied = np.zeros(len(repeats.rows), bool)
     has_both_sides = np.zeros(len(repeats.rows), bool)
-    force, size, radius = repeats.force, repeats.size, repeats.radius
+    force = repeats.force
+    size = repeats.size
+    radius = repeats.radius
     for distance, near in repeats.of_one_pair():
         near &= ~copied[distance:]
         near &= size[distance:] - size[:-distance] <= _ROUNDED * size[distance:]
@@ -258,8 +262,12 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
 
     `free` (n,) marks the rows whose other side may be among them.
     """
-    force, size, radius = repeats.force, repeats.size, repeats.radius
-    least = _SMALL_FORCE * size.mean() if size.size else 0.0
+    force = repeats.force
+    size = repeats.size
+    radius = repeats.radius
+    least = 0.0
+    if size.size:
+        least = _SMALL_FORCE * size.mean()
     free = free.copy()
     found = [np.empty((2, 0), int)]
     mismatches = [np.empty(0)]
@@ -267,10 +275,8 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
     for distance, of_pair in repeats.of_one_pair():
         turned = repeats.mirrored[distance:] != repeats.mirrored[:-distance]
         one = np.flatnonzero(of_pair & turned)
-        for parity in (
-            0,
-            1,
-        ):  # rows that follow each other share one: every other of them at a time
+        # rows that follow each other share one: every other of them at a time
+        for parity in (0, 1):
             some = one[(one // distance) % 2 == parity]
             some = some[free[some] & free[some + distance]]
             other = some + distance
@@ -325,8 +331,10 @@ def _with_means(contacts: Frame, first: NDArray, second: NDArray, lattice: Latti
         if name not in merged:
             continue
         values = merged[name] = merged[name].copy()
-        sign = -1 if name in _OF_SIDE else 1
-        change = sign * values[second] - values[first]
+        of_second = values[second]
+        if name in _OF_SIDE:
+            of_second = -of_second
+        change = of_second - values[first]
         if name == "contact_point":
             change = lattice.shortest(change)
         values[first] += 0.5 * change

@@ -25,7 +25,9 @@ from xcg.common.messages import SceneError
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
 MAX_GROUPS = 100
-SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are numbers, too
+# m; powers of lengths between these are numbers, too
+SHORTEST = 1e-75
+LONGEST = 1e75
 
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
@@ -192,22 +194,22 @@ def powers_of(units: str) -> Powers:
 def factors_of_unit(units: str) -> dict[str, int] | None:
     """Return the power of each factor of a unit such as "K kg m^-3", "K kg m-3" or "1"; None for another notation."""
     factors: dict[str, int] = {}
-    for part in units.split() if units != "1" else ():
-        found = _FACTOR.fullmatch(part)
-        if found is None:
+    if units == "1":
+        return factors
+    for part in units.split():
+        match = _FACTOR.fullmatch(part)
+        if match is None:
             return None
-        factors[found[1]] = factors.get(found[1], 0) + int(found[2] or 1)
+        factors[match[1]] = factors.get(match[1], 0) + int(match[2] or 1)
     return factors
 
 
 def product_of_units(factors: Mapping[str, int]) -> str:
     """Return the unit with some factors and powers; "1" without any."""
-    return (
-        " ".join(
-            f"{name}{f'^{power}' if power != 1 else ''}" for name, power in factors.items() if power
-        )
-        or "1"
-    )
+    written = [
+        name if power == 1 else f"{name}^{power}" for name, power in factors.items() if power
+    ]
+    return " ".join(written) or "1"
 
 
 _NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m^-2", "W m^-3")}
@@ -221,8 +223,13 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     """
     if name in VARIABLES:
         return VARIABLES[name]
-    kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
-    dims = ("contact" if name.startswith("contact_") else "particle", "component", "direction")
+    kind = "float64"
+    if np.issubdtype(dtype, np.integer):
+        kind = "int64"
+    rows = _PARTICLE
+    if name.startswith("contact_"):
+        rows = _CONTACT
+    dims = (*rows, "component", "direction")
     return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
 
 
@@ -292,9 +299,10 @@ def periodic_axes(given: Any, plane: str | None = None) -> str:
     SceneError
         If `given` is something else.
     """
-    every = plane or "".join(COMPONENTS)
-    if given is None or isinstance(given, (bool, np.bool_)):
-        return every if given else ""
+    if given is None or (isinstance(given, (bool, np.bool_)) and not given):
+        return ""
+    if isinstance(given, (bool, np.bool_)):
+        return plane or "".join(COMPONENTS)
     parts = list(given) if np.iterable(given) else [given]
     if len(parts) == len(COMPONENTS) and all(isinstance(part, (bool, np.bool_)) for part in parts):
         parts = [axis for axis, chosen in zip(COMPONENTS, parts, strict=True) if chosen]
@@ -304,6 +312,28 @@ def periodic_axes(given: Any, plane: str | None = None) -> str:
             "False for none"
         )
     return "".join(sorted({*"".join(parts).lower()}))
+
+
+def _scales_of(units: Mapping[str, float] | str | None) -> tuple[tuple[float, float, float], str]:
+    """Return the factors to the scene's units of (length, mass, time), and its unit system."""
+    if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
+        units = units_of_system(units.lower(), f"units={units!r} is")
+    if units is None:
+        return (1.0, 1.0, 1.0), "SI"
+    if units == "reduced":
+        return (1.0, 1.0, 1.0), "reduced"
+    if not isinstance(units, Mapping):
+        raise SceneError(
+            f"units={units!r}: expected 'SI', 'reduced', a unit system of LAMMPS ({', '.join(UNIT_SYSTEMS)}), or "
+            "factors like {'length': 1e-3}"
+        )
+    wrong = set(units) - {"length", "mass", "time"}
+    if wrong or not all(is_positive(v) for v in units.values()):
+        raise SceneError(
+            f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
+            "and 'time' (s), for example units={'length': 1e-3}"
+        )
+    return (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0)), "SI"
 
 
 @dataclass(frozen=True)
@@ -364,25 +394,7 @@ class Setup:
 
         `units` are a mapping, "reduced", the name of a unit system of LAMMPS, or None for SI.
         """
-        scales = (1.0, 1.0, 1.0)
-        unit_system = "SI"
-        if isinstance(units, str) and units.lower() in (*UNIT_SYSTEMS, *_UNIT_OF_FORCE):
-            units = units_of_system(units.lower(), f"units={units!r} is")
-        if units == "reduced":
-            unit_system = "reduced"
-        elif isinstance(units, Mapping):
-            wrong = set(units) - {"length", "mass", "time"}
-            if wrong or not all(is_positive(v) for v in units.values()):
-                raise SceneError(
-                    f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
-                    "and 'time' (s), for example units={'length': 1e-3}"
-                )
-            scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
-        elif units is not None:
-            raise SceneError(
-                f"units={units!r}: expected 'SI', 'reduced', a unit system of LAMMPS ({', '.join(UNIT_SYSTEMS)}), or "
-                "factors like {'length': 1e-3}"
-            )
+        scales, unit_system = _scales_of(units)
         if gravity is not None:
             if is_finite(gravity):
                 raise SceneError(
@@ -390,7 +402,8 @@ class Setup:
                 )
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
-        plane = plane or ("xyz" if dimension == 3 else "xy")
+        if not plane:
+            plane = "xyz" if dimension == 3 else "xy"
         given["periodic"] = periodic_axes(given.get("periodic"), plane)
         made = cls(
             gravity=gravity,
@@ -405,12 +418,10 @@ class Setup:
                 f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
                 "or dimension=2 with the two axes of the plane, for example plane='xy'"
             )
-        if made.shape not in get_args(Shape):
-            raise SceneError(f"shape={made.shape!r}: expected 'sphere' or 'disc'")
-        if made.sides not in get_args(Sides):
-            raise SceneError(
-                f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}"
-            )
+        for name, choices in (("shape", Shape), ("sides", Sides)):
+            if getattr(made, name) not in get_args(choices):
+                expected = ", ".join(map(repr, get_args(choices)))
+                raise SceneError(f"{name}={getattr(made, name)!r}: expected one of {expected}")
         for name in ("density", "diameter", "mass", "thickness"):
             value = getattr(made, name)
             if value is not None and not is_positive(value):

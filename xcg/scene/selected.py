@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import check_choice
 from xcg.common.messages import plain, unknown
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import in_whole_rows, require_scene, takes_scene
 from xcg.scene.schema import COMPONENTS, MEASURED, PADDING, variable
 
 Outside: TypeAlias = Literal["keep", "drop"]
@@ -157,10 +157,7 @@ def _contacts_of(
     ids: xr.DataArray, contact_i: xr.DataArray, contact_j: xr.DataArray, outside: Outside
 ) -> xr.DataArray:
     """Return which contacts (time, contact) belong to particles with some ids (time, particle), step by step."""
-    arrays = [
-        array.chunk({array.dims[1]: -1}) if array.chunks is not None else array
-        for array in (ids, contact_i, contact_j)
-    ]
+    arrays = [in_whole_rows(array) for array in (ids, contact_i, contact_j)]
     kept: xr.DataArray = xr.apply_ufunc(
         partial(_of_particles, outside=outside),
         *arrays,
@@ -178,7 +175,8 @@ def _of_particles(
     """Return which contacts (t, contacts) have one of the particles (t, particles), or only such ones."""
     kept = np.empty(contact_i.shape, bool)
     for step, (i, j) in enumerate(zip(contact_i, contact_j, strict=True)):
-        i_selected, j_selected = np.isin(i, ids[step]), np.isin(j, ids[step])
+        i_selected = np.isin(i, ids[step])
+        j_selected = np.isin(j, ids[step])
         kept[step] = (i_selected | j_selected) & (i != PADDING)
         if outside == "drop":
             kept[step] &= (i_selected | (i < 0)) & (j_selected | (j < 0))

@@ -39,8 +39,9 @@ def nearest_branches(apart: NDArray, seen: NDArray | None, lattice: Lattice) -> 
         return None
     branch = lattice.shortest(apart, seen)
     off = np.linalg.norm(branch - seen, axis=1)
-    near = off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)
-    return branch if near.all() else None
+    if not (off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
+        return None
+    return branch
 
 
 def warn_of_coincident(i: NDArray, j: NDArray, source: str) -> None:
@@ -154,7 +155,8 @@ class SphereContacts:
             Name of the overlaps in the file, for the message.
         """
         overlap = self.contacts["overlap"]
-        rows, expected = self._sample.rows, self._sample.overlap
+        rows = self._sample.rows
+        expected = self._sample.overlap
         if rows.size:
             plausible = self._agree(rows, expected)
         else:
@@ -176,7 +178,8 @@ class SphereContacts:
             f"is, such as names={{{column!r}: 'contact_area'}}, or drop it by None",
         )
         every = np.arange(len(overlap))
-        pairs, walls = self._pairs(every), self._walls_among(every)
+        pairs = self._pairs(every)
+        walls = self._walls_among(every)
         computed = overlap.copy()
         computed[pairs.rows] = pairs.overlap
         if walls.size:
@@ -300,5 +303,6 @@ class SphereContacts:
         return bool(off <= _SAME_OVERLAP * size + rounding / np.sqrt(len(rows)))
 
     def _name(self, row: int) -> str:
-        i, j = self.contacts["contact_i"][row], self.contacts["contact_j"][row]
+        i = self.contacts["contact_i"][row]
+        j = self.contacts["contact_j"][row]
         return f"contact row {self.number[row]}, contact_i={i}, contact_j={j}"

@@ -16,7 +16,8 @@ import xcg
 from tests.brute_force import BruteKernel
 from tests.loops import compiled, uncompiled
 from xcg.compiled import polynomials
-from xcg.compiled.lines import closed_for, has_shells
+from xcg.compiled.lines import has_shells
+from xcg.compiled.polynomials import closed_for
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
 from xcg.fields.sums.kernels import kernel_of
@@ -493,7 +494,7 @@ def test_shells_without_the_compiler_have_the_same_bits():
     along, q2 = rng.uniform(-0.8, 1.4, 64), rng.uniform(0.0, 3.0, 64)
     for fill in (compiled(polynomials.fill_shells), uncompiled(polynomials.fill_shells)):
         out = np.empty(64)
-        fill(columns, 1 / 0.6, 0.6, along, np.maximum(q2, along**2), 60, out, *closed_for(64))
+        fill(columns, 0.6, along, np.maximum(q2, along**2), 60, out, closed_for(64))
         found.append(out)
     np.testing.assert_array_equal(*found)
     for h2, t0, t1 in rng.uniform(0.0, 1.0, (20, 3)):

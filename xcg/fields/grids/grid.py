@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from xcg.common.checks import FINITE, check, is_finite, rising_pair
 from xcg.common.messages import warn_once
 from xcg.compiled._jit import THREADS, for_each
-from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
+from xcg.compiled.arrays import sort_by_key
+from xcg.compiled.cells import PointCells, lists_for_points
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
@@ -363,7 +364,13 @@ class PointBlock:
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
         cells = PointCells(
-            x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin
+            (x, y, z),
+            self.start,
+            triple(begin),
+            triple(size),
+            triple(per_size),
+            self.shape,
+            margin,
         )
         return Nodes(triple(begin), triple(end), triple(active), triple(period), cells=cells)
 
@@ -497,15 +504,17 @@ def _sorted(
     unsigned.
     """
     many = len(rows)
-    count = math.prod(shape.tolist())
-    start = np.zeros(count + 2, "int64")
-    cell, order, rank = np.empty((3, many), "int64")
-    place = np.empty((3, many + PAD))
-    sorted_rows = np.empty_like(rows)
-    place[:, many:] = 0.0
-    cells = triple(lower), triple(per_size), triple(shape)
-    sort_by_cell(*position, rows, *cells, start, cell, order, rank, place, sorted_rows)
-    return start[:-1].view("uint64"), rank.view("uint64"), place, sorted_rows
+    index = ((position - lower[:, None]) * per_size[:, None]).astype("int64")
+    index = np.minimum(index, shape[:, None] - 1)
+    cell = np.ravel_multi_index(tuple(index), tuple(shape))
+    start = np.zeros(math.prod(shape.tolist()) + 2, "int64")
+    order = np.empty(many, "int64")
+    sort_by_key(cell, start[1:], order)  # leaves where each cell ends, and the next begins
+    place = np.zeros((3, many + PAD))
+    place[:, :many] = position[:, order]
+    rank = np.empty(many, "uint64")
+    rank[order] = np.arange(many, dtype="uint64")
+    return start[:-1].view("uint64"), rank, place, rows[order]
 
 
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:

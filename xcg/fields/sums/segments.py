@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
-from xcg.compiled.lines import closed_for, largest_error
-from xcg.compiled.polynomials import RADIUS
+from xcg.compiled.lines import largest_error
+from xcg.compiled.polynomials import RADIUS, closed_for
 from xcg.compiled.reach import Nodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
     BRANCH,
@@ -22,6 +22,7 @@ from xcg.compiled.segments import (
     RUN,
     SEGMENT,
     ContactRows,
+    SegmentChoice,
     Segments,
     bounds_of_segments,
     deposit_segments,
@@ -112,18 +113,6 @@ MOST_LISTED_ONCE = 1 << 22
 _TOGETHER = 256
 
 
-class ContactSides(NamedTuple):
-    """Sides of contacts, of which segments are listed: the first arguments of `list_segments`."""
-
-    rows: ContactRows
-    on_j: NDArray | None
-    second: bool
-    others: int
-    by_phase: NDArray
-    cutoff: float
-    origin: tuple[float, float, float]
-
-
 @dataclass(frozen=True, eq=False)
 class ListedOnce:
     """Segments that stay in memory, some of which may be out of reach."""
@@ -139,7 +128,7 @@ class ListedOnce:
 class ListedAnew:
     """Segments of which the bounds alone stay in memory."""
 
-    sides: ContactSides
+    listing: SegmentChoice
     contacts: NDArray
     bounds: NDArray
     limits: NDArray
@@ -154,7 +143,7 @@ class ListedAnew:
             places = (RUN * some[:, None] + np.arange(RUN)).ravel()
             # the last run may be shorter
             contacts = self.contacts[places[places < len(self.contacts)]]
-            records, _, _ = list_some(self.sides, contacts)
+            records, _, _ = list_some(self.listing, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
 
@@ -162,11 +151,11 @@ class ListedAnew:
 Branches: TypeAlias = ListedOnce | ListedAnew
 
 
-def list_some(sides: ContactSides, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+def list_some(listing: SegmentChoice, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records = np.empty((len(contacts), SEGMENT))
     longest = np.empty(4)
-    more = list_segments(*sides, contacts, records, None, longest)
+    more = list_segments(listing, contacts, records, None, longest)
     return records, longest, more
 
 
@@ -231,17 +220,18 @@ def _segments(
     mesh = step.meshes[cutoff]
     tilted = step.lattice.vectors is not None
     limits = step.spec.limits
-    rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
-    by_phase = step.spec.by_phase
-    sides = ContactSides(rows, on_j, second, others, by_phase, cutoff, step.spec.origin)
+    rows = ContactRows(
+        c.i, c.j, c.point, on_i, on_j, step.position, step.phase, *c.lattice.for_loops
+    )
+    listing = SegmentChoice(rows, second, others, step.spec.by_phase, cutoff, step.spec.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
-        more = list_segments(*sides, contacts, None, bounds, longest)
+        more = list_segments(listing, contacts, None, bounds, longest)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
-            return ListedAnew(sides, contacts, bounds, limits), longest, more
-    segments, longest, more = list_some(sides, contacts)
+            return ListedAnew(listing, contacts, bounds, limits), longest, more
+    segments, longest, more = list_some(listing, contacts)
     mesh.check_far(longest[:3], step.source)
     shift = np.zeros(3)
     if tilted:
@@ -258,8 +248,8 @@ def _segments(
                 continue
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            in_images = sides._replace(rows=rows._replace(on_i=on_i), on_j=on_j)
-            moving, _, _ = list_some(in_images, contacts[here])
+            moved_rows = rows._replace(on_i=on_i, on_j=on_j)
+            moving, _, _ = list_some(listing._replace(contacts=moved_rows), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
         partner = np.where(c.i >= 0, c.j, c.i)
