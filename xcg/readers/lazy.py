@@ -30,6 +30,7 @@ from xcg.common.compat import (
     explicit_indexing_adapter,
 )
 from xcg.common.messages import Once, SceneError, warn_once
+from xcg.compiled._jit import THREADS
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
@@ -272,8 +273,9 @@ class Source:
         lattice = None
         if "unwrapped_position" in frame:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
+        threads = THREADS if self.options.alone else 1
         with self.once.active():
-            return complete_particles(frame, self.setup, source_of(ref), lattice)
+            return complete_particles(frame, self.setup, source_of(ref), lattice, threads)
 
     def contacts(
         self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common import memory
 from xcg.common.messages import SceneError, warn_once
+from xcg.compiled._jit import for_each
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import without_repeats
@@ -112,7 +113,11 @@ def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
 
 
 def complete_particles(
-    frame: dict[str, Any], setup: Setup, source: str, lattice: Lattice | None = None
+    frame: dict[str, Any],
+    setup: Setup,
+    source: str,
+    lattice: Lattice | None = None,
+    threads: int = 1,
 ) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
@@ -135,6 +140,8 @@ def complete_particles(
     lattice : Lattice, optional
         Periodic images, in the scene's units, which ``image`` is counted in; without them it is
         left out.
+    threads : int
+        Threads that share the variables while they are sorted.
 
     Raises
     ------
@@ -158,9 +165,12 @@ def complete_particles(
         )
     order = _order_of(ids, source)
     if order is not None:
-        for name in given:  # one after the other, as each is there twice for a while
+
+        def sort(name: str) -> None:  # few at a time, as each is there twice for a while
             target = memory.empty(given[name].shape, given[name].dtype)
             given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
+
+        for_each(list(given), sort, threads)
         ids = given["particle_id"]
         del order
     for name in ("diameter", "density", "volume"):
