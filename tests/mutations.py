@@ -170,7 +170,7 @@ TABLE = [
     ),
     Mutation("scene/contacts.py", "* (1 + 1e-12)", "* (1 - 1e-12)", "test_equal_forces_are_all_weak"),
     Mutation(
-        "scene/complete.py", '(8 if setup.shape == "disc" else 10)', '(10 if setup.shape == "disc" else 8)',
+        "scene/complete.py", '{"disc": 8, "sphere": 10}', '{"disc": 10, "sphere": 8}',
         "test_moments_of_inertia_of_spheres_and_discs",
     ),
     Mutation(
