@@ -103,6 +103,17 @@ def test_unpickled_copies_do_not_repeat_a_warning():
         copy.warn("b", "third")
 
 
+def test_the_memory_of_warnings_is_bounded(monkeypatch):
+    monkeypatch.setattr(Once, "REMEMBERED", 3)
+    monkeypatch.setattr(Once, "_said", {})
+    once = Once()
+    for k in range(5):
+        with pytest.warns(xcg.SceneWarning, match=f"number {k}"):
+            once.warn(f"fact {k}", f"number {k}")
+    once.warn("fact 4", "the latest ones are remembered")  # a warning would be an error
+    assert len(Once._said) == 3
+
+
 def test_warnings_from_a_user_thread_point_at_its_line():
     def work():
         warn_user("from a thread")  # the thread's own line

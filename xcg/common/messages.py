@@ -198,10 +198,12 @@ def current_worker() -> Any:
 class Once:
     """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    The key is no part of what dask names tasks by, so that equal calls still have equal names.
+    The key is no part of what dask names tasks by, so that equal calls still have equal names. The
+    latest `REMEMBERED` warnings of the process are remembered.
     """
 
-    _said: ClassVar[set[tuple[str, str]]] = set()
+    REMEMBERED: ClassVar[int] = 10_000
+    _said: ClassVar[dict[tuple[str, str], None]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     key: str = field(default_factory=lambda: uuid4().hex)
@@ -225,7 +227,9 @@ class Once:
         with self._lock:
             if (self.key, about) in self._said:
                 return
-            self._said.add((self.key, about))
+            self._said[self.key, about] = None
+            if len(self._said) > self.REMEMBERED:
+                del self._said[next(iter(self._said))]
         warn_user(message)
 
     @contextmanager
