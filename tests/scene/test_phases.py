@@ -135,6 +135,8 @@ def test_phases_by_edges_and_by_type():
         ({"mapping": {}}, "expected whole numbers"),
         ({"mapping": {1: 1, 2: 1.5}}, "expected whole numbers"),
         ({"mapping": {"a": 1}}, "expected whole numbers"),
+        ({"mapping": {1: 2**63}}, "expected whole numbers of 64 bits"),
+        ({"mapping": {-(2**63) - 1: 1}}, "expected whole numbers of 64 bits"),
         ({"edges": [0.004], "by": "nonexistent"}, "by='nonexistent': edges= are between diameters"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -175,10 +175,14 @@ def assign_phases(
         )
     require_scene(ds, (by,), "assign_phases")
     given = mapping or {}
-    are_whole = [is_whole(value, -(2**63)) and is_whole(phase, 0) for value, phase in given.items()]
+    are_whole = [
+        is_whole(value, -(2**63), 2**63 - 1) and is_whole(phase, 0, 2**63 - 1)
+        for value, phase in given.items()
+    ]
     if not given or not all(are_whole):
         raise ValueError(
-            f"mapping={plain(mapping)}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
+            f"mapping={plain(mapping)}: expected whole numbers of 64 bits, phases not negative, for example "
+            "{1: 1, 2: 1, 3: 2}"
         )
     table = {int(value): int(phase) for value, phase in given.items()}
     return _by_properties(
