@@ -60,6 +60,8 @@ def call(package, argument="1.0", **env):
         "PYTHONPATH": str(package),
         "HOME": str(package / "home"),
         "XDG_CACHE_HOME": str(package / "home" / "cache"),
+        # Python takes bytecode of a source that is changed within a second for that of the new one
+        "PYTHONDONTWRITEBYTECODE": "1",
         **env,
     }
     kept = {
