@@ -53,8 +53,8 @@ def package(tmp_path):
 def call(package, argument="1.0", **env):
     """Result of the outer loop in a new process, and how often it was found compiled."""
     code = (
-        f"from xcg.compiled.outer import outer; print(outer({argument}), "
-        "sum(outer.stats.cache_hits.values()))"
+        f"import sys; from xcg.compiled.outer import outer; print(outer({argument}), "
+        "sum(outer.stats.cache_hits.values()), 'numba.np.linalg' in sys.modules)"
     )
     given = {
         "PYTHONPATH": str(package),
@@ -76,7 +76,8 @@ def call(package, argument="1.0", **env):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    value, hits = done.stdout.split()
+    value, hits, has_compiler = done.stdout.split()
+    assert has_compiler == str(hits == "0")  # what Numba compiles with takes a process 0.17 s
     return float(value), int(hits)
 
 
