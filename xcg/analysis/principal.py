@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import check, whole
+from xcg.common import drawing
+from xcg.common.checks import check, extra, whole
 from xcg.common.messages import plain, unknown
 from xcg.fields.formulas.registry import OTHER_NAMES
 from xcg.scene.frame import step_at
@@ -143,12 +144,10 @@ def plot_principal(
     ValueError
         If the result has no such tensor, or not two axes, or an argument is wrong.
     """
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import is_color_like
-    from matplotlib.pyplot import subplots
-
+    collections = extra("matplotlib.collections", "plot", "plot_principal")
+    colors = extra("matplotlib.colors", "plot", "plot_principal")
     check("every", every, whole(1), hint=", 1 for all nodes")
-    if not is_color_like(color):
+    if not colors.is_color_like(color):
         raise ValueError(f"color={plain(color)}: expected a colour of matplotlib, such as 'black'")
     f = step_at(f, index)
     plane = [a for a in COMPONENTS if a in f.dims]
@@ -166,18 +165,19 @@ def plot_principal(
     largest = np.nanmax(np.abs(values))
     step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
     if ax is None:
-        _, ax = subplots(layout="constrained")
-        units = f[plane[0]].attrs.get("units", "")
-        ax.set_xlabel(f"{plane[0]} ({units})")
-        ax.set_ylabel(f"{plane[1]} ({units})")
+        ax = drawing.new_axes()
         ax.set_aspect("equal")
+        drawing.set_label(ax.xaxis, drawing.label_of(f[plane[0]], plane[0]))
+        drawing.set_label(ax.yaxis, drawing.label_of(f[plane[1]], plane[1]))
     for k in range(2):
         half = 0.5 * step * (np.abs(values[..., k]) / largest)[..., None] * axes[..., k, :]
         middle = np.stack([x, y], axis=-1)
         bars = np.stack([middle - half, middle + half], axis=-2).reshape(-1, 2, 2)
         for chosen, style in (values[..., k] > 0, "solid"), (values[..., k] < 0, "dotted"):
             ax.add_collection(
-                LineCollection(list(bars[chosen.ravel()]), colors=color, linestyles=style)
+                collections.LineCollection(
+                    list(bars[chosen.ravel()]), colors=color, linestyles=style
+                )
             )
     ax.autoscale_view()
     return ax
