@@ -18,6 +18,7 @@ def test_listed_scripts_have_pictures_that_can_be_turned(script, tmp_path, monke
         pytest.skip("VTK finds no way to draw")
     from docs.figures import ROTATABLE, SCENES, draw_3d
 
+    pv.close_all()  # those of other tests, which would be drawn as well
     monkeypatch.setattr(pv, "BUILDING_GALLERY", True)
     plotter = pv.Plotter(off_screen=True, window_size=(60, 40))
     plotter.add_mesh(pv.Cube(), color="white")
