@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.frame import sizes_of
+from xcg.scene.frame import sizes_of, with_measures
 
 AXES = ("x", "y", "z")
 
@@ -223,3 +223,12 @@ def test_measure_reads_a_step_at_a_time_and_no_velocities(ds):
     for end in ("particle_lower", "particle_upper", "d43", "d50", "species_values"):
         np.testing.assert_array_equal(measured.attrs[end], ds.cg.measure().attrs[end])
     np.testing.assert_array_equal(measured.particle_lower, ds.position.min(("time", "particle")))
+
+
+def test_sizes_of_whole_numbers_count_each_particle(ds):
+    diameter = xr.full_like(ds.diameter, 1).astype(int)
+    diameter[:, 0] = 9
+    sizes = xcg.scene_from_arrays(ds.position.values, diameter=diameter.values, density=1.0).attrs
+    assigned = with_measures(ds.assign(diameter=diameter)).attrs
+    for name in ("d43", "d32", "drms", "dmin", "dmax"):
+        np.testing.assert_allclose(assigned[name], sizes[name], rtol=1e-12)

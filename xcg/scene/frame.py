@@ -368,19 +368,23 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
     return float(values[near[min(np.searchsorted(up_to, 0.5 * total), len(near) - 1)]])
 
 
+_OF_SIZE = ("diameter", "mass")  # which sizes follow from
+
+
 def measured_variables(frame: Frame) -> Frame:
     """Return what `measure_frames` looks at; all other memory of the frame can go before.
 
     Of positions these are the lowest and highest ones (2, 3), of integer variables the values that
     they take.
     """
-    measured: Frame = {name: frame[name] for name in ("diameter", "mass") if name in frame}
+    measured: Frame = {name: frame[name] for name in _OF_SIZE if name in frame}
     if "position" in frame and len(frame["position"]):
         # axis by axis: along the first axis of an array (n, 3) NumPy takes many times as long
         axes = frame["position"].T
         measured["position"] = np.array([[x.min() for x in axes], [x.max() for x in axes]])
     for name, values in frame.items():
-        if values.dtype.kind == "i" and values.ndim == 1 and name != "particle_id":
+        is_number = values.dtype.kind == "i" and values.ndim == 1
+        if is_number and name not in ("particle_id", *_OF_SIZE):
             measured[name] = _different(values)
     return measured
 
@@ -406,10 +410,10 @@ def measure_frames(frames: Iterable[Frame]) -> dict[str, Any]:
             mass = _joined(masses)
         measured |= sizes_of(_joined(diameters), mass)
     for name in dict.fromkeys(name for part in parts for name in part):
-        values = [part[name] for part in parts if name in part and part[name].dtype.kind == "i"]
-        unique = np.unique(np.concatenate(values or [np.empty(0)]))
-        if 0 < len(unique) <= MAX_GROUPS:
-            measured[f"{name}_values"] = unique
+        if name not in ("position", *_OF_SIZE):
+            unique = np.unique(np.concatenate([part[name] for part in parts if name in part]))
+            if 0 < len(unique) <= MAX_GROUPS:
+                measured[f"{name}_values"] = unique
     return measured
 
 
@@ -517,7 +521,7 @@ def _measure(ds: xr.Dataset) -> xr.Dataset:
         str(name)
         for name, values in ds.data_vars.items()
         if "particle" in values.dims
-        and (name in ("position", "diameter", "mass") or values.dtype.kind == "i")
+        and (name in ("position", *_OF_SIZE) or values.dtype.kind == "i")
     ]
 
     def frame(t: int) -> Frame:
