@@ -39,7 +39,7 @@ _POLAR = 12
 _TURNS = 24
 _BATCH = 256  # points at a time
 _POINTS_TIMED = 256  # at most, of all
-_LONG = 10.0  # seconds; longer work warns before, and shows its progress
+_LONG = 10.0  # seconds; longer work warns before it starts
 _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
