@@ -9,6 +9,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWrit
 
 import xcg
 from tests.readers.engines.test_mfix import write_vtp
+from xcg.readers.files.vtp import _HEAD, _LONG_HEAD
 
 X = np.array([[0.0, 0, 0], [0.9, 0, 0], [5, 5, 5]])
 
@@ -69,6 +70,20 @@ def test_spheres_written_by_yade_are_read(tmp_path, mode):
     np.testing.assert_array_equal(ds.velocity[1], velocity[[1, 2, 0]] + 2000)
     np.testing.assert_array_equal(ds.diameter[0], [1, 1, 1])
     np.testing.assert_array_equal(ds.heat[0], [8, 9, 7])
+
+
+# the tag of the data may begin in one block that is read and end in the next
+@pytest.mark.parametrize("at", [_HEAD - 5, _HEAD, _HEAD + _LONG_HEAD - 5, 2 * _LONG_HEAD])
+@pytest.mark.parametrize("mode", ["Appended", "Binary"])
+def test_headers_of_any_length_are_read(tmp_path, mode, at):
+    path = tmp_path / "spheres_1.vtu"
+    write_spheres(path, mode=mode, radii=np.full(len(X), 0.5))
+    expected = xcg.open_scene(path, density=1.0, units="SI").position.to_numpy()
+    text = path.read_bytes()
+    mark = text.index(b"<AppendedData" if mode == "Appended" else b"</UnstructuredGrid>")
+    path.write_bytes(text[:mark] + b" " * (at - mark) + text[mark:])
+    padded = xcg.open_scene(path, density=1.0, units="SI").position.to_numpy()
+    np.testing.assert_array_equal(padded, expected)
 
 
 def test_radii_and_diameters_that_disagree_raise(tmp_path):
