@@ -73,7 +73,7 @@ def test_spheres_written_by_yade_are_read(tmp_path, mode):
 
 
 # the tag of the data may begin in one block that is read and end in the next
-@pytest.mark.parametrize("at", [_HEAD - 5, _HEAD, _HEAD + _LONG_HEAD - 5, 2 * _LONG_HEAD])
+@pytest.mark.parametrize("at", [_HEAD - 15, _HEAD - 5, _HEAD + _LONG_HEAD - 5, 2 * _LONG_HEAD])
 @pytest.mark.parametrize("mode", ["Appended", "Binary"])
 def test_headers_of_any_length_are_read(tmp_path, mode, at):
     path = tmp_path / "spheres_1.vtu"
