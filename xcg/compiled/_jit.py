@@ -207,9 +207,7 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
         try:
             last = len(items) - 1
             own = {k: do(items[k]) for k in range(last, -1, -1) if others[k].cancel()}
-            theirs = {k: other.result() for k, other in enumerate(others) if k not in own}
-            results = own | theirs
-            return [results[k] for k in range(len(items))]
+            return [own[k] if k in own else other.result() for k, other in enumerate(others)]
         finally:
             for other in others:
                 other.cancel()
