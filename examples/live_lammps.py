@@ -44,7 +44,8 @@ lmp.command("run 0 post no")
 ran = recorded = 0.0
 first = None
 with xcg.record(
-    "chute_live.nc", ["density", "volume_fraction", "velocity", "stress", "granular_temperature", "wall_traction"],
+    "chute_live.nc",
+    ["density", "volume_fraction", "velocity", "stress", "granular_temperature", "boundary_force_density"],
     axes="z", bounds={"z": (0.0, HEIGHT)}, spacing=0.25, width=0.75, overwrite=True,
 ) as live:  # fmt: skip
     for _ in range(STEPS // EVERY):

@@ -195,7 +195,7 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
                 if q < kernel.c:
                     t += scale * kernel(np.asarray(q)) * f
         put("contact_stress", sc)
-        put("wall_traction", t)
+        put("boundary_force_density", t)
         stress = sc + sk
         put("stress", stress)
         D = len(plane)

@@ -370,6 +370,14 @@ TABLE = [
         "test_a_surface_counts_within_the_thickness_of_a_layer",
     ),
     Mutation(
+        "analysis/shallow.py", 'surface["height"] - surface["base"]', 'surface["height"]',
+        "test_the_thickness_is_that_of_the_slab_and_the_solid_depth_that_of_its_grains",
+    ),
+    Mutation(
+        "fields/formulas/rows/rheology.py", "ratio(f.shear_stress, f.shear_rate)", "f.shear_stress * f.shear_rate",
+        "test_the_granular_viscosity_is_the_relative_one_times_that_of_the_fluid",
+    ),
+    Mutation(
         "analysis/shallow.py", "len(matrix) - count - 1", "len(matrix) - count",
         "test_errors_of_a_line_through_three_heights",
     ),

@@ -168,7 +168,7 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
     [
         ("velocity", "xy"),
         ("spin_density", "z"),
-        ("wall_traction", "xy"),
+        ("boundary_force_density", "xy"),
         ("contact_force_density", "xy"),
     ],
 )

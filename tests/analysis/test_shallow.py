@@ -41,7 +41,7 @@ def test_integrals_over_the_depth_equal_those_of_the_grains():
     area = L * 4.0
     mass = d.mass_per_area.item() * area
     assert mass == pytest.approx(float(ds.mass.sum()), rel=1e-10)
-    assert d.depth.item() * area == pytest.approx(float(ds.volume.sum()), rel=1e-10)
+    assert d.solid_depth.item() * area == pytest.approx(float(ds.volume.sum()), rel=1e-10)
     momentum = d.momentum_per_area.sel(component="x").item() * area
     assert momentum == pytest.approx(
         float((ds.mass * ds.velocity.sel(component="x")).sum()), rel=1e-10
@@ -51,6 +51,18 @@ def test_integrals_over_the_depth_equal_those_of_the_grains():
         speed, (d.momentum_per_area.sel(component="x") / d.mass_per_area).drop_attrs()
     )
     assert d.mass_per_area.attrs["units"] == "kg m^-2"
+
+
+def test_the_thickness_is_that_of_the_slab_and_the_solid_depth_that_of_its_grains():
+    ds = flow(np.ones_like)
+    d = ds.cg.depth_average("z", axes="", width=0.3)
+    assert d.thickness.item() == pytest.approx(H, abs=0.02)
+    solid = float(ds.volume.sum()) / (L * 4.0)
+    assert d.solid_depth.item() == pytest.approx(solid, rel=1e-10)
+    assert d.thickness.attrs["units"] == d.solid_depth.attrs["units"] == "m"
+    empty = ds.isel(particle=ds.position.values[0, :, 0] < 5.0)
+    cut = empty.cg.depth_average("z", axes="x", width=0.3)
+    assert cut.thickness.sel(x=10.0, method="nearest").isnull().all()
 
 
 def column(layers=8):

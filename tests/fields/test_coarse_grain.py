@@ -264,7 +264,7 @@ def test_phases_add_up_and_each_is_its_own_sum():
             "friction_coefficient",
             "inertial_number",
             "viscous_number",
-            "effective_viscosity",
+            "relative_viscosity",
         ):
             xr.testing.assert_allclose(bulk, whole[name], rtol=1e-9, atol=1e-9 * scale)
         if row.additive:
@@ -312,7 +312,7 @@ def test_each_phase_takes_a_width_of_its_own(axes):
             "volume_fraction",
             "number_density",
             "contact_stress_by_pair",
-            "wall_traction",
+            "boundary_force_density",
         ):
             want, got = same[name].sel(phase=phase), own[name].sel(phase=phase)
             np.testing.assert_allclose(
@@ -329,16 +329,20 @@ def test_each_phase_takes_a_width_of_its_own(axes):
 
 def test_the_traction_of_a_wall_belongs_to_the_phase_that_touches_it():
     ds = xcg.datasets.random_scene(150, seed=7, periodic="xy")
-    own = ds.cg.coarse_grain("wall_traction", by="species", axes="z", width=0.6)
+    own = ds.cg.coarse_grain("boundary_force_density", by="species", axes="z", width=0.6)
     first = ds.particle_id.values[0][ds.species.values[0] == 1]
     for phase, kept in (("1", np.isin(ds.contact_i, first)), ("2", ~np.isin(ds.contact_i, first))):
         alone = ds.assign(
             contact_force=ds.contact_force.where(xr.DataArray(kept, dims=("time", "contact")), 0.0)
         )
-        expected = alone.cg.coarse_grain("wall_traction", axes="z", width=0.6).wall_traction
+        expected = alone.cg.coarse_grain(
+            "boundary_force_density", axes="z", width=0.6
+        ).boundary_force_density
         assert float(abs(expected).max()) > 0
         np.testing.assert_allclose(
-            own.wall_traction.sel(phase=phase), expected, atol=1e-12 * float(abs(expected).max())
+            own.boundary_force_density.sel(phase=phase),
+            expected,
+            atol=1e-12 * float(abs(expected).max()),
         )
 
 
@@ -407,7 +411,7 @@ def test_frozen_grains_act_as_walls():
         ds.isel(particle=(ds.species == 1).values[0]).drop_vars("frozen").cg.coarse_grain(width=0.8)
     )
     xr.testing.assert_identical(f.drop_attrs(deep=False), free.drop_attrs(deep=False))
-    assert float(np.abs(f.wall_traction).max()) > 0
+    assert float(np.abs(f.boundary_force_density).max()) > 0
 
 
 # --- lazy ------------------------------------------------------------------------------------------------
@@ -581,17 +585,19 @@ def test_sub_selection_of_particles_keeps_their_side():
     """Contacts whose partner is gone count as contacts with a wall."""
     ds = xcg.datasets.random_scene(80, seed=10)
     half = ds.isel(particle=slice(0, 40)).cg.coarse_grain(
-        ["contact_stress", "wall_traction"], width=0.8
+        ["contact_stress", "boundary_force_density"], width=0.8
     )
     rest = ds.isel(particle=slice(40, None)).cg.coarse_grain(
-        ["contact_stress", "wall_traction"], width=0.8
+        ["contact_stress", "boundary_force_density"], width=0.8
     )
     whole = ds.cg.coarse_grain(["contact_stress"], width=0.8)
     both = half.contact_stress + rest.contact_stress
     np.testing.assert_allclose(
         both, whole.contact_stress, atol=1e-12 * float(whole.contact_stress.max())
     )
-    np.testing.assert_allclose(half.wall_traction, -rest.wall_traction, atol=1e-12)
+    np.testing.assert_allclose(
+        half.boundary_force_density, -rest.boundary_force_density, atol=1e-12
+    )
 
 
 # --- labels and requests ---------------------------------------------------------------------------------

@@ -280,13 +280,13 @@ def continuity(ds: xr.Dataset, width: float, points: NDArray) -> Residual:
 
 def stress_divergence(ds: xr.Dataset, width: float, points: NDArray, **options: Any) -> Residual:
     """3: div sigma^c = -sum F_i Psi + t; in units of the largest |sigma^c| / w."""
-    fields = ["contact_stress", "wall_traction", "contact_force_density"]
+    fields = ["contact_stress", "boundary_force_density", "contact_force_density"]
     f = at_points(ds, fields, points, width=width, **options)
     found = divergence(ds, ["contact_stress"], points, width, **options)["contact_stress"]
     force = smear(ds, forces_on(ds), points, width)
     scale = float(np.abs(f["contact_stress"]).max() / width)
-    own = Residual(found + f["contact_force_density"] - f["wall_traction"], scale)
-    return own | Residual(found + force - f["wall_traction"], scale)
+    own = Residual(found + f["contact_force_density"] - f["boundary_force_density"], scale)
+    return own | Residual(found + force - f["boundary_force_density"], scale)
 
 
 def static_equilibrium(
@@ -298,14 +298,14 @@ def static_equilibrium(
     |F_i + m_i g| of a grain in units of the mean contact force.
     """
     frame = frame_of(ds)
-    f = at_points(ds, ["contact_stress", "density", "wall_traction"], points, width=width)
+    f = at_points(ds, ["contact_stress", "density", "boundary_force_density"], points, width=width)
     div = divergence(ds, ["contact_stress", "kinetic_stress"], points, width)
     weight = gravity_of(ds)
     left = (
         div["contact_stress"]
         + div["kinetic_stress"]
         - f["density"][:, None] * weight
-        - f["wall_traction"]
+        - f["boundary_force_density"]
     )
     resultant = forces_on(ds) + frame["mass"][frame["free"], None] * weight
     right = -smear(ds, resultant, points, width) + div["kinetic_stress"]
@@ -376,13 +376,13 @@ def momentum_between_frames(
     acceleration, weight = accelerations(ds), gravity_of(ds)
     fields = ["density", "momentum_density", "kinetic_stress", "contact_stress"]
     div = divergence(ds, fields, points, width)
-    f = with_flux(at_points(ds, [*fields, "wall_traction"], points, width=width))
+    f = with_flux(at_points(ds, [*fields, "boundary_force_density"], points, width=width))
     flux = np.abs(f["momentum_flux"] + f["contact_stress"]).max()
     still = (
         div["momentum_flux"]
         + div["contact_stress"]
         - f["density"][:, None] * weight
-        - f["wall_traction"]
+        - f["boundary_force_density"]
     )
     found = []
     for dt in steps:
@@ -451,7 +451,7 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     ratios = [name for name in scales if name.endswith(("_anisotropy", "_force_fabric"))]
     scales |= dict.fromkeys(ratios, max([1.0, *(scales[name] for name in ratios)]) ** 2)
     scales |= dict.fromkeys(["strong_contact_stress", "weak_contact_stress"], stress)
-    scales |= dict.fromkeys(["wall_traction", "contact_force_density"], stress / width)
+    scales |= dict.fromkeys(["boundary_force_density", "contact_force_density"], stress / width)
     # torques and powers of forces that cancel
     spin, radius = (
         np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max(),
@@ -495,8 +495,8 @@ def difference(
 FEW = 10
 FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "fluctuation_density",
         "granular_temperature", "directional_temperature", "vorticity", "stress_power")  # fmt: skip
-ADDITIVE = ["density", "volume_fraction", "momentum_density", "kinetic_stress", "contact_stress", "wall_traction",
-            "contact_force_density"]  # fmt: skip
+ADDITIVE = ["density", "volume_fraction", "momentum_density", "kinetic_stress", "contact_stress",
+            "boundary_force_density", "contact_force_density"]  # fmt: skip
 
 
 def marginals(ds: xr.Dataset, width: float, point: NDArray) -> Residual:
@@ -512,7 +512,7 @@ def marginals(ds: xr.Dataset, width: float, point: NDArray) -> Residual:
     force = np.linalg.norm(frame["contact_force"], axis=1).max(initial=0.0)
     terms = {
         "density": m, "volume_fraction": frame["volume"], "momentum_density": m * v, "momentum_flux": m * v**2,
-        "contact_stress": force * width, "wall_traction": force, "contact_force_density": force,
+        "contact_stress": force * width, "boundary_force_density": force, "contact_force_density": force,
     }  # fmt: skip
     kernel = xcg.Lucy(width, dimension=len(plane))
     for a in plane:
@@ -564,7 +564,7 @@ def phase_divergence(
     In units of the largest |sigma^c| / w. Forces of phases on each other are opposite, and none acts on itself.
     """
     fields, options = (
-        ["contact_stress", "interphase_force", "wall_traction"],
+        ["contact_stress", "interphase_force", "boundary_force_density"],
         {"by": by, "groups": groups},
     )
     f = at_points(ds, fields, points, width=width, **options)
@@ -578,5 +578,5 @@ def phase_divergence(
     balance = Residual(found + resultant - between.sum(axis=2), scale)
     opposite = between[:, 1:, :-1] + between[:, 1:, :-1].swapaxes(1, 2)
     size = float(np.abs(between).max()) or 1.0
-    walls = between[:, :, -1] - f["wall_traction"]
+    walls = between[:, :, -1] - f["boundary_force_density"]
     return balance | Residual(opposite, 1e-2 * size) | Residual(walls, 1e-2 * size)

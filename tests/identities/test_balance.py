@@ -128,14 +128,15 @@ def test_divergence_of_contact_stress_of_any_scene(case):
     assert residuals.stress_divergence(case.ds, case.width, case.points).relative < 1e-9
 
 
-def test_wall_traction_is_a_large_part_of_the_balance_at_the_bottom():
+def test_boundary_force_density_is_a_large_part_of_the_balance_at_the_bottom():
     """At the bottom of a scene with walls the traction is a large part of the balance."""
     for case in (load("liggghts_box"), load("lammps_chute")):
         f = residuals.at_points(
-            case.ds, ["wall_traction", "contact_stress"], case.points, width=case.width
+            case.ds, ["boundary_force_density", "contact_stress"], case.points, width=case.width
         )
         assert (
-            np.abs(f["wall_traction"]).max() > 0.1 * np.abs(f["contact_stress"]).max() / case.width
+            np.abs(f["boundary_force_density"]).max()
+            > 0.1 * np.abs(f["contact_stress"]).max() / case.width
         )
 
 

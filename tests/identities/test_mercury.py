@@ -71,7 +71,9 @@ def test_fields_equal_the_columns_of_mercury(reference, coordinates):
     for k, a in enumerate("XYZ"):
         assert_close(f["momentum_density"][:, k], columns[f"Momentum{a}"], f"Momentum{a}")
         assert_close(
-            f["wall_traction"][:, k], columns[f"InteractionForce{a}"], f"InteractionForce{a}"
+            f["boundary_force_density"][:, k],
+            columns[f"InteractionForce{a}"],
+            f"InteractionForce{a}",
         )
         for j, b in enumerate("XYZ"):
             assert_close(

@@ -528,10 +528,12 @@ def test_walls_of_a_job_may_be_columns(tmp_path):
     job = tmp_path / "job.toml"
     job.write_text(
         f'[scene]\nparticles = "{data}/particles.dump.gz"\nwalls = {{ {table} }}\n[fields]\n'
-        'fields = ["wall_traction"]\naxes = "z"\nextent = { x = 1.0, y = 1.0 }\n'
+        'fields = ["boundary_force_density"]\naxes = "z"\nextent = { x = 1.0, y = 1.0 }\n'
     )
     xcg_run("run", job, "-q")
     ds = xcg.open_scene(data / "particles.dump.gz", walls=walls)
-    expected = ds.cg.coarse_grain("wall_traction", axes="z", extent={"x": 1.0, "y": 1.0}).compute()
+    expected = ds.cg.coarse_grain(
+        "boundary_force_density", axes="z", extent={"x": 1.0, "y": 1.0}
+    ).compute()
     with xr.open_dataset(tmp_path / "xcg-output" / "fields.nc") as found:
-        np.testing.assert_array_equal(found.wall_traction, expected.wall_traction)
+        np.testing.assert_array_equal(found.boundary_force_density, expected.boundary_force_density)

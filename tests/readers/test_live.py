@@ -291,7 +291,7 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
             )
         assert live.time.item() == pytest.approx(scene.time.item())
     assert set(dumps.data_vars) <= set(live.data_vars)
-    fields = ["density", "velocity", "stress", "wall_traction"]
+    fields = ["density", "velocity", "stress", "boundary_force_density"]
     f, g = (
         ds.cg.coarse_grain(fields, axes="z", bounds={"z": (0, 0.01)}, spacing=0.001)
         for ds in (live, dumps)

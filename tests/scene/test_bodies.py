@@ -53,9 +53,9 @@ def test_sums_of_bodies_equal_those_of_their_spheres():
         "extent": {"y": 10, "z": 10},
         "bounds": {"x": (0, 9.95)},
     }
-    both = [s.cg.coarse_grain(["density", "momentum_density", "contact_stress", "wall_traction"], **options)
+    both = [s.cg.coarse_grain(["density", "momentum_density", "contact_stress", "boundary_force_density"], **options)
             for s in (ds, bodies)]  # fmt: skip
-    for name in ("density", "momentum_density", "wall_traction"):
+    for name in ("density", "momentum_density", "boundary_force_density"):
         totals = [f[name].sum("x").values for f in both]
         np.testing.assert_allclose(totals[1], totals[0], rtol=1e-6, atol=1e-12)
     # virial of bodies: force between them times the vector between their centres, and the wall's

@@ -14,7 +14,7 @@ FIELDS = [
     "kinetic_stress",
     "volume_fraction",
     "coordination_number",
-    "wall_traction",
+    "boundary_force_density",
 ]
 MESH = {
     "fields": FIELDS,
@@ -148,7 +148,7 @@ CHOSEN = {
 def test_chosen_particles_keep_the_contacts_with_all_others(scene, how, lazy):
     chosen = CHOSEN[how](scene.chunk(time=1) if lazy else scene)
     here = {"time": range(chosen.sizes["time"])}
-    found = chosen.cg.coarse_grain(**MESH).compute().drop_vars("wall_traction")
+    found = chosen.cg.coarse_grain(**MESH).compute().drop_vars("boundary_force_density")
     phase = scene.isel(here).cg.coarse_grain(by="species", **MESH).sel(phase="1", drop=True)
     for name in ("contact_stress", "volume_fraction", "coordination_number"):
         np.testing.assert_allclose(found[name], phase[name], rtol=1e-12, atol=1e-12)

@@ -155,20 +155,28 @@ def test_forces_of_grains_at_rest_are_balanced(silo):
     assert np.abs(force[supported]).max() < 1e-2 * GRAVITY * float(particles.mass.mean())
 
 
-def test_wall_traction_adds_up_to_the_sums_of_lammps(silo):
-    total = integral(silo.cg.coarse_grain("wall_traction", spacing=0.002).wall_traction)
+def test_boundary_force_density_adds_up_to_the_sums_of_lammps(silo):
+    total = integral(
+        silo.cg.coarse_grain("boundary_force_density", spacing=0.002).boundary_force_density
+    )
     np.testing.assert_allclose(total, SUMS[:, 1:].sum(axis=0), atol=MESH)
-    line = {"fields": "wall_traction", "axes": "z", "extent": {"x": 1.0, "y": 1.0}, "spacing": 5e-4}
+    line = {
+        "fields": "boundary_force_density",
+        "axes": "z",
+        "extent": {"x": 1.0, "y": 1.0},
+        "spacing": 5e-4,
+    }
     line["bounds"] = {
         "z": (-0.01, 0.24)
     }  # the default mesh ends a support below the lowest centre, not wall
     parts = [
-        silo.cg.select_walls(wall).cg.coarse_grain(**line).wall_traction for wall in ("side", -3)
+        silo.cg.select_walls(wall).cg.coarse_grain(**line).boundary_force_density
+        for wall in ("side", -3)
     ]
     for part, (_, *force) in zip(parts, SUMS, strict=True):
         np.testing.assert_allclose(integral(part), force, atol=MESH)
     np.testing.assert_allclose(
-        parts[0] + parts[1], silo.cg.coarse_grain(**line).wall_traction, atol=1e-9
+        parts[0] + parts[1], silo.cg.coarse_grain(**line).boundary_force_density, atol=1e-9
     )
 
 

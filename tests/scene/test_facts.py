@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.facts import setup_of, with_facts, with_setup
+from xcg.scene.facts import RENAMED, setup_of, with_facts, with_setup
 
 ATTRS = {
     "periodic": "xy",
@@ -42,6 +42,32 @@ def test_a_coordinate_of_the_user_is_named(value):
     ds = xcg.datasets.simple_cubic(3).assign_coords(setup=value)
     with pytest.raises(xcg.SceneError, match=r"'setup' holds .*drop_vars\('setup'\)"):
         ds.cg.coarse_grain("density")
+
+
+def test_saved_results_are_read_with_the_present_names_of_fields(tmp_path):
+    chute = xcg.datasets.open("chute")
+    f = chute.cg.coarse_grain(["boundary_force_density", "stress"], axes="z", width=1.0)
+    mean = f.cg.time_average()
+    old = {new: name for name, new in RENAMED.items() if new in f}
+    assert old == {"boundary_force_density": "wall_traction"}
+    f.rename(old).to_netcdf(tmp_path / "old.nc")
+    with xr.open_dataset(tmp_path / "old.nc") as back:
+        xr.testing.assert_identical(back.cg.time_average().drop_attrs(), mean.drop_attrs())
+        drawn = {"component": "z", "index": 0}
+        assert back.cg.plot("boundary_force_density", **drawn) is not None
+
+
+def test_variables_of_scenes_may_have_former_names_of_fields():
+    ds = xcg.datasets.simple_cubic(3)
+    ds["wall_traction"] = ds.mass.dims, ds.mass.values
+    assert "wall_traction" in with_facts(ds)
+
+
+def test_former_names_of_fields_in_a_request_are_errors_with_the_present_ones():
+    ds = xcg.datasets.simple_cubic(3)
+    for old, new in RENAMED.items():
+        with pytest.raises(ValueError, match=f"unknown field '{old}'; did you mean '{new}'"):
+            ds.cg.coarse_grain(old, fluid_viscosity=1.0)
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])

@@ -255,12 +255,12 @@ def near_a_wall():
         contact_force=[[0, 0, weight]], contact_point=[[0, 0, 0.0]],
     )  # fmt: skip
     f = ds.cg.coarse_grain(
-        ["contact_stress", "wall_traction", "density"], axes="z", extent={"x": 1.0, "y": 1.0},
+        ["contact_stress", "boundary_force_density", "density"], axes="z", extent={"x": 1.0, "y": 1.0},
         spacing=1e-3, bounds={"z": (-1.5, 2.0)},
     ).isel(time=0)  # fmt: skip
     slope = f.contact_stress.sel(component="z", direction="z").differentiate("z")
     load = -9.81 * f.density
-    left = slope - load - f.wall_traction.sel(component="z")
+    left = slope - load - f.boundary_force_density.sel(component="z")
     scale = float(np.abs(load).max())
     return Case(
         "near walls", "without the wall's contact the weight is not supported",

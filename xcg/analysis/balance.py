@@ -67,7 +67,7 @@ def _traction(f: xr.Dataset) -> xr.DataArray:
     """Return the forces of the walls on the grains, and of other phases on a phase."""
     if "phase" in f.dims:
         return f.interphase_force.sum("other_phase")
-    return f.wall_traction
+    return f.boundary_force_density
 
 
 def _momentum(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
@@ -91,7 +91,7 @@ LAWS: dict[str, _Law] = {
     "force": _Law(
         "N m^-3",
         "residual of the divergence of contact stress",
-        ("contact_stress", "contact_force_density", "wall_traction"),
+        ("contact_stress", "contact_force_density", "boundary_force_density"),
         lambda f, div, g: [div(f.contact_stress), f.contact_force_density, -_traction(f)],
     ),
     "torque": _Law(
@@ -121,7 +121,7 @@ LAWS: dict[str, _Law] = {
     "momentum": _Law(
         "N m^-3",
         "residual of the balance of momentum",
-        ("density", "momentum_density", "velocity", "stress", "wall_traction"),
+        ("density", "momentum_density", "velocity", "stress", "boundary_force_density"),
         _momentum,
         rate="momentum_density",
         needs_gravity=True,

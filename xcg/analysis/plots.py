@@ -22,6 +22,7 @@ from xcg.common.checks import POSITIVE, check, check_choice, extra
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, order_of
+from xcg.scene.facts import with_present_names
 from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS, NUMBERED
 from xcg.steps.mapping import each_step, shown
@@ -358,6 +359,7 @@ class _Shown:
     def part(self, f: xr.Dataset) -> xr.Dataset:
         """Return the field, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
         check_choice("shading", self.shading, Shading)
+        f = with_present_names(f)
         name = self._name_in(f)
         cut = _slice(f, self.at)
         axes = axes_of(cut)

@@ -15,7 +15,7 @@ from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.facts import require_facts, with_facts
+from xcg.scene.facts import SETUP, require_facts, with_facts
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
@@ -279,8 +279,10 @@ def depth_average(
     Returns
     -------
     xarray.Dataset
-        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the
-        height of the grains without voids; ``momentum_per_area`` (component, kg/m/s);
+        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``thickness`` (m), the height of
+        the free surface above the base (`free_surface` at half of the bulk's volume fraction), NaN
+        where there is none; ``solid_depth``, ``int phi dz`` (m), the height of the grains without
+        voids; ``momentum_per_area`` (component, kg/m/s);
         ``depth_averaged_velocity`` (component, m/s), their ratio; ``shape_factor`` (component), 1
         for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with contact forces also
         ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
@@ -326,21 +328,23 @@ def depth_average(
     # integrals of sums, by the kernel's marginal
     names = ["density", "momentum_density", "volume_fraction"]
     if "contact_force" in scene.columns:
-        names += ["stress", "wall_traction"]
+        names += ["stress", "boundary_force_density"]
     sums = coarse_grain(
         ds, names, axes=axes, spacing=steps or None, extent=lengths | {axis: 1.0}, **shared
     )
 
-    # the integral of rho u u, over nodes along the axis
+    # the integral of rho u u and the free surface, from nodes along the axis
     profile = coarse_grain(
         ds,
-        ["density", "momentum_density"],
+        ["density", "momentum_density", "volume_fraction"],
         axes="".join(a for a in plane if a in axes + axis),
         spacing=steps | {axis: 0.25 * smooth.width},
         extent=lengths or None,
         **shared,
     )
-    rows = _of_depth(sums, _transport(profile).integrate(axis), axis)
+    surface = free_surface(profile, axis).drop_vars(SETUP)  # that of the sums holds
+    thickness = surface["height"] - surface["base"]
+    rows = _of_depth(sums, _transport(profile).integrate(axis), thickness, axis)
     data = {}
     for name, (values, units, text) in rows.items():
         data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
@@ -349,7 +353,7 @@ def depth_average(
 
 
 def _of_depth(
-    sums: xr.Dataset, transport: xr.DataArray, axis: str
+    sums: xr.Dataset, transport: xr.DataArray, thickness: xr.DataArray, axis: str
 ) -> dict[str, tuple[xr.DataArray, str, str]]:
     """Return integrals over the depth with units and long names; `transport` is that of rho u u."""
     mass = sums["density"]
@@ -358,7 +362,8 @@ def _of_depth(
     shape = _diagonal(transport) * mass / (momentum**2).where(momentum != 0)
     rows = {
         "mass_per_area": (mass, "kg m^-2", "mass per area"),
-        "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
+        "thickness": (thickness, "m", "height of the free surface above the base"),
+        "solid_depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
         "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
         "depth_averaged_velocity": (velocity, "m s^-1", "depth-averaged velocity"),
         "shape_factor": (shape, "1", "shape factor of the velocity"),
@@ -369,7 +374,7 @@ def _of_depth(
         normal = _diagonal(stress)
         across = normal.sel(component=axis, drop=True)
         pressure = normal / across.where(across != 0)
-        traction = sums["wall_traction"]
+        traction = sums["boundary_force_density"]
         rows |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
             "earth_pressure": (pressure, "1", f"normal stress over that along {axis}"),

@@ -156,7 +156,7 @@ class SharedOptions:
         the scene.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and
-        ``effective_viscosity``.
+        ``relative_viscosity``.
     friction : float, optional
         Coefficient of friction between the grains, for ``redundancy_number``: contacts at Coulomb's
         limit slide.

@@ -371,7 +371,7 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
 def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
     """Keep the contacts with some walls, and no others; lazy where the scene is.
 
-    Fields of contacts are then the part that these walls have in them: ``wall_traction`` of several
+    Fields of contacts are then the part that these walls have in them: ``boundary_force_density`` of several
     walls adds up to that of all.
 
     Parameters

@@ -55,6 +55,23 @@ OF_RESULTS = (
 )
 
 
+# present names of fields, by their names in results of earlier versions
+RENAMED = {
+    "wall_traction": "boundary_force_density",
+    "effective_viscosity": "relative_viscosity",
+}
+
+
+def with_present_names(f: xr.Dataset) -> xr.Dataset:
+    """Return a result with its fields, and their errors, under their present names."""
+    names = {}
+    for old, new in RENAMED.items():
+        for end in ("", "_error", "_error_from"):
+            if old + end in f.variables and new + end not in f.variables:
+                names[old + end] = new + end
+    return f.rename(names)
+
+
 def setup_of(attrs: Mapping[Any, Any]) -> xr.Variable:
     """Return the coordinate `setup` of a Dataset with these attributes."""
     facts = {name: attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in attrs}
@@ -74,13 +91,16 @@ def with_setup(ds: xr.Dataset) -> xr.Dataset:
 def with_facts(ds: xr.Dataset) -> xr.Dataset:
     """Return the Dataset with the attributes that it lost and its coordinate `setup` holds.
 
-    Attributes that are there are kept, as users may have changed them.
+    Attributes that are there are kept, as users may have changed them. Fields of results get their
+    present names.
 
     Raises
     ------
     SceneError
         If parts with different facts were joined, or the coordinate is something else.
     """
+    if "particle" not in ds.dims:  # scenes may call their variables anything
+        ds = with_present_names(ds)
     if SETUP not in ds.coords:
         return ds
     parts = [

@@ -23,11 +23,11 @@ import xcg
 ds = xcg.datasets.open(
     "suspension"
 )  # mean diameter, rate of shear and viscosity of the fluid are 1
-names = ["volume_fraction", "viscous_number", "effective_viscosity"]
+names = ["volume_fraction", "viscous_number", "relative_viscosity"]
 options = {"fluid_viscosity": 1.0, "shear_dims": "xy", "pressure_dims": "y"}
 f = ds.cg.coarse_grain(names, axes="y", width=1.0, for_averages=True, **options).compute()
 m = f.cg.time_average(window=6, every=6).mean("y")  # one for each volume fraction
-J, phi, eta = m.viscous_number, m.volume_fraction, m.effective_viscosity
+J, phi, eta = m.viscous_number, m.volume_fraction, m.relative_viscosity
 
 # %%
 # Each average has its error, by the scatter of the steps.
@@ -46,7 +46,7 @@ plt.show()
 # What contacts add to the viscosity, against the part of the measured one that is theirs:
 
 fig, ax = plt.subplots()
-ax.errorbar(J, eta, yerr=m.effective_viscosity_error, fmt="o", label="coarse-grained")
+ax.errorbar(J, eta, yerr=m.relative_viscosity_error, fmt="o", label="coarse-grained")
 ax.plot(curve, mu_c / curve, "k-", label="contacts, Boyer et al.")
 ax.set(
     xscale="log", yscale="log", xlabel="viscous number $J$", ylabel=r"viscosity $\eta_s$ [$\eta_f$]"

@@ -15,7 +15,7 @@ VECTORS = (*PLACES, "velocity", "angular_velocity", "contact_force")
 FIELDS = [
     "sample_count", "density", "velocity", "contact_stress", "kinetic_stress", "velocity_gradient",
     "granular_temperature", "directional_temperature", "fabric", "angular_velocity", "couple_stress", "shear_stress",
-    "wall_traction",
+    "boundary_force_density",
 ]  # fmt: skip
 ROUNDING = 1e-11
 directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -119,7 +119,7 @@ def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
     g = by_hand(ds, frame.axes, origin).cg.coarse_grain(fields, spacing=1.5, width=0.9)
     for a in "xyz":
         np.testing.assert_allclose(f[a], g[a], rtol=0, atol=1e-12)
-    sums = ["density", "contact_stress", "fabric", "wall_traction"]
+    sums = ["density", "contact_stress", "fabric", "boundary_force_density"]
     assert_equal(f[sums], g[sums])
     known = g.sample_count > 12  # fits of few grains multiply the rounding of turned coordinates
     assert known.any()

@@ -116,7 +116,7 @@ def test_points_against_the_definitions(scene):
         "kinetic_stress",
         "contact_stress",
         "fabric",
-        "wall_traction",
+        "boundary_force_density",
     ):
         values = np.array(expected[name], float)
         np.testing.assert_allclose(

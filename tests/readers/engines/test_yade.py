@@ -72,7 +72,7 @@ def test_walls_may_be_the_first_or_second_body(tmp_path):
         with pytest.raises(xcg.SceneError, match="allow_unknown"):
             xcg.open_scene(**given).load()
         ds = xcg.open_scene(**given, allow_unknown=True).load()
-        traction = ds.cg.coarse_grain("wall_traction", axes="").wall_traction[0]
+        traction = ds.cg.coarse_grain("boundary_force_density", axes="").boundary_force_density[0]
         np.testing.assert_allclose(traction, sign * np.array([5, 2, 0]) / 1000, rtol=1e-12)
 
 

@@ -30,7 +30,7 @@ from xcg.fields.formulas.rows import (
     rheology,
 )
 from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
-from xcg.scene.facts import SETUP
+from xcg.scene.facts import RENAMED, SETUP
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
@@ -39,7 +39,7 @@ REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(REGISTERED, _ROWS))
 # Fields by the symbols and words that others use for them.
-OTHER_NAMES = {
+OTHER_NAMES = RENAMED | {
     "phi": "volume_fraction",
     "nu": "volume_fraction",
     "solid_fraction": "volume_fraction",

@@ -74,7 +74,7 @@ ROWS: dict[str, LammpsRow] = {
     "stress": _negative("stress"),
     "stress/ke": _negative("kinetic_stress"),
     "stress/contacts": _negative("contact_stress"),
-    "boundary/force": _negative("wall_traction"),
+    "boundary/force": _negative("boundary_force_density"),
     "temperature": LammpsRow("kinetic_stress", "tr(kinetic_stress) / 2", _half_trace),
 }
 _NOT_FOLLOWED = {

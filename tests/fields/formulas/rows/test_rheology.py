@@ -56,9 +56,9 @@ def test_the_inertial_number_takes_the_chosen_size():
         np.testing.assert_allclose(ones[size], ones["d43"], rtol=1e-12)
 
 
-def test_viscous_number_and_effective_viscosity():
+def test_viscous_number_and_relative_viscosity():
     ds = xcg.datasets.random_scene(150, seed=6)
-    names = ["viscous_number", "effective_viscosity", "shear_rate", "pressure", "shear_stress"]
+    names = ["viscous_number", "relative_viscosity", "shear_rate", "pressure", "shear_stress"]
     f = ds.cg.coarse_grain(names, width=0.9, spacing=1.3, fluid_viscosity=2e-3)
     firm = f.pressure > 0
     assert firm.any()
@@ -66,18 +66,29 @@ def test_viscous_number_and_effective_viscosity():
         f.viscous_number, (2e-3 * f.shear_rate / f.pressure).where(firm), rtol=1e-12
     )
     np.testing.assert_allclose(
-        f.effective_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12
+        f.relative_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12
     )
     assert "viscous_number" not in ds.cg.coarse_grain(width=0.9, spacing=1.3)
     with pytest.raises(ValueError, match="needs the argument fluid_viscosity="):
         ds.cg.coarse_grain("viscous_number")
 
 
+def test_the_granular_viscosity_is_the_relative_one_times_that_of_the_fluid():
+    names = ["granular_viscosity", "relative_viscosity", "shear_stress", "shear_rate", "pressure"]
+    ds = xcg.datasets.random_scene(150, seed=6)
+    f = ds.cg.coarse_grain(names, width=0.9, spacing=1.3, fluid_viscosity=2e-3)
+    viscosity = f.granular_viscosity
+    assert viscosity.attrs["units"] == "Pa s"
+    np.testing.assert_allclose(viscosity, f.shear_stress / f.shear_rate, rtol=1e-12)
+    firm = f.pressure > 0
+    np.testing.assert_allclose(viscosity.where(firm), 2e-3 * f.relative_viscosity, rtol=1e-12)
+
+
 def test_rheology_is_nan_where_the_pressure_is_not_positive():
     ds = xcg.datasets.random_scene(150, seed=6)
     names = [
         "viscous_number",
-        "effective_viscosity",
+        "relative_viscosity",
         "inertial_number",
         "friction_coefficient",
         "pressure",

@@ -1,4 +1,4 @@
-"""Contacts and phases: stress, traction of walls, fabric and its anisotropy, and how phases act on each other.
+"""Contacts and phases: stress, force of walls, fabric and its anisotropy, and how phases act on each other.
 
 With n the normal of a contact, l its branch along n (from centre to centre, at a wall to the
 contact point), f its force and f_t the tangential part, <> the mean over contacts at the node, dev
@@ -14,7 +14,8 @@ with a_t = 5 dev X_t (4 in a plane), to first order in the anisotropies.
 Sources: Rothenburg & Bathurst (1989), Geotechnique 39, 601 (plane); Ouadfel & Rothenburg (2001),
 Mech. Mater. 33, 201, and Guo & Zhao (2013), Comput. Geotech. 47, 1 (space); anisotropies from these
 sums: Azema, Radjai & Saussine (2009), Mech. Mater. 41, 729. Strong contacts: Radjai et al. (1998),
-Phys. Rev. Lett. 80, 61. Constraints over degrees of freedom: Kruyt (2010), C. R. Mecanique 338,
+Phys. Rev. Lett. 80, 61. Density of the boundary's force: Weinhart, Thornton, Luding & Bokhove
+(2012), Granul. Matter 14, 289. Constraints over degrees of freedom: Kruyt (2010), C. R. Mecanique 338,
 596; partners from which grains bear load: Thornton (2000), Geotechnique 50, 43. Phases: Weinhart,
 Luding & Thornton (2013), AIP Conf. Proc. 1542; Gray & Thornton (2005), Proc. R. Soc. A 461.
 """
@@ -87,11 +88,11 @@ _ROWS: dict[str, Field] = {
         option="by",
         paired=True,
     ),
-    "wall_traction": sum_of(
+    "boundary_force_density": sum_of(
         "traction",
         rank=1,
         units="Pa m^-1",
-        long_name="traction of walls on the grains",
+        long_name="force of walls on the grains per volume",
         formula="t = sum_w f_iw Psi(r - c_iw)",
     ),
     "contact_force_density": sum_of(
@@ -268,7 +269,7 @@ _ROWS: dict[str, Field] = {
 }
 _USUAL = (
     "contact_stress",
-    "wall_traction",
+    "boundary_force_density",
     "contact_force_density",
     "fabric",
     "coordination_number",

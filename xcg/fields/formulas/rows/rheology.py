@@ -93,12 +93,20 @@ ROWS: dict[str, Field] = {
         fields=("shear_rate", "pressure"),
         option="fluid_viscosity",
     ),
-    "effective_viscosity": Field(
-        long_name="effective viscosity relative to that of the fluid",
+    "relative_viscosity": Field(
+        long_name="viscosity of the grains alone relative to that of the fluid",
         formula="eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
         compute=lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
         fields=("friction_coefficient", "viscous_number"),
         option="fluid_viscosity",
+    ),
+    "granular_viscosity": Field(
+        units="Pa s",
+        long_name="granular viscosity",
+        formula="eta = |dev sigma| / |Gamma|",
+        compute=lambda f, s, o: ratio(f.shear_stress, f.shear_rate),
+        fields=("shear_stress", "shear_rate"),
+        default=False,
     ),
     "_size": Field(units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",)),
 }
