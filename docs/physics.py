@@ -1,4 +1,4 @@
-"""Second part of docs/accuracy.md: errors of width, spacing, frames, sampling and kernel in known flows."""
+"""Second part of docs/accuracy.md: errors of width, spacing, frames and kernel in known flows."""
 
 from __future__ import annotations
 
@@ -21,17 +21,15 @@ DEFAULT = {
     "spacing": 1.0,
     "frames": 16,
     "kernel": "lucy",
-    "sampling": "node",
 }  # spacing in widths
 CHOICES: Mapping[str, Sequence[Any]] = {
     "width": (0.5, 0.75, 1.0, 1.5, 2.0),
     "spacing": (0.5, 1.0, 1.5, 2.0),
     "frames": (1, 4, 16, 64),
     "kernel": ("lucy", "gaussian", "heaviside"),
-    "sampling": ("node", "cell"),
 }
 SIDE = 12.0
-TEXT = """## Bias and noise: width, spacing, frames, sampling, kernel
+TEXT = """## Bias and noise: width, spacing, frames, kernel
 
 The errors so far are numerical. Physical errors are a million times larger: noise of too few particles, and bias of
 gradients that the width smears. The flows here are known (`tests/flows.py`): random grains at a volume fraction of 0.4
@@ -51,8 +49,7 @@ Repeat with `python -m docs.accuracy --part physics`.
 In the last panel, no other choice is both faster and more exact than these:
 {front}.
 The default spacing of w is not among them, and is kept: 1.5 w takes about three quarters of the time, but its linear
-interpolation has twice the error if there is little noise. `sampling="cell"` is for meshes that are coarser than the
-kernel, where its cost falls.
+interpolation has twice the error if there is little noise.
 
 Bias and noise of one frame, relative to the root mean square of each field, in profiles at the default width and at the
 width that `choose_width` takes for 16 frames:
@@ -91,7 +88,7 @@ def of_choice(whole: Flow, points: NDArray, choice: Mapping[str, Any]) -> tuple[
         begin = time.perf_counter()
         f = scene.cg.coarse_grain(
             "velocity", width=choice["width"], spacing=spacing, bounds=bounds, kernel=choice["kernel"],
-            sampling=choice["sampling"], for_averages=True,
+            for_averages=True,
         )  # fmt: skip
         mean = (f.velocity.fillna(0.0) * f.density).sum("time") / f.density.sum("time")
         times.append(time.perf_counter() - begin)

@@ -12,7 +12,6 @@ def use(ds: xr.Dataset) -> None:
     path.cg.save("velocity.nc")
     coarse_grain(ds, widht=1.0)  # type: ignore[call-arg]
     CoarseGrainAccessor(ds).coarse_grain(widht=1.0)  # type: ignore[call-arg]
-    coarse_grain(ds, sampling="cells")  # type: ignore[arg-type]
     coarse_grain(ds, gradient="least squares")  # type: ignore[arg-type]
     coarse_grain(ds, deviatoric="none")  # type: ignore[arg-type]
     coarse_grain(ds, size="d10")  # type: ignore[arg-type]
@@ -27,9 +26,7 @@ def use(ds: xr.Dataset) -> None:
     CoarseGrainAccessor(ds).slice_temperature(method="slices")  # type: ignore[arg-type]
     open_scene("particles.*", shape="disk", missing="leave")  # type: ignore[arg-type]
     Mean("density", weight="masses")  # type: ignore[arg-type]
-    coarse_grain(
-        ds, kernel="my own", sampling="cell", gradient="paper", per="accessible", on_error="skip"
-    )
+    coarse_grain(ds, kernel="my own", gradient="paper", per="accessible", on_error="skip")
     CoarseGrainAccessor(ds).balance("density")  # type: ignore[call-arg]
     CoarseGrainAccessor(ds).force_chains(alpha="a")  # type: ignore[arg-type]
     path = CoarseGrainAccessor(ds).explain()  # type: ignore[assignment]

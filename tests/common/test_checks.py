@@ -32,7 +32,7 @@ from xcg.fields.formulas.field import (
     Weight,
 )
 from xcg.fields.formulas.registry import WAYS
-from xcg.fields.request import Per, Preset, Sampling
+from xcg.fields.request import Per, Preset
 from xcg.fields.sums.kernels import KernelName
 from xcg.steps.faults import OnError
 
@@ -223,7 +223,7 @@ def test_choices_in_annotations_are_the_valid_ones():
 
 @pytest.mark.parametrize(("name", "choices"), [
     ("gradient", Gradient), ("deviatoric", Deviatoric), ("size", InertialSize), ("temperature", Temperature),
-    ("sampling", Sampling), ("preset", Preset), ("per", Per), ("on_error", OnError),
+    ("preset", Preset), ("per", Per), ("on_error", OnError),
 ])  # fmt: skip
 def test_a_wrong_choice_lists_the_valid_ones(name, choices):
     with pytest.raises(

@@ -101,7 +101,7 @@ def mesh(axes):
     """Block of nodes 0.4 cutoffs apart, the nodes as loops take them, and their places (n, 3)."""
     active = np.array([a in axes for a in "xyz"])
     shape = tuple(np.where(active, (4, 3, 5), 1).tolist())
-    block = MeshBlock((0, 0, 0), shape, shape, np.full(3, 0.4), np.zeros(3))
+    block = MeshBlock((0, 0, 0), shape, shape, np.full(3, 0.4))
     places = 0.4 * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(
         -1, 3
     )

@@ -16,7 +16,7 @@ FIELDS = ["velocity", "contact_stress"]
         {"axes": "z", "width": "0.9 d43", "kernel": "gaussian"},
         {"axes": "xz", "at": {"y": 1.5}, "spacing": 0.3, "bounds": {"x": (0.1, 2.0)}},
         {"axes": "z", "by": "species", "gradient": "paper", "rtol": 1e-3},
-        {"axes": "z", "sampling": "cell", "spacing": 1.0, "extent": {"x": 2.0}},
+        {"axes": "z", "spacing": 1.0, "extent": {"x": 2.0}},
         {"axes": "", "at": {a: xr.DataArray([1.0, 2.0], dims="s") for a in "xyz"}},
     ],
 )
@@ -51,6 +51,15 @@ def test_results_of_other_scenes_have_the_same_nodes():
     )
     np.testing.assert_allclose(g.contact_stress, expected.contact_stress, atol=1e-9, rtol=1e-9)
     assert b.cg.explain(FIELDS, like=f).kernel.width == f.attrs["width"]
+
+
+def test_averages_over_cells_of_earlier_versions_are_no_pattern():
+    ds = xcg.datasets.random_scene(50)
+    f = ds.cg.coarse_grain("density", axes="z")
+    again = ds.cg.coarse_grain("density", like=f.assign_attrs(sampling="node"))
+    xr.testing.assert_equal(again, f)
+    with pytest.raises(ValueError, match=r"averages over cells.*give width=, spacing= and bounds="):
+        ds.cg.coarse_grain("density", like=f.assign_attrs(sampling="cell"))
 
 
 def test_unlike_arguments_are_named():

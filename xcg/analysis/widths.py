@@ -190,7 +190,6 @@ def _with_nodes(
         spacing=spacing,
         kernel=asked.kernel,
         extent=asked.extent,
-        sampling=asked.sampling,
     )
     grid = make_plan(describe(ds), placing).deposit.grid
     ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}

@@ -1,4 +1,4 @@
-"""Integrals of kernels along lines, at one node and at many, and means over the cells of a mesh.
+"""Integrals of kernels along lines, at one node and at many.
 
 A segment at distance h from a point, running from t0 to t1 along its own line, contributes the
 integral of the value at sqrt(h^2 + t^2) over t. Kinds and tables as in
@@ -6,7 +6,6 @@ integral of the value at sqrt(h^2 + t^2) over t. Kinds and tables as in
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from xcg.compiled.polynomials import (
     lucy_line,
     lucy_plane,
 )
-from xcg.compiled.reach import OF_Y, OF_Y2, OF_Z, OF_Z2, Rows, padded
+from xcg.compiled.reach import padded
 from xcg.compiled.smoothing import (
     HEAVISIDE,
     LUCY,
@@ -287,173 +286,3 @@ def largest_error(
     exact = _means(length, 0, along, q2, kind, table)
     rule = _means(length, order, along, q2, kind, table)
     return float(np.abs(rule - exact).max() / exact.max())
-
-
-# --- means over cells ------------------------------------------------------------------------------------
-#
-# A cell is a box about its node. The mean of the kernel over it, ``(1 / V) int Psi(x - o) do``, is
-# a kernel of its own, so that sums with it work as for any kernel, counts and squares of weights
-# included.
-#
-# Along the last of the axes that have an extent the integral is the closed form of a line. Along
-# the others it is by Gauss-Legendre points within the part of the cell that the support reaches:
-# over the angle along the chord, which takes the root at its end out of the integrand, and on
-# either side of the grain's centre, where the kernel may have a cusp. Kernels that are not smooth
-# at radii within the support, their *rims*, take points between each two of them. Weights of these
-# points are positive. Lengths are in units of the cutoff and relative to the first node.
-
-
-# Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in
-# docs/evaluation.md
-FEWEST = 3
-PER_RIM = 5
-_CELL_POINTS, _CELL_WEIGHTS = gauss_rules(*range(1, FEWEST + PER_RIM + 1))
-
-
-class Volumes(NamedTuple):
-    """Nodes of a mesh and the cells around them.
-
-    Attributes
-    ----------
-    rows : Rows
-        The nodes.
-    half : tuple of float
-        Half of the cell's extent along each axis; 0 along axes that are not resolved.
-    order : tuple of int
-        The axes, those without an extent first.
-    """
-
-    rows: Rows
-    half: tuple[float, float, float]
-    order: tuple[int, int, int]
-
-
-@inner
-def _list_points(place, half, inner2, outer2, apart, values, at, weight):
-    """Write points, and weights, of the integral over an interval about a place, between two squared distances from 0.
-
-    The number of points rises with the length, over the root of how far apart two rims are, as
-    there is less to follow between close ones. An interval without an extent is one point. Returns
-    the number of points.
-    """
-    if half == 0.0:
-        values[at, 0] = place
-        values[weight, 0] = 1.0
-        return int(inner2 <= place * place < outer2)
-    nearest = math.sqrt(inner2)
-    radius = math.sqrt(outer2)
-    count = 0
-    lowest = max(place - half, -radius)
-    highest = min(place + half, radius)
-    for low, high in ((lowest, min(highest, -nearest)), (max(lowest, nearest), highest)):
-        if low < high:
-            many = FEWEST + math.ceil(PER_RIM * min(1.0, (high - low) / math.sqrt(apart)))
-            first = math.asin(low / radius)
-            turn = math.asin(high / radius) - first
-            for k in range(many):
-                angle = first + turn * _CELL_POINTS[many, k]
-                values[at, count] = radius * math.sin(angle)
-                values[weight, count] = _CELL_WEIGHTS[many, k] * turn * radius * math.cos(angle)
-                count += 1
-    return count
-
-
-class RowOfCells(NamedTuple):
-    """Cells of a row along the last axis, as seen from a point, in the order of the axes.
-
-    Attributes
-    ----------
-    place : tuple of float
-        The point minus the node with number 0 in the row.
-    half : tuple of float
-        Half of the cell's extent along each axis.
-    step : float
-        Spacing of the nodes.
-    node, many : int
-        Number of the first node, and how many there are.
-    """
-
-    place: tuple[float, float, float]
-    half: tuple[float, float, float]
-    step: float
-    node: int
-    many: int
-
-
-@inlined
-def _integrals_along(q2, row, kind, table, factor, out, first):
-    """Add to the nodes of a row the integral of the kernel over the extent of each along it."""
-    half = row.half[2]
-    for k in range(row.many):
-        middle = row.place[2] - (row.node + k) * row.step  # the same bits in any block of nodes
-        if half > 0.0:
-            out[first + k] += factor * segment(kind, table, q2, middle - half, middle + half)
-        elif q2 + middle * middle < 1.0:
-            out[first + k] += factor * value(kind, table, q2 + middle * middle)
-
-
-@inner
-def _add_columns(row, kind, table, rims, norm, values, out, first):
-    """Add the integral of the kernel over the cells of a row."""
-    da, db, _ = row.place
-    half_a, half_b, _ = row.half
-    nearest = 0.0
-    for farthest in rims:
-        apart = farthest - nearest
-        many = _list_points(
-            da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2
-        )
-        for i in range(many):
-            across2 = values[OF_Y, i] * values[OF_Y, i]
-            inner = 0.0
-            inner2 = 0.0
-            for rim in rims:
-                outer2 = rim * rim - across2
-                if outer2 > 0.0:
-                    points = _list_points(
-                        db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2
-                    )
-                    for j in range(points):
-                        q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
-                        factor = norm * values[OF_Y2, i] * values[OF_Z2, j]
-                        if q2 < 1.0:
-                            _integrals_along(q2, row, kind, table, factor, out, first)
-                    inner2 = outer2
-                inner = rim
-        nearest = farthest
-
-
-@inner
-def integrate_row(place, node, many, share, volumes, kernel, values, out, first):
-    """Add a share of the mean of the kernel over the cells of `many` nodes of a row along the last axis.
-
-    `place` is a point minus the node with number 0 in the row, in the order of the axes, and `node`
-    the number of the first of these nodes. Where cells cover the whole support along an axis, the
-    marginal takes the place of points there.
-    """
-    kind, table, norm, rims, once, twice, _ = kernel
-    norm *= share
-    a, b, c = volumes.order
-    da, db, dc = place
-    half_a = volumes.half[a]
-    half_b = volumes.half[b]
-    half_c = volumes.half[c]
-    for k in range(3):
-        if volumes.half[k] > 0.0:
-            norm /= 2.0 * volumes.half[k]
-    covered = 0
-    if abs(da) + 1.0 <= half_a:
-        da = 0.0
-        half_a = 0.0
-        covered = 1
-    if abs(db) + 1.0 <= half_b:
-        db = 0.0
-        half_b = 0.0
-        covered += 1
-    row = RowOfCells((da, db, dc), (half_a, half_b, half_c), volumes.rows.steps[c], node, many)
-    if covered == 0:
-        _add_columns(row, kind, table, rims, norm, values, out, first)
-    elif covered == 1:
-        _add_columns(row, once.kind, once.table, rims, norm, values, out, first)
-    else:
-        _add_columns(row, twice.kind, twice.table, rims, norm, values, out, first)

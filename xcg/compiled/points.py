@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.arrays import along_active, image_of
-from xcg.compiled.cell_means import mean_over_cell, volumes_in_ball
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import (
     BATCH,
@@ -124,7 +123,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
         The grains.
     nodes : Nodes
         A block of nodes.
-    kernel : KernelCode, or CellKernel with volumes
+    kernel : KernelCode
         The smoothing function.
     level : int
         NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many kinematic columns are wanted.
@@ -177,25 +176,14 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
                         z = image_of(z0, image_z, period[2])
                         hits = nodes_in_ball(x, y, z, nodes.rows, lists)
                         hits += points_in_ball(x, y, z, nodes.cells, lists)
-                        hits += volumes_in_ball(x, y, z, nodes.volumes, kernel, lists)
-                        if nodes.volumes is None:
-                            fill_values(kind, table, norm, by_gradient, q2, hits, weight)
+                        fill_values(kind, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, moments, reference)
                         if level == CUBIC:
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
-                            _add_images(
-                                p,
-                                records[i, WEIGHED],
-                                lists,
-                                hits,
-                                level,
-                                meet,
-                                nodes.volumes,
-                                kernel,
-                                moments,
-                            )
+                            mass = records[i, WEIGHED]
+                            _add_images(p, mass, lists, hits, level, meet, kernel, moments)
                         for d in range(0, columns, 4):
                             first = GRAIN + d
                             four = (
@@ -281,7 +269,7 @@ def _add_cubes(p, records, i, lists, hits, moments, reference):
 
 
 @inner
-def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
+def _add_images(p, mass, lists, hits, level, meet, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
     kind = kernel.kind
     table = kernel.table
@@ -298,11 +286,7 @@ def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
             y = values[Y, k] + move_y
             z = values[Z, k] + move_z
             q2[k] = min(1.0, x * x + y * y + z * z)
-            if volumes is not None:
-                mean_over_cell(x, y, z, volumes, kernel, values, other, k)
-                q2[k] = 0.0 if other[k] > 0.0 else 1.0
-        if volumes is None:
-            fill_values(kind, table, norm, None, q2, hits, other)
+        fill_values(kind, table, norm, None, q2, hits, other)
         for k in range(hits):
             if q2[k] >= 1.0:
                 continue

@@ -56,9 +56,9 @@ class Nodes(NamedTuple):
         Whether distance along an axis counts.
     period : tuple of float
         Period, infinite without one.
-    rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
-        The nodes themselves: of a mesh, points anywhere, or cells of a mesh. None leaves code out
-        when a loop is compiled.
+    rows, cells : Rows or PointCells, one of them, and None
+        The nodes themselves: of a mesh, or points anywhere. None leaves code out when a loop is
+        compiled.
     """
 
     begin: tuple[float, float, float]
@@ -67,7 +67,6 @@ class Nodes(NamedTuple):
     period: tuple[float, float, float]
     rows: Any = None
     cells: Any = None
-    volumes: Any = None
 
 
 class Rows(NamedTuple):
@@ -132,16 +131,11 @@ def padded(count):
 
 
 def lists_for(
-    rows: Rows,
-    active: Sequence[bool],
-    reach: Sequence[float],
-    real: str = "float64",
-    least: int = 1,
+    rows: Rows, active: Sequence[bool], reach: Sequence[float], real: str = "float64"
 ) -> Lists:
     """Make lists for anything that reaches this far, from end to end, along the active axes of a mesh.
 
-    They have room for `least` nodes or more. The integers come with tables of the indices of the
-    nodes of a row and of the rows of a plane.
+    The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
     """
     low, high, steps, _ = rows
     most = 1
@@ -151,7 +145,7 @@ def lists_for(
             reached += int(far / step)
         # no more than there are: along an axis with one node the spacing means nothing
         most *= min(end - first, reached)
-    room = padded(max(most, least)) + PAD
+    room = padded(most) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
     numbers[OF_Y] = np.arange(room) * (high[2] - low[2])

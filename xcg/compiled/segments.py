@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import Reduced, along_active, gauss_rules, image_of
-from xcg.compiled.cell_means import volumes_along_segment
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
 from xcg.compiled.lines import SHORT, SHORT_ORDER, fill_segments
@@ -335,7 +334,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         The segments.
     nodes : Nodes
         A block of nodes.
-    kernel : KernelCode, or CellKernel with volumes
+    kernel : KernelCode
         The smoothing function.
     lists : Lists
         Scratch: in single precision where that is enough for distances and weights; sums are in
@@ -354,9 +353,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     period = nodes.period
     kind = kernel.kind
     table = kernel.table
-    norm = 1.0
-    if nodes.volumes is None:
-        norm = kernel.norm
+    norm = kernel.norm
     values, numbers = lists
     records = segments.records
     along = values[ALONG]
@@ -396,11 +393,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                     hits += points_around_segment(
                         x, y, z, bx, by, bz, per_length, nodes.cells, lists
                     )
-                    if nodes.volumes is not None:  # with their weights
-                        hits = volumes_along_segment(
-                            (x, y, z), branch, length, nodes.volumes, kernel, lists
-                        )
-                    elif points:
+                    if points:
                         rule = GAUSS_POINTS[points, :points]
                         shares = GAUSS_WEIGHTS[points, :points]
                         fill_gauss(kind, table, rule, shares, length, along, q2, hits, w)

@@ -19,7 +19,7 @@ test.)
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,23 +53,6 @@ class KernelCode(NamedTuple):
     kind: int | None
     table: NDArray | None
     norm: float
-
-
-class CellKernel(NamedTuple):
-    """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
-
-    `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over
-    the cutoff, rising, at which it is not smooth; the last is that of its support. `means` is a
-    table for cells of one size, see `xcg.compiled.cell_means`.
-    """
-
-    kind: int | None
-    table: NDArray | None
-    norm: float
-    rims: NDArray
-    once: KernelCode
-    twice: KernelCode
-    means: Any = None
 
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache

@@ -52,10 +52,6 @@ def check_walls(request: Request) -> None:
                 "per='accessible' needs surfaces=, for example surfaces=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
             )
         return
-    if request.sampling == "cell":
-        raise ValueError(
-            "surfaces= with sampling='cell': the accessible fraction is that at a node; leave one out"
-        )
     if request.preset is not None:
         raise ValueError(
             f"surfaces= with preset={request.preset!r}: presets know no accessible volume; leave one out"

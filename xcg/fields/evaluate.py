@@ -286,9 +286,6 @@ def _choices(plan: Plan) -> dict[str, Any]:
     if len(plan.widths) > 1:
         width = plan.widths
         cutoff = list(plan.deposit.cutoffs)
-    sampling = "node"
-    if grid.half.any():
-        sampling = "cell"
     shear_dims = "".join(COMPONENTS[k] for k in options.shear_axes or ())
     lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
     choices = {
@@ -303,7 +300,6 @@ def _choices(plan: Plan) -> dict[str, Any]:
         "deviatoric": options.deviatoric,
         "size": options.size,
         "temperature": options.temperature,
-        "sampling": sampling,
         "averaged_axes": grid.averaged,
         "wrapped_axes": "".join(
             a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps

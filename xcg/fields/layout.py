@@ -48,14 +48,13 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
             cutoff=smallest.cutoff,
             automatic=automatic,
             period=scene.periods,
-            cells=request.sampling == "cell",
         )
     assert isinstance(request.frame, Cylindrical)
-    for name, wrong in (("gradient", "finite_difference"), ("sampling", "cell")):
-        if getattr(request, name) == wrong:
-            raise ValueError(
-                f"{name}={wrong!r} takes a mesh along x, y and z, and a cylindrical frame has none: leave it out"
-            )
+    if request.gradient == "finite_difference":
+        raise ValueError(
+            "gradient='finite_difference' takes a mesh along x, y and z, and a cylindrical frame has none: "
+            "leave it out"
+        )
     if {"x", "y"} <= set(automatic) and scene.radius is not None:
         automatic["r"] = (0.0, scene.radius + widest.cutoff)
     return make_rings(
@@ -90,11 +89,6 @@ def _spacing_of(
 
 def _check_pointwise(request: Request) -> None:
     """Raise ValueError for options that only meshes have."""
-    if request.sampling == "cell":
-        raise ValueError(
-            "sampling='cell' takes averages over the cells of a mesh, and points, which at= has arrays of, have none: "
-            "leave it out, or lay a mesh with axes=, bounds= and spacing="
-        )
     for name in ("axes", "bounds", "spacing"):
         if getattr(request, name):
             raise ValueError(

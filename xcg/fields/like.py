@@ -17,7 +17,7 @@ from xcg.scene.frame import with_rising
 from xcg.scene.schema import COMPONENTS
 
 _SAME_NODES = 1e-9  # of the spacing
-_OPTIONS = ("gradient", "deviatoric", "size", "temperature", "sampling", "rtol", "pressure_dims")
+_OPTIONS = ("gradient", "deviatoric", "size", "temperature", "rtol", "pressure_dims")
 _IF_GIVEN = ("shear_dims", "fluid_viscosity", "friction")
 
 
@@ -44,6 +44,11 @@ def request_like(request: Request) -> Request:
     if "r" in f.coords or "theta" in f.coords:
         raise ValueError(
             "like= has cylindrical axes: give axes=, spacing= and bounds= to both calls"
+        )
+    if f.attrs.get("sampling") == "cell":
+        raise ValueError(
+            "like= holds averages over cells, which earlier versions computed (sampling='cell'): "
+            "give width=, spacing= and bounds= to both calls"
         )
     if np.ndim(f.attrs["width"]):
         raise ValueError("like= has a width for each group: give the same width= to both calls")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,7 +34,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
-from xcg.fields.sums.step import AnyKernel, DepositSpec
+from xcg.fields.sums.step import DepositSpec
 from xcg.scene.conform import require_scene
 from xcg.scene.description import Description, Summary
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
@@ -197,15 +197,12 @@ class Plan:
 def effective_count(scene: Description, plan: Plan) -> float | None:
     """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
 
-    None for rings, averages over cells and widths by group, whose weights are not those of one
-    kernel.
+    None for rings and widths by group, whose weights are not those of one kernel.
     """
     lengths = [
         length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
     ]
-    other_weights = (
-        scene.cylindrical or plan.deposit.grid.half.any() or len(plan.deposit.cutoffs) > 1
-    )
+    other_weights = scene.cylindrical or len(plan.deposit.cutoffs) > 1
     if other_weights or "d43" not in scene.sizes or not np.isfinite(lengths).all():
         return None
     space = scene.setup.dimension
@@ -245,13 +242,10 @@ def make_plan(scene: Description, request: Request) -> Plan:
     groups: tuple[int, ...] = ()
     if by is not None or request.groups is not None:
         groups = scene.groups(by, request.groups)
-    weights: Callable[[int], AnyKernel] = kernels[0].weights
-    if grid.half.any():
-        weights = kernels[0].over_cells
     deposit = DepositSpec(
         rows=moments,
         grid=grid,
-        weights=weights(len(grid.seen)),
+        weights=kernels[0].weights(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
@@ -469,11 +463,6 @@ def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set
 
 def _options_of(scene: Description, request: Request) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
-    if request.sampling == "cell" and request.gradient == "kernel":
-        raise ValueError(
-            "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
-            "gradient='least_squares' (the default), or 'finite_difference' between the cells"
-        )
     setup = scene.setup
     size = request.size
     indices: dict[str, tuple[int, ...]] = {}

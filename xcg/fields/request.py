@@ -79,7 +79,6 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "surfaces": (_are_walls, "a list of xcg.Plane, xcg.Cylinder and xcg.Surface"),
 }
 
-Sampling: TypeAlias = Literal["node", "cell"]
 Preset: TypeAlias = Literal["pysammos", "lammps"]
 Per: TypeAlias = Literal["accessible"]
 _CHOICES: dict[str, Any] = {
@@ -87,7 +86,6 @@ _CHOICES: dict[str, Any] = {
     "deviatoric": Deviatoric,
     "size": InertialSize,
     "temperature": Temperature,
-    "sampling": Sampling,
     "preset": Literal[Preset, None],
     "per": Literal[Per, None],
 }
@@ -123,11 +121,6 @@ class SharedOptions:
         First and last node of resolved axes (m); the last one lies before its bound where the
         spacing does not divide the range. By default the box along periodic axes, and the extent of
         the particles with their supports along the others.
-    sampling : {"node", "cell"}
-        "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each
-        node, which extends half a spacing to every side along resolved axes: for meshes that are
-        coarser than the kernel, as cells side by side count all mass, however large they are.
-        Ratios are ratios of averages, as with a wider kernel.
     by : str, optional
         An integer variable of the particles, for example "species": adds the dimension ``phase``
         with "bulk" first. Fluctuations of each phase are about the bulk velocity; contact stress is
@@ -194,7 +187,6 @@ class SharedOptions:
     spacing: float | str | Mapping[str, float | str] | None = None
     axes: str | None = None
     bounds: Mapping[str, Sequence[float]] | None = None
-    sampling: Sampling = "node"
     by: str | None = None
     groups: Sequence[int] | None = None
     extent: Mapping[str, float] | None = None

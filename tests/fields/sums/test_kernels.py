@@ -506,15 +506,12 @@ def test_shells_without_the_compiler_have_the_same_bits():
             )  # logarithms of two libraries
 
 
-@pytest.mark.parametrize("sampling", ["node", "cell"])
-def test_total_stress_of_a_registered_kernel_is_the_virial(sampling):
+def test_total_stress_of_a_registered_kernel_is_the_virial():
     """The mean of the contact stress over a periodic box is the sum of forces times branches over its volume."""
     ds = xcg.datasets.random_scene(20, seed=3)
     for kernel in ("cubic spline", "wendland"):
-        options = {"kernel": kernel, "width": 1.2, "sampling": sampling}
-        found = ds.cg.coarse_grain(
-            "contact_stress", spacing=5 / 24 if sampling == "node" else 5 / 3, **options
-        )
+        options = {"kernel": kernel, "width": 1.2, "spacing": 5 / 24}
+        found = ds.cg.coarse_grain("contact_stress", **options)
         whole = ds.cg.coarse_grain("contact_stress", axes="", width=1.2)
         mean = found.contact_stress.mean(["x", "y", "z"])
         np.testing.assert_allclose(

@@ -35,7 +35,6 @@ CALLS = {
     },
     "a kernel that wraps": {"fields": "stress", "width": 2.2, "spacing": 0.9},
     "averages along axes": {"fields": "contact_stress", "axes": "x", "width": 0.3},
-    "cells": {"fields": "contact_stress", "sampling": "cell", "width": 0.5, "spacing": 1.3},
     "points": {"fields": "contact_stress", "width": 0.4, "at": "points"},
 }
 

@@ -66,7 +66,7 @@ def check_places(
 
 
 def labels_of(
-    nodes: Mapping[str, NDArray], fixed: Mapping[str, float], note: str
+    nodes: Mapping[str, NDArray], fixed: Mapping[str, float], note: str = ""
 ) -> tuple[dict[str, xr.Variable], dict[str, str]]:
     """Coordinates of results, and where the nodes are in words, with a note about them."""
     coords = {a: xr.Variable(a, x) for a, x in nodes.items()}
@@ -129,8 +129,7 @@ def nodes_along(
         warn_once(
             f"spacing along {a}",
             f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
-            "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
-            "sampling='cell' for averages over the spacing around each node",
+            "particles between nodes are not seen; choose a smaller spacing or a larger width",
         )
     return first + step * np.arange(int(count)), float(step)
 
@@ -166,7 +165,7 @@ def make_grid(
     period : mapping
         Length of the periodic axes (m).
     cells : bool
-        Whether values are averages over the cells of the nodes.
+        Whether the nodes are centres of cells, as `xcg.cell_volumes` takes them.
 
     Raises
     ------
@@ -178,11 +177,8 @@ def make_grid(
     check_places(axes, at, bounds, plane)
     axes = "".join(sorted(axes))
     steps: Mapping[str, Any] = dict.fromkeys(axes, spacing)
-    note = ""
     if isinstance(spacing, Mapping):
         steps = spacing
-    if cells and axes:
-        note = ", averages over their cells"
     nodes: dict[str, NDArray] = {}
     distances: dict[str, float] = {}
     for a in axes:
@@ -196,7 +192,7 @@ def make_grid(
             "larger spacing or smaller bounds"
         )
     fixed = {a: float(v) for a, v in at.items()}
-    coords, text = labels_of(nodes, fixed, note)
+    coords, text = labels_of(nodes, fixed)
     firsts = fixed | {a: float(x[0]) for a, x in nodes.items()}
     origin = np.array([firsts.get(a, 0.0) for a in COMPONENTS])
     steps_along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
@@ -215,7 +211,6 @@ def make_grid(
         cuts={a: (place, place) for a, place in fixed.items()},
         spacing=distances,
         fitted="".join(a for a in axes if a not in bounds and a not in period),
-        half=half,
     )
 
 

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from xcg.compiled import points as loops
 from xcg.compiled._jit import for_each
 from xcg.compiled.reach import BATCH, batches_of
+from xcg.compiled.smoothing import KernelCode
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.nodes import Mesh, NodeBlock
 from xcg.fields.sums.segments import along_branches
-from xcg.fields.sums.step import AnyKernel, DepositSpec, Images, Layout, Pass, Squared, StepRows
+from xcg.fields.sums.step import DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import VARIABLES, Frame
@@ -241,7 +242,7 @@ def _pass(
 def _fill(
     grains: loops.Grains,
     mesh: Mesh,
-    weights: AnyKernel,
+    weights: KernelCode,
     flags: tuple[int, NDArray | None, bool | None],  # level, translations, by_gradient
     block: NodeBlock,
     sums: NDArray,

@@ -140,11 +140,6 @@ def jumps_of(profile: Profile) -> list[float]:
     return [radius for radius, jump in jumps.items() if abs(jump) > _JUMP * _largest(profile)]
 
 
-def rims_of(profile: Profile) -> list[float]:
-    """Radii at which polynomials of a profile meet, and that of its support; without shells this one alone."""
-    return [radius for radius, _ in _shells(profile)] or [1.0]
-
-
 @lru_cache
 def table_of(profile: Profile, codimension: int) -> NDArray:
     """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.

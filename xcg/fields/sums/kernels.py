@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import lru_cache, partial
 from itertools import accumulate
@@ -23,8 +23,8 @@ from xcg.common.checks import POSITIVE, Kind, check, is_finite, is_positive, who
 from xcg.common.messages import did_you_mean, warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
-from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
-from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
+from xcg.compiled.smoothing import LUCY_FULL, PLAIN, KernelCode
+from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, table_of
 from xcg.scene.frame import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
 
@@ -63,8 +63,6 @@ class Kernel:
     # 1 / integral of the profile over the unit ball in 1, 2 and 3 dimensions
     _norms: tuple[float, ...] = ()
     profile: Any = None  # P(q) of kernels that loops take from a table
-    # radii over the cutoff where the profile is not smooth, the last of the support
-    _rims: Sequence[float] = (1.0,)
 
     def __init__(
         self,
@@ -142,14 +140,6 @@ class Kernel:
         if self.profile is None:
             return PLAIN
         return table_of(self.profile, codimension)
-
-    def over_cells(self, seen: int) -> CellKernel:
-        """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
-        return CellKernel(
-            *self.weights(seen),
-            np.array(self._rims),
-            *(self.weights(max(1, seen - k)) for k in (1, 2)),
-        )
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
@@ -436,7 +426,6 @@ def register_kernel(
         "profile": staticmethod(profile),
         "ratio": ratio,
         "smoothness": smoothness,
-        "_rims": rims_of(profile),
         "__doc__": f"The kernel registered as {name!r}.",
     }
     kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)

@@ -18,8 +18,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled.cell_means import LONGEST_LINE
-from xcg.compiled.lines import Volumes
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.scene.schema import COMPONENTS
@@ -80,17 +78,12 @@ class NodeBlock(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MeshBlock:
-    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
-
-    `half` is half of the extent of the cells around them (m); 0 along all axes where values are
-    those at the nodes.
-    """
+    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m)."""
 
     low: tuple[int, int, int]
     high: tuple[int, int, int]
     shape: tuple[int, int, int]
     steps: NDArray
-    half: NDArray
     order = inner = None
 
     @property
@@ -111,22 +104,15 @@ class MeshBlock:
 
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
-        half = [length / unit for length in self.half.tolist()]
         # the step of one node means nothing
         steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0).tolist()
-        begin = [low * step - h for low, step, h in zip(self.low, steps, half, strict=True)]
-        end = [(high - 1) * step + h for high, step, h in zip(self.high, steps, half, strict=True)]
+        begin = [low * step for low, step in zip(self.low, steps, strict=True)]
+        end = [(high - 1) * step for high, step in zip(self.high, steps, strict=True)]
         rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
-        nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
-        if not any(half):
-            return nodes._replace(rows=rows)
-        order = sorted(range(3), key=lambda k: half[k] > 0.0)
-        return nodes._replace(volumes=Volumes(rows, triple(half), triple(order)))
+        return Nodes(triple(begin), triple(end), triple(active), triple(period), rows=rows)
 
     def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""
-        if nodes.volumes is not None:
-            return lists_for(nodes.volumes.rows, nodes.active, reach, real, least=LONGEST_LINE)
         return lists_for(nodes.rows, nodes.active, reach, real)
 
 
@@ -145,8 +131,8 @@ class Grid:
     averaged : str
         Axes that are integrated over and divided by their extent.
     origin, lower, upper : array (3,)
-        The place that loops take others relative to, and bounds of the nodes, or of their cells
-        (m).
+        The place that loops take others relative to, and bounds of the nodes, or of the cells of
+        `xcg.cell_volumes` (m).
     text : mapping
         Where the nodes are, in words.
     cuts : mapping
@@ -155,9 +141,6 @@ class Grid:
         Distance of nodes along each resolved axis of a mesh (m).
     fitted : str
         Axes whose bounds follow from the particles' extent.
-    half : array (3,)
-        Half of the extent of the cells that values are averages over (m); 0 where they are those at
-        the nodes.
     parts : sequence of Block, optional
         The nodes that stand apart, divided; None for a mesh, which is divided when it is filled.
     undirected : array
@@ -183,7 +166,6 @@ class Grid:
     cuts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     spacing: Mapping[str, float] = field(default_factory=dict)
     fitted: str = ""
-    half: NDArray = field(default_factory=lambda: np.zeros(3))
     parts: Sequence[Block] | None = None
     undirected: NDArray = field(default_factory=lambda: np.zeros(0, int))
     attrs: Mapping[str, float] = field(default_factory=dict)
@@ -242,9 +224,8 @@ class Grid:
             np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)
         ]
         x, y, z = (list(pairwise(ends)) for ends in edges)
-        of_mesh = self.shape, self.steps, self.half
         return [
-            MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), *of_mesh)
+            MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), self.shape, self.steps)
             for i, j, k in product(x, y, z)
         ]
 
@@ -287,10 +268,8 @@ class Mesh:
         That node (m): of a mesh the first.
     steps : array (3,)
         Spacing of a mesh, where one node means nothing and is 1; infinity for points.
-    half : array (3,)
-        Half of the extent of the cells around nodes; 0 where values are those at the nodes.
     lower, upper : array (3,)
-        Bounds of the nodes, or of their cells.
+        Bounds of the nodes.
     active : array (3,)
         Axes along which distance counts.
     period : array (3,)
@@ -307,8 +286,7 @@ class Mesh:
         self.nodes = grid.count
         self.cutoff = cutoff
         self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
-        self.half = grid.half / cutoff
-        self.reach = 2.0 + 2.0 * grid.half / cutoff
+        self.reach = np.full(3, 2.0)
         self.lower = (grid.lower - grid.origin) / cutoff
         self.upper = (grid.upper - grid.origin) / cutoff
         self.period = np.where(grid.active, period, np.inf) / cutoff

@@ -28,12 +28,12 @@ from xcg.compiled.segments import (
     deposit_segments,
     list_segments,
 )
-from xcg.compiled.smoothing import PLAIN
+from xcg.compiled.smoothing import PLAIN, KernelCode
 from xcg.fields.sums.kernel_tables import Profile, table_of
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import Mesh, NodeBlock
-from xcg.fields.sums.step import AnyKernel, Fill, Layout, Pass, StepRows, alike
+from xcg.fields.sums.step import Fill, Layout, Pass, StepRows, alike
 from xcg.scene.schema import Frame
 
 # From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the
@@ -281,8 +281,7 @@ class _Rule(NamedTuple):
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[_Rule]:
     """Return the ways to the weights of segments, one after the other."""
     spec = step.spec
-    in_double = not spec.coarse or spec.grid.half.any()
-    if in_double or not step.meshes[cutoff].fits_single(spec.limits.max()):
+    if not spec.coarse or not step.meshes[cutoff].fits_single(spec.limits.max()):
         return [_Rule("float64", closed=True, rest=False)]
     rules = [_Rule("float32", closed=False, rest=False)]
     if longest > spec.limits.max():
@@ -293,7 +292,7 @@ def _rules(step: StepRows, longest: float, cutoff: float) -> list[_Rule]:
 def _fill_segments(
     segments: Branches,
     mesh: Mesh,
-    weights: AnyKernel,
+    weights: KernelCode,
     reach: Sequence[float],
     rule: _Rule,
     block: NodeBlock,

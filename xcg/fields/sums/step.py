@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled.cell_means import cell_means
 from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
-from xcg.compiled.smoothing import CellKernel, KernelCode
+from xcg.compiled.smoothing import KernelCode
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
 from xcg.fields.sums.nodes import Grid, Mesh, NodeBlock, triple
 from xcg.scene.contacts import Contacts
@@ -23,7 +22,6 @@ from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 
-AnyKernel: TypeAlias = KernelCode | CellKernel
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the
 # reference velocity
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
@@ -38,7 +36,7 @@ class DepositSpec:
     rows : mapping
         The moments by name.
     grid : Grid
-    weights : KernelCode, or CellKernel for averages over cells
+    weights : KernelCode
         The kernel of the first cutoff as seen in the grid's axes.
     cutoffs : tuple of float
         Radius of the support (m) of each group, or one for all.
@@ -59,7 +57,7 @@ class DepositSpec:
 
     rows: Mapping[str, Moment]
     grid: Grid
-    weights: AnyKernel
+    weights: KernelCode
     cutoffs: tuple[float, ...]
     limits: NDArray
     coarse: bool = False
@@ -103,7 +101,7 @@ class Squared:
     grains: Grains
     lattice: Lattice
     groups: NDArray
-    weights: AnyKernel
+    weights: KernelCode
     grid: Grid
 
     @cached_property
@@ -256,17 +254,12 @@ class StepRows:
             velocity = velocity + self.grains.drift
         self.flow = (velocity, self.mass[self.grains.row])
 
-    def _kernel(self, cutoff: float, scale: float) -> AnyKernel:
+    def _kernel(self, cutoff: float, scale: float) -> KernelCode:
         """Return the kernel of a cutoff, times `scale`."""
         spec = self.spec
         seen = int(spec.grid.active.sum())
         norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-        weights = spec.weights._replace(norm=norm * scale)
-        if not isinstance(weights, CellKernel):
-            return weights
-        of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
-        half = triple(self.meshes[cutoff].half)
-        return weights._replace(means=cell_means(half, seen, weights, 1.0 / of_unit))
+        return spec.weights._replace(norm=norm * scale)
 
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
@@ -304,8 +297,7 @@ class StepRows:
 
     def translations(self, cutoff: float) -> NDArray | None:
         """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
-        both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
-        translations = self.lattice.scaled(cutoff).translations(both_seen, self.source)
+        translations = self.lattice.scaled(cutoff).translations(2.0, self.source)
         if not len(translations):
             return None
         return translations

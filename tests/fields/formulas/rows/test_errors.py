@@ -200,10 +200,10 @@ def test_explain_states_the_noise_of_a_dense_packing(options):
     assert "noise" not in str(points.cg.explain("velocity", width=1.0))
 
 
-def test_explain_states_no_noise_of_rings_cells_and_widths_by_group():
+def test_explain_states_no_noise_of_rings_and_widths_by_group():
     ds = xcg.datasets.dense_packing(1000)
     for options in (
-        {"frame": xcg.Cylindrical("z"), "axes": "r", "extent": {"z": 1.0}}, {"sampling": "cell", "spacing": 2.0},
+        {"frame": xcg.Cylindrical("z"), "axes": "r", "extent": {"z": 1.0}},
         {"by": "species", "width": {1: 1.0, 2: 0.5}},
     ):  # fmt: skip
         assert "noise" not in str(
