@@ -7,6 +7,8 @@ import re
 import runpy
 from pathlib import Path
 
+from xcg.fields.formulas.averages import takes_covariance
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 
 HEAD = r"""# Fields
@@ -30,8 +32,9 @@ defines S, $\Theta$ and $N_\mathrm{left}$. In a one-layer scene D = 2, and trace
 - Vectors have the dimension `component`. Tensors have `component` (of the force or velocity) and `direction` (of the
   face or derivative), so `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
 - The *additive* fields of all phases add up to that of the bulk.
-- The last column is the rule for [averages](evaluation.md#averages-with-standard-errors): sums as they are, ratios
-  weighted by a sum, all others computed anew from averages.
+- The last column is the rule for [averages](evaluation.md#averages-with-standard-errors): sums as they are or, if they
+  contain the kinetic stress, about the averaged velocity, ratios weighted by a sum, all others computed anew from
+  averages.
 - At nodes that no grain reaches, sums are zero and ratios are NaN. `sample_count` is the number of grains that reach
   a node.
 - A velocity gradient is NaN along directions that the grains at a node do not span. A temperature is NaN where the
@@ -92,7 +95,7 @@ def _row(name: str) -> str:
     f = FIELDS[name]
     additive = "yes" if f.additive else ""
     whose = " of the bulk" if f.by_bulk else ""
-    average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
+    average = _of_sums(f) if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
     average += ", harmonic" if f.harmonic else ""
     unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), f.units)
     about = f"{f.long_name}<br>{mathematics(f.formula)}"
@@ -100,9 +103,16 @@ def _row(name: str) -> str:
     return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"
 
 
+def _of_sums(f: Field) -> str:
+    """How a sum is averaged."""
+    return "about the averaged velocity" if takes_covariance(f, Options()) else "as they are"
+
+
 def averages() -> str:
     """The table of averages in docs/evaluation.md."""
-    rules: dict[str, list[str]] = {"as they are": ["sums (*additive* in the [table](fields.md))"]}
+    rules: dict[str, list[str]] = {
+        "as they are": ["other sums (*additive* in the [table](fields.md))"]
+    }
     for name in listed(registered=False):
         f = FIELDS[name]
         if name.endswith("_error"):
@@ -112,9 +122,11 @@ def averages() -> str:
         elif f.weight:
             whose = ", that of the bulk" if f.by_bulk else ""
             rule = f"weighted by `{f.weight}`{whose}, over known values"
+        elif f.additive:
+            rule = _of_sums(f)
         else:
             rule = "computed anew from averages of the fields that they depend on, with the same variants"
-        if not f.additive:
+        if rule != "as they are":
             rules.setdefault(rule, []).append(f"`{name}`")
     rows = [f"| {', '.join(fields)} | {rule} |\n" for rule, fields in rules.items()]
     return "".join(["| fields | how they are averaged |\n|---|---|\n", *rows])

@@ -296,6 +296,22 @@ TABLE = [
         "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
     ),
     Mutation(
+        "fields/formulas/averages.py", "drift + weight * shift", "weight * shift",
+        "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
+    ),
+    Mutation(
+        "fields/formulas/averages.py", "moved = first - weight * mean", "moved = first",
+        "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
+    ),
+    Mutation(
+        "fields/formulas/averages.py", "(of_bulk - mean).where", "of_bulk.where",
+        "test_a_window_of_one_step_is_the_step_and_a_fast_frame_loses_no_digits",
+    ),
+    Mutation(
+        "fields/formulas/rows/energy.py", "-0.5 * trace(f.covariance", "0.5 * trace(f.covariance",
+        "test_kinetic_stress_of_an_average_is_about_the_averaged_velocity",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "independent**0.5", "independent",
         "test_an_average_over_steps_has_the_larger_error_and_names_it",
     ),

@@ -6,12 +6,16 @@ in its denominator as its `weight`: this is the ratio of the averaged sums. What
 these (magnitudes, friction, inertial number) is computed anew from the averages. The sums have to
 be in the result beside the ratios, as variables or coordinates: `needed_for_averages` says which
 these are, and an error which are missing.
+
+The kinetic stress of an average is about the averaged velocity U, by the law of total covariance:
+``mean sigma^k + mean rho (V - U)(V - U)`` (Weinhart et al. 2013; Artoni & Richard 2015).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
+from xcg.common.messages import warn_once
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
@@ -76,7 +81,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
     f = f.assign_attrs(provenance(f, format_call("profile", {"axis": axis})))
     others = [a for a in axes if a != axis]
-    sums = _to_sums(f, "profile")
+    sums = _to_sums(f, "profile", others)
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
@@ -142,18 +147,19 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     f = f.assign_attrs(
         provenance(f, format_call("time_average", {"window": window, "every": every}))
     )
-    sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
-    sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
+    bare = f.drop_vars("step", errors="ignore")
+    bare = bare.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
-        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE, errors="ignore")
+        samples = bare.rename(time=_SAMPLE).drop_vars(_SAMPLE, errors="ignore")
     else:
         window = int(window)
         steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
-        samples = sums.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
+        samples = bare.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
         middle = f["time"].to_numpy()[steps].mean(axis=1)
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
     noisy = {name: samples[_noise_of(name)] for name in noise}
     samples = samples.drop_vars([_noise_of(name) for name in noise])
+    samples = _to_sums(samples, "time_average", [_SAMPLE])
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     beside = {}
@@ -319,7 +325,11 @@ def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ..
     names = tuple(names)
     errors = _errors_among(names)
     rows = {name: registry.row(name, options) for name in names if name not in errors}
-    return _all_of(_missing(rows, options))
+    needed = _all_of(_missing(rows, options))
+    averaged = [*rows.values(), *(registry.row(name, options) for name in needed)]
+    if any(takes_covariance(row, options) for row in averaged):
+        needed += tuple(name for name in _OF_COVARIANCE if name not in (*names, *needed))
+    return needed
 
 
 def _errors_among(names: Iterable[str]) -> list[str]:
@@ -391,8 +401,11 @@ def _refuse_scene(f: xr.Dataset, purpose: str) -> None:
         )
 
 
-def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
-    """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Dataset:
+    """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
+
+    Beside the fields that take the covariance of the velocity, the sums that it follows from.
+    """
     _refuse_scene(f, purpose)
     rows = _rows_of(f)
     errors = _errors_among(rows)
@@ -436,7 +449,106 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
             else:
                 out[f"{name}/top"] = weight * value
                 out[f"{name}/bottom"] = weight
+    if dims:
+        out |= _about_mean_velocity(f, rows, purpose, dims)
     return xr.Dataset(out)
+
+
+# --- kinetic stress about the averaged velocity ----------------------------------------------------------
+
+_OF_COVARIANCE = ("density", "velocity")
+
+
+def takes_covariance(row: Field, options: Options) -> bool:
+    """Return whether averages contain the covariance of the velocity: of kinetic stress and what is linear in it."""
+    if row.covariance is not None:
+        return True
+    if not row.additive or row.moments:
+        return False
+    needs = [registry.row(name, options) for name in row.fields]
+    is_linear = all(need.additive for need in needs)
+    return is_linear and any(takes_covariance(need, options) for need in needs)
+
+
+def _lacking_for_covariance(f: xr.Dataset) -> str:
+    """Return what a result lacks for the covariance of its velocity, and where to obtain it; "" for nothing."""
+    lacking = [name for name in _OF_COVARIANCE if name not in f]
+    if lacking:
+        names = " and ".join(lacking)
+        return f"{names}: leave out for_averages=False in coarse_grain, or ask it for {names} too"
+    if "phase" in f.coords and "bulk" not in np.atleast_1d(f["phase"].to_numpy()):
+        return "the bulk: choose phases after the average"
+    if f.sizes.get("component") != 3 or f.sizes.get("direction", 3) != 3:
+        return "components of the velocity: choose components after the average"
+    return ""
+
+
+def _about_mean_velocity(
+    f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str, dims: Sequence[str]
+) -> dict[str, xr.DataArray]:
+    """Return the sums of m (v - u)(v - u) less the kinetic stress, and of m (v - u), by phase, if they are needed.
+
+    u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
+    """
+    options = registry.options_of(f.attrs)
+    names = [name for name, row in rows.items() if row and takes_covariance(row, options)]
+    if not names:
+        return {}
+    lacking = _lacking_for_covariance(f)
+    if lacking:
+        warn_once(
+            "covariance",
+            f"{purpose}: the average of {', '.join(names)} leaves out how the velocity varies from step to step "
+            f"and from node to node, as this result lacks {lacking}",
+        )
+        return {}
+    weight = f["density"].where(f["velocity"].notnull(), 0.0)
+    velocity = f["velocity"].fillna(0.0)
+    of_bulk = _of_bulk(velocity, "velocity", "averages")
+    weight_of_bulk = _of_bulk(weight, "velocity", "averages")
+    total = weight_of_bulk.sum(dims)
+    mean = (weight_of_bulk * of_bulk).sum(dims) / total.where(total != 0)
+    shift = (of_bulk - mean).where(weight_of_bulk != 0, 0.0)
+    drift = weight * (velocity - of_bulk)
+    return {
+        "velocity/first": drift + weight * shift,
+        "velocity/second": _outer(drift, shift)
+        + _outer(shift, drift)
+        + _outer(weight * shift, shift),
+    }
+
+
+def _outer(a: xr.DataArray, b: xr.DataArray) -> xr.DataArray:
+    """Return a_i b_j."""
+    return a * b.rename(component="direction")
+
+
+def _covariance(sums: xr.Dataset) -> xr.DataArray:
+    """Return the averaged sum of m (v - U)(v - U) less the averaged kinetic stress, by phase."""
+    weight = sums["velocity/bottom"]
+    first = sums["velocity/first"]
+    first_of_bulk = _of_bulk(first, "velocity", "averages")
+    weight_of_bulk = _of_bulk(weight, "velocity", "averages")
+    mean = (first_of_bulk / weight_of_bulk.where(weight_of_bulk != 0)).fillna(0.0)
+    moved = first - weight * mean
+    return sums["velocity/second"] - _outer(mean, first) - _outer(moved, mean)
+
+
+def _of_covariance(name: str, covariance: xr.DataArray, options: Options) -> xr.DataArray:
+    """Return what the covariance of the velocity adds to an averaged field."""
+    row = registry.row(name, options)
+    if row.covariance is not None:
+        of_row = replace(row, compute=row.covariance)
+        return _compute(of_row, {"covariance": covariance}, options)
+    parts = {}
+    for need in row.fields:
+        needed = registry.row(need, options)
+        if takes_covariance(needed, options):
+            parts[need] = _of_covariance(need, covariance, options)
+        else:
+            tail = ("component", "direction")[needed.rank :]
+            parts[need] = xr.zeros_like(covariance.isel(dict.fromkeys(tail, 0), drop=True))
+    return _compute(row, parts, options)
 
 
 def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str) -> xr.Dataset:
@@ -495,6 +607,11 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
         elif part == "top":
             denominator = sums[f"{ratio}/bottom"]
             fields[ratio] = sums[name] / denominator.where(denominator != 0)
+    if "velocity/second" in sums:
+        covariance = _covariance(sums)
+        for name, row in _rows_of(f).items():
+            if row and takes_covariance(row, options):
+                fields[name] = fields[name] + _of_covariance(name, covariance, options)
     out = {}
     for name in map(str, f.data_vars):
         out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)

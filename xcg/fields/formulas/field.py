@@ -130,6 +130,12 @@ class Field:
         Whether `weight` is that of the bulk, also for phases.
     harmonic : bool
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
+    covariance : callable, optional
+        ``covariance(f, s, o)`` gives what averages over steps or nodes add to the mean of an
+        additive field, of ``f.covariance``, that of the velocities: mean rho (V - U)(V - U), U
+        their mean. Linear functions of such a field follow.
+    averages : str
+        What averages are, where a user may expect something else, for the attributes.
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -151,6 +157,8 @@ class Field:
     weight: str = ""
     by_bulk: bool = False
     harmonic: bool = False
+    covariance: Function | None = None
+    averages: str = ""
     default: bool = True
     option: str = ""
     paired: bool = False

@@ -29,6 +29,8 @@ _FIRST = slice(1, 4)
 _SECOND = ((4, 5, 6), (5, 7, 8), (6, 8, 9))
 SQUARE = 10
 
+_OF_STEPS = "means of the values of steps or nodes, each about its own velocity"
+
 
 def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
     g = f.velocity_gradient
@@ -216,6 +218,7 @@ _ROWS: dict[str, Field] = {
         fields=("_drift",),
         moments=("mass", "momentum"),
         additive=True,
+        covariance=lambda f, s, o: -0.5 * trace(f.covariance, (0, 1, 2)),
     ),
     "fluctuating_kinetic_energy": Field(
         units="Pa",
@@ -262,6 +265,7 @@ _ROWS: dict[str, Field] = {
             "rotational_energy_flux",
         ),
         additive=True,
+        averages=_OF_STEPS,
     ),
     "contact_heat_flux": Field(
         rank=1,
@@ -271,6 +275,7 @@ _ROWS: dict[str, Field] = {
         compute=_contact_heat_flux,
         fields=("contact_energy_flux", "contact_stress", "_drift"),
         additive=True,
+        averages=_OF_STEPS,
     ),
     "heat_flux": Field(
         rank=1,
@@ -280,6 +285,7 @@ _ROWS: dict[str, Field] = {
         compute=lambda f, s, o: f.kinetic_heat_flux + f.contact_heat_flux,
         fields=("kinetic_heat_flux", "contact_heat_flux"),
         additive=True,
+        averages=_OF_STEPS,
     ),
     "stress_power": Field(
         units="W m^-3",
@@ -288,6 +294,7 @@ _ROWS: dict[str, Field] = {
         compute=lambda f, s, o: -double_dot(f.velocity_gradient[:1], f.stress),
         fields=("stress", "velocity_gradient"),
         additive=True,
+        averages=_OF_STEPS,
     ),
     "contact_power": sum_of(
         "power",

@@ -322,6 +322,7 @@ ROWS: dict[str, Field] = {
         fields=("_drift",),
         moments=("mass", "momentum", "kinetic"),
         additive=True,
+        covariance=lambda f, s, o: f.covariance,
     ),
     "fluctuation_stress": Field(
         rank=2,
