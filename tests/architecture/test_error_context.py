@@ -106,7 +106,6 @@ UNNAMED = {
     ("fit_law", "constants"),  # the result lacks what laws are fitted to
     ("fit_law", "guess"),
     ("scene_from_arrays", "step"),
-    ("scene_from_table", "names"),
     ("scene_from_table", "particles"),
     ("width_sweep", "widths"),
 }

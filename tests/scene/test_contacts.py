@@ -213,7 +213,7 @@ def test_grains_with_zero_force_do_not_touch(tmp_path):
         np.testing.assert_array_equal(ds.contact_j[0][rows], [-2])
         np.testing.assert_array_equal(ds.contact_force[0][rows], [[0, 0, 9]])
         np.testing.assert_array_equal(ds.contact_point[0][rows], [[3, 3, 0]])
-    assert "f_w[2]" not in ds.attrs["ignored_columns"]
+    assert "f_w[2]" not in ds.attrs["not_read"]
 
 
 def test_walls_and_pairs_are_read_together(tmp_path):

@@ -93,13 +93,13 @@ def opened(tmp_path):
                           "vy": None, "vz": None})  # fmt: skip
 
 
-def test_the_summary_of_a_scene_names_files_and_ignored_columns(opened, tmp_path):
+def test_the_summary_of_a_scene_names_files_and_columns_that_are_not_read(opened, tmp_path):
     said = rows(opened)
     assert said["title"].startswith("scene of 2 steps with up to")
     assert said["engine"] == "lammps"
     assert re.fullmatch(r"particles: .*p\.10\.dump to .*p\.20\.dump \(2 files\)", said["files"])
-    assert said["ignored"].startswith("particles: ")
-    assert {"vx", "vy", "vz"} <= set(said["ignored"].removeprefix("particles: ").split(", "))
+    assert said["unread"].startswith("particles: ")
+    assert {"vx", "vy", "vz"} <= set(said["unread"].removeprefix("particles: ").split(", "))
     assert said["gravity"] == "(0, 0, -9.81) m s^-2"
     assert said["units"] == "SI"
     assert said["time"] == "10 to 20 (numbers of steps, times are not known)"
@@ -118,10 +118,8 @@ def test_the_summary_is_kept_by_selections_and_files(opened, tmp_path, suffix):
     ):
         assert {
             name: rows(kept)[name]
-            for name in ("engine", "files", "ignored", "gravity", "units", "box")
-        } == {
-            name: said[name] for name in ("engine", "files", "ignored", "gravity", "units", "box")
-        }
+            for name in ("engine", "files", "unread", "gravity", "units", "box")
+        } == {name: said[name] for name in ("engine", "files", "unread", "gravity", "units", "box")}
     assert rows(again)["time"] == said["time"]
 
 

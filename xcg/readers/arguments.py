@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from xcg.common.checks import check_choice
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.readers.assigned import read_names, split_names
+from xcg.readers.assigned import names_apart, read_names, split_names
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
 from xcg.readers.names import ALL_SLOTS
@@ -150,9 +150,14 @@ class Arguments:
         SceneError
             If `names` are of a form that the engine does not take.
         """
+        apart: dict[str, dict[str, str | None]] = {}
         words: dict[str, tuple[str, ...]] = {}
         in_order: dict[str, Sequence[str | None]] = {}
-        if reader.name == "liggghts" or isinstance(self.names, str):
+        if isinstance(self.names, Mapping) and any(
+            isinstance(listed, Mapping) for listed in self.names.values()
+        ):
+            mapped, apart = names_apart(self.names)
+        elif reader.name == "liggghts" or isinstance(self.names, str):
             mapped, words = split_names(self.names)
         else:
             mapped, in_order = read_names(self.names)
@@ -169,9 +174,10 @@ class Arguments:
         missing = "raise"
         if "skip" in (self.missing, self.on_error):
             missing = "skip"
-        answered = ("periodic", "lattice", "shape")
+        answered = ("periodic", "lattice", "shape", "units")
         return ReadOptions(
             mapped,
+            names_of=apart,
             extra={**self.engine_options, "missing": missing},
             walls=self.wall_columns,
             words=words,

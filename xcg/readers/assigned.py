@@ -15,10 +15,18 @@ from xcg.readers.files.text import source_of
 from xcg.readers.names import (
     ALL_SLOTS,
     CLOCK_SLOTS,
+    CONTACT_ARRAYS,
     CONTACT_SLOTS,
+    CONTACTS,
+    PARTICLE_SLOTS,
+    PARTICLES,
+    Names,
     Slots,
     canonical,
     columns_by_name,
+    resembles,
+    vector_of,
+    words_of,
 )
 from xcg.scene.schema import COMPONENTS, variable
 
@@ -37,6 +45,7 @@ _RIVALS = (
 )
 
 RAW = re.compile(r"[cf]_\w+(\[\d+\])?")  # columns of LAMMPS without names of their own
+FEWEST_OF_LIGGGHTS = 12  # columns with positions, ids and forces; one compute of LAMMPS has fewer
 _WORDS_OF_COMPUTES = (
     ("patom1 patom2", ("contact_i", "contact_j")),
     ("dx dy dz", tuple(f"contact_branch_{axis}" for axis in COMPONENTS)),
@@ -67,6 +76,27 @@ def split_names(
         elif isinstance(target, list | tuple):
             words[kind] = tuple(map(str, target))
     return {name: slot for name, slot in names.items() if name not in words}, words
+
+
+def names_apart(
+    names: Mapping[str, Any],
+) -> tuple[dict[str, str | None], dict[str, dict[str, str | None]]]:
+    """Return ``names=`` as one mapping for all files, or as one for each kind of file.
+
+    Raises
+    ------
+    SceneError
+        If both are mixed, or a kind is not known.
+    """
+    apart = {kind: dict(of_kind) for kind, of_kind in names.items() if isinstance(of_kind, Mapping)}
+    if not apart:
+        return dict(names), {}
+    if set(apart) != set(names) or not set(apart) <= set(_KINDS):
+        raise SceneError(
+            f"names={dict(names)!r}: expected one mapping from columns to variables for all files, or "
+            "one for each kind and nothing else, names={'particles': {...}, 'contacts': {...}}"
+        )
+    return {}, apart
 
 
 def read_names(
@@ -153,6 +183,8 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
     for column, slot in mapped.items():
         if slot is None or slot in ALL_SLOTS:
             continue
+        if slot in _FORCES and f"{slot}_x" in slots:
+            raise SceneError(f"{source_of(ref)}: {magnitudes({slot: column})}")
         pair = f"names={{{column!r}: {slot!r}}}"
         prefix = ""
         if slot.startswith("contact_"):  # as all slots of contacts do
@@ -169,18 +201,53 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
 
 def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     """Make the error of a file that lacks a column, with the mapping that names it."""
-    word = re.compile(rf"(?<![a-z]){slot.rpartition('_')[2]}(?![a-z])", re.IGNORECASE)
-    likely = next(filter(word.search, ref.columns), "its column")
+    table = CONTACTS if slot in CONTACT_SLOTS else PARTICLES
+    known = {alias for variable in table for alias in _aliases(variable, table)}
+    variable_name = vector_of(slot)
+    axis = slot[-1] if variable_name != slot else ""
+    free = [column for column in ref.columns if canonical(column) not in known]
+    of_axis = [
+        column
+        for column in free
+        if not axis or axis in words_of(column) or canonical(column).endswith(axis)
+    ]
+    alike = [column for column in of_axis if resembles(column, table[variable_name])]
+    others = [column for column in of_axis if axis in words_of(column)]
+    likely = next(iter(alike or others), "its column")
     msg = (
         f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
         f"for example names={{{likely!r}: {slot!r}}}"
     )
-    if slot in CONTACT_SLOTS and any(map(RAW.fullmatch, ref.columns)):
+    numbered = [column for column in ref.columns if RAW.fullmatch(column)]
+    if slot in CONTACT_SLOTS and len(numbered) >= FEWEST_OF_LIGGGHTS:
+        msg += ". Files of LIGGGHTS are read by the words of their 'compute pair/gran/local', names='pos id force'"
+    elif slot in CONTACT_SLOTS and numbered:
         rows = "".join(
             f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
         )
         msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
     return SceneError(msg)
+
+
+def _aliases(variable_name: str, table: Mapping[str, Names]) -> list[str]:
+    """Return the canonical names of the columns of a variable."""
+    slots = CONTACT_SLOTS if table is CONTACTS else PARTICLE_SLOTS
+    return [
+        alias
+        for slot, names in slots.items()
+        if vector_of(slot) == variable_name
+        for alias in names
+    ]
+
+
+def magnitudes_among(columns: Iterable[str], names: Mapping[str, str | None]) -> dict[str, str]:
+    """Return the columns of forces of contacts that are one number each, by their variable."""
+    free = [column for column in columns if column not in names]
+    scalars = columns_by_name(free, {slot: CONTACT_ARRAYS[slot] for slot in _FORCES})
+    mapped = {
+        slot: column for column, slot in names.items() if column in columns and slot in _FORCES
+    }
+    return {slot: column for slot, column in (scalars | mapped).items() if slot is not None}
 
 
 def axes_of(filled: Iterable[str], slot: str) -> list[str]:
@@ -199,3 +266,34 @@ def own_variables(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str
         and slot not in known
         and variable(slot).dims == (dim,)
     }
+
+
+def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptions) -> str:
+    """Return a hint about unnamed columns beside a complete force, with the mapping to use; "" without such columns.
+
+    Where that force lies along all branches, they may hold its tangential part.
+    """
+    left = [
+        name
+        for name in ref.columns
+        if RAW.fullmatch(name) and name not in (*filled.values(), *options.names)
+    ]
+    if "contact_force_x" not in filled or len(left) < len(COMPONENTS):
+        return ""
+    mapping = f"{{{filled['contact_force_x']!r}: 'normal_force_x', {left[-3]!r}: 'tangential_force_x', ...}}"
+    return (
+        f"columns {' '.join(left)} are not read: if the tangential part is among them, say names={mapping}, and the "
+        f"two are added up; otherwise drop them by names={{{left[0]!r}: None, ...}}"
+    )
+
+
+def magnitudes(filled: Mapping[str, str]) -> str:
+    """Describe forces of contacts without a direction, and what to do, as the end of a message."""
+    columns = [
+        column for slot, column in filled.items() if slot in ("normal_force", "tangential_force")
+    ]
+    return (
+        f"{' and '.join(map(repr, columns))} are magnitudes, and contact forces are vectors; write their components, "
+        "or, for discs in the plane of x and y, read both tables and pass them to xcg.scene_from_table(grains, "
+        f"contacts, names={{{columns[0]!r}: 'normal_force', ...}}), which takes the directions from the centres"
+    )

@@ -19,17 +19,23 @@ from xcg.readers.assigned import (
     assign,
     axes_of,
     lacks,
+    magnitudes,
+    magnitudes_among,
     own_variables,
 )
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import Columns, read_table
 from xcg.readers.files.text import source_of
-from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS, Slots, components
-from xcg.readers.unread_columns import (
-    warn_of_lost_motion,
-    warn_of_missing_height,
-    warn_of_unread,
+from xcg.readers.names import (
+    CONTACT_SLOTS,
+    PARTICLE_SLOTS,
+    Slots,
+    components,
+    factor_of,
+    slots_for,
+    words_of,
 )
+from xcg.readers.report import warn_of_lost_motion, warn_of_missing_height
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONTACT_COMPONENTS = {component for slot in CONTACT_VECTORS for component in components(slot)}
@@ -88,22 +94,23 @@ class Columnar(Engine):
         whole = {slot: _columns_of(columns, slot) for slot in vectors}
         options = replace(options, vectors=tuple({group for group in whole.values() if group}))
         table: Columns = self.read_columns(ref, columns.values(), ref.rows, options)
+        if "units" not in options.given:
+            _convert(table, columns)
         frame = {slot: table[column] for slot, column in columns.items()}
         return frame | {slot: table[group] for slot, group in whole.items() if group in table}
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
+        """List the steps of particles, and check that columns are enough."""
         refs = self.list_steps(paths, options, contacts=False)
         read = self.particle_columns(refs[0], options)
-        warn_of_unread(refs[0], read, options, contacts=False)
         warn_of_missing_height(read, refs[0])
         warn_of_lost_motion(assign(refs[0], self.PARTICLE_SLOTS, options), read, refs[0])
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts, and warn of columns that are probably not ignored on purpose."""
+        """List the steps of contacts, and check that columns are enough."""
         refs = self.list_steps(paths, options, contacts=True)
-        warn_of_unread(refs[0], self.contact_columns(refs[0], options), options, contacts=True)
+        self.contact_columns(refs[0], options)
         return refs
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
@@ -112,17 +119,21 @@ class Columnar(Engine):
         Columns that `names` maps to other names become custom variables. A two-dimensional file
         need not hold z.
         """
-        filled = assign(ref, self.PARTICLE_SLOTS, options)
+        filled = assign(ref, slots_for(ref.columns, self.PARTICLE_SLOTS), options)
         if self.NEEDS_ID and "particle_id" not in filled:
             raise lacks(ref, "id of the particle", "particle_id")
         filled = _with_motion(filled, ref)
         present = {axis for slot in ("position", "scaled") for axis in axes_of(filled, slot)}
-        for axis in "xy":
-            if axis not in present:
+        for axis in COMPONENTS:
+            # in a plane, nothing is along the third axis
+            if axis not in present and (len(present) < 2 or self._tells_of(axis, filled, ref)):
                 raise lacks(ref, f"{axis} of the position", f"position_{axis}")
         for axis in sorted(present):
-            if axes_of(filled, "velocity") and f"velocity_{axis}" not in filled:
-                raise lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
+            moving = [filled[f"velocity_{other}"] for other in axes_of(filled, "velocity")]
+            if moving and f"velocity_{axis}" not in filled:
+                error = lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
+                dropped = ", ".join(f"{column!r}: None" for column in moving)
+                raise SceneError(f"{error}, or drop the others by names={{{dropped}}}")
         unwanted = options.unwanted
         if "image" in unwanted:
             unwanted = (*unwanted, "unwrapped_")
@@ -135,6 +146,14 @@ class Columnar(Engine):
             unwanted = (*unwanted, "angular_velocity")
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | own_variables(ref, options, "particle")
+
+    @staticmethod
+    def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef) -> bool:
+        """Return whether columns show that positions have a component along an axis."""
+        unread = [column for column in ref.columns if column not in filled.values()]
+        return axis != "z" and (
+            f"velocity_{axis}" in filled or any(axis in words_of(column) for column in unread)
+        )
 
     def contact_slots(self, ref: StepRef, options: ReadOptions) -> Slots:
         """Return the columns that are taken for variables of contacts, where they depend on the file."""
@@ -161,10 +180,14 @@ class Columnar(Engine):
             unused.append("contact_force")  # it is something else
         for slot in unused:
             axes[slot] = []
+        in_plane = _plane_of_contacts(axes, ref, filled)
         for slot, present in axes.items():
-            if 0 < len(present) < 3:
+            if 0 < len(present) < 3 and present != in_plane:
                 raise _lacks_an_axis(ref, slot, present)
         if not axes["contact_force"] and not axes["normal_force"]:
+            scalars = magnitudes_among(ref.columns, options.names)
+            if scalars:
+                raise SceneError(f"{source_of(ref)}: {magnitudes(scalars)}")
             raise lacks(ref, "contact force", "contact_force_x")
         if axes["contact_force"] and axes["tangential_force"] and not axes["normal_force"]:
             total = filled["contact_force_x"]
@@ -186,19 +209,16 @@ class Columnar(Engine):
         columns = self.contact_columns(ref, options)
         names = [slot for slot in columns if slot not in _CONTACT_COMPONENTS]
         names.append("contact_force")
-        if "contact_point_x" in columns:
+        if axes_of(columns, "contact_point"):
             names.append("contact_point")
-        if "contact_normal_x" in columns or "end_i_x" in columns:
+        if axes_of(columns, "contact_normal") or axes_of(columns, "end_i"):
             names.append("contact_normal")
         return names
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Columns of a step that are not read."""
-        columns_read = self.contact_columns if contacts else self.particle_columns
-        read = columns_read(ref, options).values()
-        return [column for column in ref.columns if column not in read]
+    def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
+        """Return the slot of each column that is read."""
+        columns_of = self.contact_columns if contacts else self.particle_columns
+        return {column: slot for slot, column in columns_of(ref, options).items()}
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step from the columns of `particle_columns`."""
@@ -227,7 +247,7 @@ class Columnar(Engine):
         values = self._read_slots(ref, columns, CONTACT_VECTORS, options)
         frame = {slot: array for slot, array in values.items() if slot not in _CONTACT_COMPONENTS}
         for slot in CONTACT_VECTORS:
-            if f"{slot}_x" in columns and slot not in frame:
+            if axes_of(columns, slot) and slot not in frame:
                 frame[slot] = _stacked(values, slot)
         if "contact_force" not in frame:
             tangential = frame.pop("tangential_force", np.zeros(3))
@@ -242,6 +262,16 @@ class Columnar(Engine):
                 f"default of 'dump local'; write the file anew with '{self.MORE_DIGITS}'"
             )
         return frame
+
+
+def _convert(table: Columns, columns: Mapping[str, str]) -> None:
+    """Convert columns whose names hold a unit to SI, in place; vectors are one array with their columns."""
+    for column, slot in {column: slot for slot, column in columns.items()}.items():
+        factor = factor_of(column, slot)
+        if factor != 1 and table[column].flags.writeable:
+            table[column] *= factor
+        elif factor != 1:
+            table[column] = table[column] * factor
 
 
 def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
@@ -321,6 +351,18 @@ def _columns_of(columns: Mapping[str, str], slot: str) -> tuple[str, ...]:
     if not columns.keys() >= slots.keys():
         return ()
     return tuple(columns[name] for name in slots)
+
+
+def _plane_of_contacts(
+    axes: Mapping[str, Sequence[str]], ref: StepRef, filled: Mapping[str, str]
+) -> list[str]:
+    """Return the two axes of contacts in a plane: no column has a third; else an empty list."""
+    present = {axis for listed in axes.values() for axis in listed}
+    unread = [column for column in ref.columns if column not in filled.values()]
+    others = {*COMPONENTS} - present
+    if len(present) != 2 or any(others & {*words_of(column)} for column in unread):
+        return []
+    return [axis for axis in COMPONENTS if axis in present]
 
 
 def _lacks_an_axis(ref: StepRef, vector: str, present: Sequence[str]) -> SceneError:

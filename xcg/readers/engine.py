@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
@@ -74,6 +74,9 @@ class StepRef:
     pieces : tuple of StepRef
         The parts of a step that was written to several files, which are read one after the other;
         engines get these.
+    unknown : tuple of pairs of str
+        Words of the header that are not understood, each with the argument of `xcg.open_scene` that
+        says what they do not, such as ``("'BOX BOUNDS aa bb cc'", "periodic='xyz'")``.
     """
 
     path: str
@@ -97,6 +100,7 @@ class StepRef:
     named: bool = False
     alone: bool = False
     pieces: tuple[StepRef, ...] = ()
+    unknown: tuple[tuple[str, str], ...] = ()
 
     @property
     def parts(self) -> tuple[StepRef, ...]:
@@ -105,7 +109,7 @@ class StepRef:
 
     def __post_init__(self) -> None:
         """Make tuples of lists and arrays, as steps are hashed."""
-        for name in ("box", "lattice", "gravity", "columns"):
+        for name in ("box", "lattice", "gravity", "columns", "unknown"):
             value = getattr(self, name)
             if value is not None and not (
                 type(value) is tuple and all(type(v) is not list for v in value)
@@ -130,8 +134,11 @@ class ReadOptions:
         names of columns.
     words : mapping
         Words of the computes that wrote the files of "contacts" and "walls" (LIGGGHTS).
+    names_of : mapping
+        `names` of each kind of file, where the caller gives them apart ("particles", "contacts").
     given : frozenset of str
-        Which of ``periodic``, ``lattice`` and ``shape`` of `xcg.open_scene` the caller gave.
+        Which of ``periodic``, ``lattice``, ``shape`` and ``units`` of `xcg.open_scene` the caller
+        gave.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
     vectors : tuple of tuple of str
@@ -146,6 +153,7 @@ class ReadOptions:
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
+    names_of: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -154,6 +162,13 @@ class ReadOptions:
     vectors: tuple[tuple[str, ...], ...] = ()
     columns: Mapping[str, Sequence[str | None]] = field(default_factory=dict)
     alone: bool = False
+
+    def of_kind(self, kind: str) -> ReadOptions:
+        """Return the options for files of particles, or of contacts and walls."""
+        if not self.names_of:
+            return self
+        kind = "particles" if kind == "particles" else "contacts"
+        return replace(self, names=self.names_of.get(kind, {}))
 
 
 class Engine(ABC):
@@ -178,6 +193,8 @@ class Engine(ABC):
     UNNAMED_UNITS : str
         What to do about files that do not name their units, for the warning that such files get;
         without it they are taken as SI without a word.
+    WHOLE_VECTORS : bool
+        Whether a column holds all components of a vector.
     ROWS_ARE_IDS : bool
         Whether rows without ``particle_id`` are the same particles in every step, and contacts name
         them by the number of their row.
@@ -197,6 +214,7 @@ class Engine(ABC):
     OPTIONS: ClassVar[tuple[str, ...]] = ()
     NAMES_IN_ORDER: ClassVar[bool] = False
     UNNAMED_UNITS: ClassVar[str] = ""
+    WHOLE_VECTORS: ClassVar[bool] = False
     ROWS_ARE_IDS: ClassVar[bool] = True
 
     @property
@@ -304,11 +322,11 @@ class Engine(ABC):
         """Length of the period along some axes from the contacts of a step, where files lack it."""
         return {}
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> Sequence[str]:
-        """Columns of a step that are not read, for what a scene says of itself; none by default."""
-        return ()
+    def columns_read(
+        self, ref: StepRef, options: ReadOptions, *, contacts: bool
+    ) -> dict[str, str] | None:
+        """Return what each column of a step is read as; None by default: nothing is said about columns."""
+        return None
 
 
 GROUP = "xcg.readers"

@@ -11,12 +11,12 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, printable, warn_user
-from xcg.readers import unread_columns
-from xcg.readers.assigned import assign
+from xcg.common.messages import SceneError, warn_user
+from xcg.readers.assigned import assign, names_apart
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, check_clock, clock_of, warn_of_unread_clock
-from xcg.readers.pairs import ignored_columns
+from xcg.readers.names import factor_of
+from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.conform import ROW_NUMBERS
@@ -29,7 +29,7 @@ def scene_from_table(
     particles: Any,
     contacts: Any = None,
     *,
-    names: Mapping[str, str | None] | None = None,
+    names: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Build a scene from tables in memory, as pandas has them.
@@ -50,7 +50,8 @@ def scene_from_table(
         them, have the direction n of the centres, from j to i: the force on i is ``normal_force n +
         tangential_force (z x n)``.
     names : mapping, optional
-        From other columns to these names; None drops a column.
+        From other columns to these names; None drops a column. ``{"particles": {...}, "contacts":
+        {...}}`` gives those of each table.
     **options
         All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables
         that the tables do not hold. ``density`` is used where the tables hold neither mass nor
@@ -59,7 +60,7 @@ def scene_from_table(
     Returns
     -------
     xarray.Dataset
-        The scene, in memory. Its attribute `ignored_columns` lists the columns that are not read.
+        The scene, in memory. Its attribute `not_read` lists the columns that are not read.
 
     Raises
     ------
@@ -80,10 +81,10 @@ def scene_from_table(
         raise TypeError(
             f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
         )
-    read_options = ReadOptions(dict(names or {}))
+    read_options = _read_options(names, options)
     table = _table(particles)
     refs = {"particles": [_ref_of(table, "particles")]}
-    grains = _frames(table, "particles", read_options, contacts=False)
+    grains = _frames(table, "particles", read_options.of_kind("particles"), contacts=False)
     steps = sorted(grains)
     clock, _ = grains[steps[0]]
     arrays: dict[str, Any] = _stacked([grains[key][1] for key in steps])
@@ -91,22 +92,33 @@ def scene_from_table(
     nameless = "particle_id" not in arrays and options.get("particle_id") is None
     if nameless:
         has_contacts = contacts is not None
-        unread_columns.report_missing_ids(refs["particles"][0], len(steps), contacts=has_contacts)
+        report_missing_ids(refs["particles"][0], len(steps), contacts=has_contacts)
     if contacts is not None:
         lattices = _lattices(steps, options)
-        table = _with_vectors(_table(contacts), grains, read_options, lattices)
+        of_kind = read_options.of_kind("contacts")
+        table = _with_vectors(_table(contacts), grains, of_kind, lattices)
         refs["contacts"] = [_ref_of(table, "contacts")]
-        arrays |= _contacts(table, steps, read_options)
+        arrays |= _contacts(table, steps, of_kind)
     _check_arguments(options, arrays)
-    for (ref,) in refs.values():
-        _warn_of_columns(ref, read_options, options)
+    for kind, (ref,) in refs.items():
+        _warn_of_columns(ref, read_options.of_kind(kind), options)
     scene = scene_from_arrays(**(options | arrays))
-    ignored = printable(ignored_columns(Table(), refs, read_options))
-    if ignored:
-        scene = scene.assign_attrs(ignored_columns=ignored)
+    if contacts is not None:
+        of_grains, of_contacts = refs["particles"][0], refs["contacts"][0]
+        check_plane(Table(), of_grains, of_contacts, read_options, scene.attrs["dimension"])
+    not_read = list_not_read(Table(), refs, read_options)
+    if not_read:
+        scene = scene.assign_attrs(not_read=not_read)
     if nameless:
         scene["particle_id"].attrs |= ROW_NUMBERS
     return scene
+
+
+def _read_options(names: Mapping[str, Any] | None, arguments: Mapping[str, Any]) -> ReadOptions:
+    """Return the options of reading; names may be given apart for grains and contacts."""
+    flat, apart = names_apart(names or {})
+    given = frozenset(name for name in ("units",) if arguments.get(name) is not None)
+    return ReadOptions(flat, names_of=apart, given=given)
 
 
 def _ref_of(table: pd.DataFrame, what: str) -> StepRef:
@@ -241,6 +253,8 @@ def _frames(
         raise SceneError(f"{what}: the table has no rows")
     clock = clock_of(tuple(data.columns), options.names)
     clocks = {word: _numbers(data, name, what) for word, name in clock.items()}
+    if "time" in clock and "units" not in options.given:
+        clocks["time"] = clocks["time"] * factor_of(clock["time"], "time")
     check_clock(clocks, what)
     runs: list[Any] = [np.arange(len(data))]
     if clocks and len(data):
@@ -260,15 +274,10 @@ def _frames(
 
 
 def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str, Any]) -> None:
-    """Warn of columns that are probably not ignored on purpose, as for files."""
-    contacts = ref.path == "contacts"
-    columns_read = Table().contact_columns if contacts else Table().particle_columns
-    read = {name: "" for name, value in arguments.items() if value is not None}
-    read |= columns_read(ref, options)
-    unread_columns.warn_of_unread(ref, read, options, contacts=contacts)
+    """Warn of columns that are not understood, as for files."""
+    known = [name for name, value in arguments.items() if value is not None]
+    warn_of_columns(Table(), ref, options, contacts=ref.path == "contacts", known=known)
     warn_of_unread_clock(ref, options)
-    if arguments.get("units") is None:
-        unread_columns.warn_of_other_units(ref, options)
 
 
 class _InMemory(Table):

@@ -131,7 +131,7 @@ def read_step(
     kind = "contacts" if contacts else "particles"
     read = engine.read_contacts if contacts else engine.read_particles
     try:
-        variables = read(ref, options)
+        variables = read(ref, options.of_kind(kind))
     except SceneError:
         raise
     except ValueError as error:  # of engines of users, such as NumPy's for texts
@@ -282,13 +282,14 @@ class Source:
     ) -> Frame:
         """Read, check and complete the contacts of one step, from all its files."""
         parts = []
+        options = self.options.of_kind("contacts")
         for ref in refs:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
             _check_unchanged(ref)
             raw = read_step(self.engine, self.options, ref, contacts=True)
             columns: Mapping[str, str] = {}
             if "overlap" in raw:
-                columns = self.engine.contact_columns(ref, self.options)
+                columns = self.engine.contact_columns(ref, options)
             with self.once.active():
                 if "wrapped_branch" in raw:
                     scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
@@ -304,7 +305,7 @@ class Source:
                 )
             parts.append(part)
             _require(parts[-1], names, ref)
-            unread = self.engine.unread_forces(ref, self.options)
+            unread = self.engine.unread_forces(ref, options)
             if unread and is_central(parts[-1], particles, lattice):
                 with self.once.active():
                     what = "all contact forces lie along the branches, as normal parts do"

@@ -1,49 +1,36 @@
 """Names in files: one table of the aliases of each variable, for all engines.
 
-Names are compared without case, blanks and punctuation, and without a unit of SI in brackets:
-``Particle ID``, ``particle_id`` and ``ParticleId`` are one name, as are ``Diameter [m]`` and
-``diameter``. Names of one letter keep their case (``t`` is a time, ``T`` a temperature).
-Components are called by letters, or numbered: ``v_x``, ``Velocity X``, ``Velocity:0``.
+Names are compared without case, blanks and punctuation, and without a unit: ``Particle ID``,
+``particle_id`` and ``ParticleId`` are one name, as are ``Diameter [m]``, ``diameter_mm`` and
+``diameter``. Names of one letter keep their case (``t`` is a time, ``T`` a temperature). Components
+are called by letters, or numbered: ``v_x``, ``Velocity X``, ``Velocity:0``.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 from typing import TypeAlias
 
-from xcg.scene.schema import COMPONENTS
+from xcg.readers.column_units import unit_of
+from xcg.scene.schema import COMPONENTS, VARIABLES, Powers, powers_of
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Canonical names of the columns that fill each slot, the preferred first."""
 
-_UNITS_OF_SI = {
-    "-", "m", "s", "kg", "n", "m/s", "ms-1", "1/s", "s-1", "rad/s", "rads-1", "m2", "m3",
-    "kg/m3", "kgm-3", "kgm2", "sec",
-}  # fmt: skip
-_OTHER_UNIT = re.compile(
-    r"[\[(]\s*((?:[mcdknuµμ]m|in|ft)(?:/s|\^?3)?|[mnuµμ]s|min|h|m?g|t|g/cm\^?3|kN|mN)\s*[\])]$"
-    r"|_((?:[mcnuµμ]m)|[mnuµμ]s)$"
-)
-_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 _NUMBERED = re.compile(r"(.*?)([^A-Za-z0-9]?)[\[(]?(\d)[\])]?$")
-
-
-def other_unit(column: str) -> str:
-    """Return the unit in the name of a column, as in ``x (mm)`` or ``x_mm``; "" for SI or none."""
-    unit = _OTHER_UNIT.search(column)
-    return (unit[1] or unit[2]) if unit else ""
 
 
 @lru_cache(maxsize=1 << 14)
 def canonical(name: str) -> str:
-    """Return a name without case, blanks and punctuation, and without a unit of SI in brackets."""
-    brackets = _BRACKETS.search(name)
-    if brackets and re.sub(r"[\s^*]", "", brackets[1]).lower() in _UNITS_OF_SI:
-        name = name[: brackets.start()]
+    """Return a name without case, blanks and punctuation, and without a unit in brackets."""
+    unit = unit_of(name)
+    if unit is not None and unit.in_brackets:
+        name = unit.stem
     letters = re.sub(r"[\W_]", "", name)
     return letters if len(letters) == 1 else letters.casefold()
 
@@ -53,13 +40,17 @@ def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
 
     Three columns that are numbered 0, 1, 2 or 1, 2, 3 are components x, y, z of one vector. A
     number follows a sign (``v:0``, ``v[1]``, ``v_2``) or a word (``vel0``), so that ``d1``, ``d2``
-    and ``d3`` are not taken for a vector.
+    and ``d3`` are not taken for a vector. Names that end in a unit (``x_mm``) come last.
     """
     named: dict[str, list[str]] = defaultdict(list)
     vectors: dict[str, dict[int, str]] = defaultdict(dict)
+    with_unit: list[tuple[str, str]] = []
     for column in columns:
         named[canonical(column)].append(column)
-        numbered = _NUMBERED.match(column)
+        unit = unit_of(column)
+        if unit is not None and not unit.in_brackets:
+            with_unit.append((canonical(unit.stem), column))
+        numbered = _NUMBERED.match(unit.stem if unit and unit.in_brackets else column)
         if numbered:
             stem, sign, number = numbered.groups()
             brackets = column.endswith(("]", ")"))
@@ -69,85 +60,181 @@ def canonical_columns(columns: Iterable[str]) -> dict[str, list[str]]:
         if sorted(components) in ([0, 1, 2], [1, 2, 3]):
             for axis, number in zip(COMPONENTS, sorted(components), strict=True):
                 named[stem + axis].append(components[number])
+    for name, column in with_unit:
+        named[name].append(column)
     return named
 
 
 # --- the table -------------------------------------------------------------------------------------
-#
-# Vectors by the names of their components, with "?" in the place of the axis.
 
-_PARTICLE_SCALARS = {
-    "particle_id": (
-        "particle id", "track id", "id", "particle", "particle number", "particle no", "label", "tag",
-        "atom id", "grain id", "grain", "global id", "particle identifier",
+
+@dataclass(frozen=True)
+class Names:
+    """Names of one variable in files.
+
+    Attributes
+    ----------
+    aliases : str
+        What it is called, with commas between, the preferred first; "?" is the place of the axis.
+    hints : str
+        Words that resemble it, by their beginning ("veloc*"), or as the only one ("=cx"): named in
+        a warning where such a column is not read.
+    instead : str
+        Variables that are read in its place, so that hints say nothing.
+    """
+
+    aliases: str
+    hints: str = ""
+    instead: str = ""
+
+    @property
+    def listed(self) -> list[str]:
+        """Aliases, one by one."""
+        return [name.strip() for name in self.aliases.split(",") if name.strip()]
+
+    @property
+    def is_vector(self) -> bool:
+        """Return whether this is a vector by its components."""
+        return "?" in self.aliases
+
+
+PARTICLES: Mapping[str, Names] = {
+    "particle_id": Names(
+        "particle id, track id, id, particle, particle number, particle no, label, tag, atom id, "
+        "grain id, grain, global id, particle identifier, id p",
+        "id ids idx uid pid gid label* tag* number no nr index serial identifier key",
     ),
-    "species": (
-        "species", "type", "species id", "type id", "particle type", "particle species", "mat id",
-        "material", "material id", "phase", "phase id", "particle phase id",
+    "species": Names(
+        "species, type, species id, type id, particle type, particle species, mat id, material, "
+        "material id, phase, phase id, particle phase id",
+        "species type types kind material* mat phase",
     ),
-    "body_id": ("body id", "mol", "molecule", "molecule id", "clump", "clump id", "id multisphere"),
-    "frozen": ("frozen",),
-    "coordination_number": (
-        "coordination number", "coordination", "number of contacts", "num contacts", "n contacts",
+    "position": Names(
+        "position ?, ?, pos ?, ? position, ? pos, points ?, coordinate ?, coordinates ?, coord ?, "
+        "coords ?, ? coordinate, ? coord, center ?, centre ?, centroid ?, particle position ?, "
+        "particle ? coordinate, particle ? position, location ?, loc ?",
     ),
-    "diameter": ("diameter", "diameters", "diam", "dia", "particle diameter"),
-    "radius": ("radius", "radii", "rad", "particle radius"),
-    "density": ("density", "rho", "ρ", "particle density", "material density"),
-    "mass": ("mass", "masses", "particle mass"),
-    "volume": ("volume", "vol", "particle volume"),
-    "moment_of_inertia": ("moment of inertia", "inertia"),
-}  # fmt: skip
-_PARTICLE_VECTORS = {
-    "position": (
-        "position ?", "?", "pos ?", "? position", "? pos", "points ?", "coordinate ?",
-        "coordinates ?", "coord ?", "coords ?", "? coordinate", "? coord", "center ?", "centre ?",
-        "centroid ?", "particle position ?", "particle ? coordinate", "particle ? position",
-        "location ?", "loc ?",
+    "scaled": Names("scaled ?, ?s"),
+    "unwrapped_position": Names(
+        "unwrapped position ?, ?u, ? unwrapped, unwrapped ?, unwrapped coordinates ?",
     ),
-    "scaled": ("scaled ?", "?s"),
-    "unwrapped_position": (
-        "unwrapped position ?", "?u", "? unwrapped", "unwrapped ?", "unwrapped coordinates ?",
+    "unwrapped_scaled": Names("unwrapped scaled ?, ?su"),
+    "image": Names(
+        "image ?, i?, images ?, image flag ?, image flags ?, periodic image ?",
+        "image* wraps unwrap*",
+        "unwrapped_",
     ),
-    "unwrapped_scaled": ("unwrapped scaled ?", "?su"),
-    "image": (
-        "image ?", "i?", "images ?", "image flag ?", "image flags ?", "periodic image ?",
-    ),
-    "velocity": (
-        "velocity ?", "v?", "vel ?", "velo ?", "? velocity", "? vel", "velocities ?", "linear velocity ?",
-        "lin vel ?", "lin vel vec ?", "translational velocity ?", "particle velocity ?",
+    "velocity": Names(
+        "velocity ?, v?, vel ?, velo ?, ? velocity, ? vel, velocities ?, linear velocity ?, "
+        "lin vel ?, lin vel vec ?, translational velocity ?, particle velocity ?, "
         "particle ? velocity",
+        "vel velo veloc* linvel* speed u v xdot ydot zdot dxdt dydt dzdt momenta",
     ),
-    "angular_velocity": (
-        "angular velocity ?", "omega ?", "ang vel ?", "ang vel vec ?", "? angular velocity",
-        "rotational velocity ?", "rot vel ?", "particle angular velocity ?", "spin ?", "w?", "om?",
-        "omg?", "ome?", "ω?",
+    "angular_velocity": Names(
+        "angular velocity ?, omega ?, ang vel ?, ang vel vec ?, ? angular velocity, "
+        "rotational velocity ?, rot vel ?, particle angular velocity ?, spin ?, w?, om?, omg?, ome?, "
+        "ω?",
+        "angvel* angular* omega* spin rot rotational rotvel* vrot*",
     ),
-}  # fmt: skip
-_CONTACT_SCALARS = {
-    "contact_i": (
-        "contact i", "id1", "id i", "patom1", "particle 1", "particle i", "particle id 1",
-        "particle i id", "particle 1 id", "global id 1", "atom1", "atom id 1", "grain 1", "grain i",
-        "i",
+    "diameter": Names(
+        "diameter, diameters, diam, dia, particle diameter",
+        "diam* dia d dp size",
+        "radius volume half_axis whole_axis",
     ),
-    "contact_j": (
-        "contact j", "id2", "id j", "patom2", "particle 2", "particle j", "particle id 2",
-        "particle j id", "particle 2 id", "global id 2", "atom2", "atom id 2", "grain 2", "grain j",
-        "j",
+    "radius": Names(
+        "radius, radii, rad, particle radius",
+        "radi* rad r rp",
+        "diameter volume half_axis whole_axis",
     ),
-    "overlap": ("overlap", "delta", "delta n", "penetration", "penetration depth"),
-}  # fmt: skip
-_CONTACT_VECTORS = {
-    "contact_force": ("contact force ?", "f?", "force ?", "? force", "total force ?", "force ij ?"),
-    "normal_force": ("normal force ?", "fn?", "f normal ?", "force normal ?"),
-    "tangential_force": (
-        "tangential force ?", "ft?", "shear force ?", "f tangential ?", "force tangential ?",
+    "density": Names(
+        "density, rho, ρ, particle density, material density, rho p", "dens* rho rhop", "mass"
     ),
-    "contact_point": ("contact point ?", "point ?", "contact position ?", "contact ij ?"),
-    "contact_normal": ("contact normal ?",),
-    "contact_branch": ("contact branch ?", "branch ?", "d?"),
-    "end_i": ("end i ?",),
-    "end_j": ("end j ?",),
-}  # fmt: skip
+    "mass": Names("mass, masses, particle mass", "mass* m weight", "density"),
+    "volume": Names(
+        "volume, vol, particle volume", "vol volume*", "radius diameter half_axis whole_axis"
+    ),
+    "moment_of_inertia": Names("moment of inertia, inertia"),
+    "coordination_number": Names(
+        "coordination number, coordination, number of contacts, num contacts, n contacts",
+    ),
+    "body_id": Names(
+        "body id, mol, molecule, molecule id, clump, clump id, id multisphere",
+        "clump* molecule* mol body",
+    ),
+    "frozen": Names("frozen"),
+    # of LAMMPS' compute property/atom, LIGGGHTS and OVITO
+    "quat_w": Names("quat w, quat 1, orientation w"),
+    "quat_x": Names("quat i, quat 2, quat x, orientation x"),
+    "quat_y": Names("quat j, quat 3, quat y, orientation y"),
+    "quat_z": Names("quat k, quat 4, quat z, orientation z"),
+    "half_axis": Names("half axis ?, aspherical shape ?, semi axis ?", "semi* half", "whole_axis"),
+    "whole_axis": Names("whole axis ?, shape ?", "shape", "half_axis"),
+    "exponent_1": Names("exponent 1, block 1, blockiness 1"),
+    "exponent_2": Names("exponent 2, block 2, blockiness 2"),
+}
+CONTACTS: Mapping[str, Names] = {
+    "contact_i": Names(
+        "contact i, id1, id i, patom1, particle 1, particle i, particle id 1, particle i id, "
+        "particle 1 id, global id 1, atom1, atom id 1, grain 1, grain i, i",
+    ),
+    "contact_j": Names(
+        "contact j, id2, id j, patom2, particle 2, particle j, particle id 2, particle j id, "
+        "particle 2 id, global id 2, atom2, atom id 2, grain 2, grain j, j",
+    ),
+    "contact_force": Names(
+        "contact force ?, f?, force ?, ? force, total force ?, force ij ?, force total ?, f tot ?"
+    ),
+    "normal_force": Names(
+        "normal force ?, fn?, f normal ?, force normal ?, f norm ?, normal contact force ?, "
+        "contact force normal ?, force n ?"
+    ),
+    "tangential_force": Names(
+        "tangential force ?, ft?, shear force ?, shear ?, f tangential ?, force tangential ?, fs?, "
+        "f shear ?, force shear ?, f tang ?, tangential contact force ?, contact force tangential ?, "
+        "force t ?",
+        "tang* shear* frict* ft fs =tx =ty =tz",
+        "contact_force",
+    ),
+    "contact_point": Names(
+        "contact point ?, point ?, contact position ?, contact ij ?, contact point position ?, cp?",
+        "point* pos position location* =cx =cy =cz =x =y =z =xc =yc =zc =posx =posy =posz",
+        "end_",
+    ),
+    "contact_normal": Names("contact normal ?"),
+    "contact_branch": Names("contact branch ?, branch ?, d?"),
+    "end_i": Names("end i ?"),
+    "end_j": Names("end j ?"),
+    "overlap": Names(
+        "overlap, delta, delta n, penetration, penetration depth, normal overlap",
+        "overlap* penetr* delta gap indentation",
+    ),
+}
+CLOCK_SLOTS: Slots = {
+    "time": ("time", "t", "simulationtime", "simtime", "physicaltime"),
+    "step": ("step", "timestep", "frame", "iteration", "snapshot"),
+}
+# What single codes call otherwise.
+_OF_CODES: Mapping[str, Mapping[str, str]] = {
+    "yade": {
+        "radius": "r, " + PARTICLES["radius"].aliases,
+        # the force acts on the second body
+        "contact_i": "id2",
+        "contact_j": "id1",
+        "tangential_force": "fs?, shear force ?, tangential force ?",
+        "contact_point": "c?, contact point ?",
+        "contact_normal": "n?, contact normal ?",
+    },
+    "mercury": {"angular_velocity": "om?"},
+    # its axes of superquadrics are halves, where those of LAMMPS are whole
+    "liggghts": {"half_axis": "half axis ?, shape ?", "whole_axis": "whole axis ?"},
+}
+_OF_LIGGGHTS = {"blockiness1", "blockiness2", "quat1", "quat2", "quat3", "quat4"}
+OF_MFIX: Slots = {
+    "contact_i": ("forcechainglobalid1", "particleid1"),
+    "contact_j": ("forcechainglobalid2", "particleid2"),
+    "contact_force": ("forcechainfc",),
+    "overlap": ("forcechainoverlap",),
+}
 
 
 def components(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
@@ -168,69 +255,110 @@ def vector_columns(name: str, width: int) -> list[str]:
     return [f"{name}[{k}]" for k in range(1, width + 1)]
 
 
-def _slots(
-    scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
-) -> dict[str, tuple[str, ...]]:
-    slots = {slot: tuple(map(canonical, names)) for slot, names in scalars.items()}
-    for slot, templates in vectors.items():
-        slots |= components(slot, *templates)
+def slots_of(table: Mapping[str, Names], code: str = "") -> dict[str, tuple[str, ...]]:
+    """Return the slots of columns of particles or contacts, as one code calls them."""
+    slots: dict[str, tuple[str, ...]] = {}
+    for variable, names in table.items():
+        names = Names(_OF_CODES.get(code, {}).get(variable, names.aliases))
+        if names.is_vector:
+            slots |= components(variable, *names.listed)
+        else:
+            slots[variable] = tuple(map(canonical, names.listed))
     return slots
 
 
-PARTICLE_SLOTS: Slots = {
-    **_slots(_PARTICLE_SCALARS, _PARTICLE_VECTORS),
-    # of LAMMPS' compute property/atom, and of LIGGGHTS
-    "quat_w": ("quatw", "quat1"),
-    "quat_x": ("quati", "quat2", "quatx"),
-    "quat_y": ("quatj", "quat3", "quaty"),
-    "quat_z": ("quatk", "quat4", "quatz"),
-    **components("half_axis", "half axis ?"),
-    **components("whole_axis", "whole axis ?", "shape ?"),
-    "exponent_1": ("exponent1", "block1", "blockiness1"),
-    "exponent_2": ("exponent2", "block2", "blockiness2"),
-}
-CONTACT_SLOTS: Slots = _slots(_CONTACT_SCALARS, _CONTACT_VECTORS)
-
-
+PARTICLE_SLOTS: Slots = slots_of(PARTICLES)
+CONTACT_SLOTS: Slots = slots_of(CONTACTS)
 ALL_SLOTS: Slots = {**PARTICLE_SLOTS, **CONTACT_SLOTS}
-CLOCK_SLOTS: Slots = {
-    "time": ("time", "t", "simulationtime", "simtime", "physicaltime"),
-    "step": ("step", "timestep", "frame", "iteration", "snapshot"),
+_LIGGGHTS_SLOTS: Slots = slots_of(PARTICLES, "liggghts")
+
+
+def is_of_liggghts(columns: Iterable[str]) -> bool:
+    """Return whether columns of particles have names that only LIGGGHTS writes."""
+    return not _OF_LIGGGHTS.isdisjoint(map(canonical, columns))
+
+
+def slots_for(columns: Iterable[str], slots: Slots) -> Slots:
+    """Return the slots of particles for the columns of a file, whose code they may show."""
+    if "half_axis_x" not in slots or not is_of_liggghts(columns):
+        return slots
+    axes = ("half_axis_", "whole_axis_")
+    return {
+        slot: _LIGGGHTS_SLOTS[slot] if slot.startswith(axes) else names
+        for slot, names in slots.items()
+    }
+
+
+def _arrays(table: Mapping[str, Names], without: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the slots of whole arrays: vectors are called without their axis."""
+    slots: dict[str, tuple[str, ...]] = {}
+    for variable, names in table.items():
+        if variable not in without:
+            words = [canonical(name.replace("?", "")) for name in names.listed]
+            # LAMMPS and LIGGGHTS make "i" of ix iy iz
+            slots[variable] = tuple(word for word in words if len(word) > 1 or word in "vij")
+    return slots
+
+
+PARTICLE_ARRAYS: Slots = {
+    **_arrays(PARTICLES, ("position", "scaled", "unwrapped_scaled", "half_axis", "whole_axis")),
+    **{
+        slot: names
+        for slot, names in PARTICLE_SLOTS.items()
+        if slot not in PARTICLES and not slot.startswith(("position", "scaled", "unwrapped_scaled"))
+    },
 }
+CONTACT_ARRAYS: Slots = _arrays(CONTACTS, ("contact_branch", "end_i", "end_j"))
 
 
-def _arrays(
-    scalars: Mapping[str, Sequence[str]], vectors: Mapping[str, Sequence[str]]
-) -> dict[str, str]:
-    """Return the variable of each canonical name of a whole array, vectors without their axis."""
-    arrays: dict[str, str] = {}
-    for variable, names in (*scalars.items(), *vectors.items()):
-        for name in names:
-            word = canonical(name.replace("?", ""))
-            if len(word) > 1 or word in "vij":  # LAMMPS and LIGGGHTS make "i" of ix iy iz
-                arrays.setdefault(word, variable)
-    return arrays
+# --- columns by name -------------------------------------------------------------------------------
+
+_UNITS_OF_SLOTS = {
+    "radius": "m", "half_axis": "m", "whole_axis": "m", "normal_force": "N", "tangential_force": "N",
+    "end_i": "m", "end_j": "m", "time": "s",
+}  # fmt: skip
 
 
-_WHOLE_VECTORS = {
-    slot: _PARTICLE_VECTORS[slot]
-    for slot in ("velocity", "angular_velocity", "unwrapped_position", "image")
-}
-PARTICLE_ARRAYS = _arrays(_PARTICLE_SCALARS, _WHOLE_VECTORS)
-CONTACT_ARRAYS = _arrays(
-    _CONTACT_SCALARS,
-    {slot: _CONTACT_VECTORS[slot] for slot in ("contact_force", "contact_point", "contact_normal")},
-)
+def vector_of(slot: str) -> str:
+    """Return the variable of a slot: the vector of a component."""
+    vector, _, axis = slot.rpartition("_")
+    return vector if axis in COMPONENTS and slot in ALL_SLOTS and vector != "quat" else slot
+
+
+def powers_of_slot(slot: str) -> Powers:
+    """Return the powers of length, mass and time of a slot; zeros for a variable of the caller's own."""
+    name = vector_of(slot)
+    units = _UNITS_OF_SLOTS.get(name)
+    if units is None:
+        units = VARIABLES[name].units if name in VARIABLES else "1"
+    return powers_of(units)
+
+
+def factor_of(column: str, slot: str) -> float:
+    """Return the factor from the unit in the name of a column to SI; 1 where it names none of this slot."""
+    unit = unit_of(column)
+    if unit is None or unit.powers != powers_of_slot(slot):
+        return 1.0
+    return unit.factor
 
 
 def columns_by_name(columns: Sequence[str], slots: Slots) -> dict[str, str]:
     """Return the column of each slot that is called by one of its aliases, the preferred first.
 
     All components of a vector are of one spelling, the one with the most components: ``wx`` beside
-    ``omega_z`` is something else.
+    ``omega_z`` is something else. An ending such as ``_mm`` is a unit where it is one of the slot.
     """
     aliases = tuple((slot, tuple(names)) for slot, names in slots.items())
     return dict(_columns_by_name(tuple(columns), aliases))
+
+
+def _named(slot: str, alias: str, candidates: Iterable[str]) -> Iterator[str]:
+    """Yield the columns that are called by an alias, or by it and a unit of the slot."""
+    for column in candidates:
+        unit = unit_of(column)
+        is_plain = unit is None or unit.in_brackets or canonical(unit.stem) != alias
+        if is_plain or (unit is not None and unit.powers == powers_of_slot(slot) != (0, 0, 0)):
+            yield column
 
 
 @lru_cache(maxsize=256)  # the steps of a series have the same columns
@@ -238,14 +366,12 @@ def _columns_by_name(
     columns: tuple[str, ...], slots: tuple[tuple[str, tuple[str, ...]], ...]
 ) -> dict[str, str]:
     named = canonical_columns(columns)
-    by_alias = {
-        slot: {
-            place: named[canonical(alias)][0]
-            for place, alias in enumerate(aliases)
-            if canonical(alias) in named
-        }
-        for slot, aliases in slots
-    }
+    by_alias: dict[str, dict[int, str]] = {}
+    for slot, aliases in slots:
+        by_alias[slot] = {}
+        for place, alias in enumerate(map(canonical, aliases)):
+            for column in _named(slot, alias, named.get(alias, ())):
+                by_alias[slot].setdefault(place, column)
     filled = {}
     for slot, candidates in by_alias.items():
         places = list(candidates)
@@ -261,32 +387,9 @@ def _columns_by_name(
 
 # --- names that resemble a variable ----------------------------------------------------------------
 
-# Words in the names of columns, whole or by their beginning ("veloc*").
-_HINTS_OF_PARTICLES = {
-    "particle_id": "id ids label tag number no nr index identifier",
-    "species": "species type material mat phase",
-    "velocity": "vel veloc* speed u v momenta",
-    "angular_velocity": "angvel angular* omega spin rot rotational",
-    "radius": "radi* rad r rp",
-    "diameter": "diam* dia d dp size vol volume*",
-    "density": "dens* rho",
-    "mass": "mass* m",
-    "body_id": "clump* molecule* mol body",
-    "image": "image* wraps unwrap*",
-}
-_HINTS_OF_CONTACTS = {
-    "overlap": "overlap* penetr* delta gap",
-    "contact_point": "point*",
-    "tangential_force": "tang* shear* frict* ft fs",
-}
-_ENOUGH = {  # what is read in place of a variable
-    "radius": ("diameter", "volume"),
-    "diameter": ("radius", "volume"),
-    "image": ("unwrapped_",),
-    "tangential_force": ("contact_force",),
-}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _OF_LAMMPS = re.compile(r"^[vcf]_(?=\w\w)")  # variables, computes and fixes
+_TOLD_BY_UNITS = {"density", "velocity"}  # units of nothing else
 _OF_PARAVIEW = {
     "pointid", "cellid", "celltype", "blockname", "blocknumber", "vtkoriginalpointids",
     "vtkoriginalcellids", "vtkghosttype",
@@ -301,10 +404,29 @@ _BESIDE_CLOCK_WORDS = {
 }  # fmt: skip
 
 
+def words_of(column: str) -> list[str]:
+    """Return the words in the name of a column, without its unit and the prefix of LAMMPS."""
+    unit = unit_of(column)
+    name = column
+    if unit is not None and (unit.in_brackets or unit.powers != (0, 0, 0)):
+        name = unit.stem
+    return [word.casefold() for word in _WORD.findall(_OF_LAMMPS.sub("", name))]
+
+
+def resembles(column: str, names: Names) -> bool:
+    """Return whether the name of a column has a word of the hints of a variable."""
+    hints = names.hints.split()
+    stems = tuple(hint[:-1] for hint in hints if hint.endswith("*"))
+    words = words_of(column)
+    if "=" + canonical(column) in hints:
+        return True
+    return any(word in hints or (stems and word.startswith(stems)) for word in words)
+
+
 def resembling(
     columns: Iterable[str], variables: Iterable[str], *, contacts: bool
 ) -> dict[str, str]:
-    """Return columns whose names resemble a variable that is not read.
+    """Return columns that are not read and resemble a variable that is not read either, by words or unit.
 
     Parameters
     ----------
@@ -316,19 +438,25 @@ def resembling(
         Whether the file holds contacts.
     """
     slots = tuple(variables)
+    table = CONTACTS if contacts else PARTICLES
+    lacking = {
+        variable: names
+        for variable, names in table.items()
+        if not any(slot.startswith((variable, *names.instead.split())) for slot in slots)
+    }
     likely: dict[str, str] = {}
-    hints = _HINTS_OF_CONTACTS if contacts else _HINTS_OF_PARTICLES
-    for variable, text in hints.items():
-        enough = (variable, *_ENOUGH.get(variable, ()))
-        if any(slot.startswith(enough) for slot in slots):
-            continue
-        stems = tuple(word[:-1] for word in text.split() if word.endswith("*"))
-        whole = set(text.split())
-        for column in columns:
-            if canonical(column) in _OF_PARAVIEW:
-                continue
-            words = [word.casefold() for word in _WORD.findall(_OF_LAMMPS.sub("", column))]
-            if any(word in whole or (stems and word.startswith(stems)) for word in words):
+    candidates = [name for name in columns if canonical(name) not in _OF_PARAVIEW]
+    for variable, names in lacking.items():
+        powers = powers_of_slot(variable)
+        for column in candidates:
+            unit = unit_of(column)
+            of_another = unit is not None and unit.in_brackets and unit.powers != powers
+            if not of_another and resembles(column, names):
+                likely.setdefault(column, variable)
+    for column in candidates:
+        unit = unit_of(column)
+        for variable in _TOLD_BY_UNITS & lacking.keys():
+            if unit and unit.in_brackets and unit.powers == powers_of_slot(variable):
                 likely.setdefault(column, variable)
     return likely
 

@@ -82,7 +82,8 @@ def open_scene(
         `xcg.readers.Engine`.
     names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself;
-        None drops a column. Components are single names: ``position_x``, ``velocity_x``,
+        None drops a column; ``{"particles": {...}, "contacts": {...}}`` gives those of each kind of
+        file. Components are single names: ``position_x``, ``velocity_x``,
         ``contact_force_x``, ``contact_point_x``, ``contact_normal_x``, and so on for y and z.
         Further names are
 

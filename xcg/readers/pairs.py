@@ -19,6 +19,7 @@ from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Step, read_step
 from xcg.readers.order import order_steps
+from xcg.readers.report import list_not_read, warn_of_columns
 from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
@@ -36,15 +37,17 @@ def index_files(
     """
     indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
-        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
+        of_kind = options.of_kind(kind)
+        refs = _stamped(getattr(reader, f"index_{kind}")(paths, of_kind) or [], reader)
         if not refs:
             raise SceneError(
                 f"{kind}: no step in {_some(paths)}; are these files empty, or of another code?"
             )
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
+        warn_of_columns(reader, refs[0], of_kind, contacts=kind != "particles")
     columns = {column for refs in indexed.values() for column in refs[0].columns}
-    absent = sorted(set(options.names) - columns)
+    absent = sorted({*options.names, *chain(*options.names_of.values())} - columns)
     if absent and columns:
         listed = f"columns are {' '.join(sorted(columns))}"
         raise SceneError(
@@ -274,21 +277,6 @@ def origin_of(
     attrs = {
         "engine": engine.name,
         "files": "\n".join(lines),
-        "ignored_columns": ignored_columns(engine, refs, options),
+        "not_read": list_not_read(engine, refs, options),
     }
     return {name: printable(text) for name, text in attrs.items() if text}
-
-
-def ignored_columns(
-    engine: Engine, refs: Mapping[str, Iterable[StepRef]], options: ReadOptions
-) -> str:
-    """List the columns that are not read, a line a kind of file."""
-    lines = []
-    for kind, listed in refs.items():
-        ignored = [
-            engine.ignored_columns(ref, options, contacts=kind == "contacts") for ref in listed
-        ]
-        names = dict.fromkeys(chain(*ignored))
-        if names:
-            lines.append(f"{kind}: {', '.join(names)}")
-    return "\n".join(lines)

@@ -18,7 +18,7 @@ from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
-from xcg.readers.unread_columns import report_missing_ids, warn_of_other_units
+from xcg.readers.report import check_plane, report_missing_ids
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
@@ -122,6 +122,7 @@ def list_series(arguments: Arguments) -> Listing:
 
 def _with_wall_columns(step: Step, reader: Engine, options: ReadOptions) -> Step:
     """Return a step with the contacts with walls that are columns of its particles."""
+    options = options.of_kind("particles")
     walls = [reader.wall_step(part, options) for part in step.particles.parts]
     return replace(step, contacts=(*step.contacts, *walls))
 
@@ -200,9 +201,6 @@ def warn_of_missing_facts(
             "taken; say units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or "
             f"{listing.reader.UNNAMED_UNITS}"
         )
-    if arguments.units is None:
-        for refs in listing.refs.values():
-            warn_of_other_units(refs[0], listing.options)
     if lacks_ids(listing, ends):
         by_id = any(step.contacts for step in listing.steps)
         report_missing_ids(listing.steps[0].particles, len(listing.steps), contacts=by_id)
@@ -444,7 +442,8 @@ def _periods_from(
         if set(periodic) <= set(periods):
             break
         try:
-            recovered = listing.reader.recover_periods(ref, listing.options)
+            options = listing.options.of_kind("contacts")
+            recovered = listing.reader.recover_periods(ref, options)
         except FAULTS:
             if arguments.on_error == "raise":
                 raise
@@ -527,7 +526,12 @@ def _frozen_species(frozen: int | Sequence[int], ends: Mapping[StepRef, Frame]) 
 def _contact_names(source: Source, step: Step) -> list[str]:
     """Return the variables that the contacts of all files have."""
     common: list[str] = []
+    if step.contacts:
+        contacts = step.contacts[0].parts[0]
+        particles = step.particles.parts[0]
+        check_plane(source.engine, particles, contacts, source.options, source.setup.dimension)
+    options = source.options.of_kind("contacts")
     for ref in step.contacts:
-        names = {*source.engine.contact_variables(ref.parts[0], source.options), "contact_point"}
+        names = {*source.engine.contact_variables(ref.parts[0], options), "contact_point"}
         common = [name for name in common or names if name in names]
     return [*(name for name in VARIABLES if name in common), *sorted(set(common) - set(VARIABLES))]

@@ -418,7 +418,7 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
     return [
         ("engine", str(attrs.get("engine", ""))),
         ("files", str(attrs.get("files", "")).replace("\n", "; ")),
-        ("ignored", str(attrs.get("ignored_columns", "")).replace("\n", "; ")),
+        ("unread", str(attrs.get("not_read", "")).replace("\n", "; ")),
         ("skipped", skipped),
         ("forces", str(attrs.get("estimated_forces", ""))),
         ("time", _times(ds)),

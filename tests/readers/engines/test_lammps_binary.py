@@ -22,7 +22,7 @@ def test_a_binary_dump_equals_the_text_dump_beside_it():
     assert binary.sizes["time"] == 2
     assert binary.attrs["periodic"] == "xy"
     assert (binary.contact_j.values[0] == -2).any()
-    assert "floor" not in binary.attrs.get("ignored_columns", "")
+    assert "floor" not in binary.attrs.get("not_read", "")
 
 
 @pytest.mark.parametrize("order", "<>")

@@ -13,6 +13,7 @@ from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.mfix import Mfix
 from xcg.readers.files import vtkheader, vtp
+from xcg.readers.report import warn_of_columns
 from xcg.scene.lattice import minimum_image
 
 mfix = Mfix()
@@ -274,8 +275,11 @@ def test_names_add_replace_and_drop(tmp_path):
     frame = read_particles(path, ReadOptions(names=names))
     np.testing.assert_array_equal(frame["temperature"], [10, 20, 30])
     np.testing.assert_array_equal(frame["diameter"], 2)
+    dropping = ReadOptions(names={"Diameter": None})
+    assert "diameter" not in read_particles(path, dropping)
+    (ref,) = mfix.index_particles([str(path)], dropping)
     with pytest.warns(SceneWarning, match=r"'Diameter_2' \(diameter\?\) resemble"):
-        assert "diameter" not in read_particles(path, ReadOptions(names={"Diameter": None}))
+        warn_of_columns(mfix, ref, dropping, contacts=False)
     with pytest.raises(
         SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"
     ):

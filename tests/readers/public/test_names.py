@@ -13,6 +13,7 @@ from vtk.util.numpy_support import numpy_to_vtk
 
 import xcg
 from tests import dumps
+from xcg.readers.column_units import parse_unit
 
 STEP = 0.01  # m that every grain moves along x in one step
 
@@ -52,8 +53,8 @@ def test_ids_of_any_spelling_follow_grains_whose_rows_change(tmp_path, name):
 
 
 def test_velocities_of_numbered_rows_are_an_error_that_names_the_columns(tmp_path):
-    files = write_steps(tmp_path, {"id": "serial"})
-    with pytest.warns(xcg.SceneWarning, match="no column of particle ids.*columns are serial x"):
+    files = write_steps(tmp_path, {"id": "code"})
+    with pytest.warns(xcg.SceneWarning, match="no column of particle ids.*columns are code x"):
         ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0])
     for call in (
         ds.cg.derive_velocity,
@@ -62,7 +63,7 @@ def test_velocities_of_numbered_rows_are_an_error_that_names_the_columns(tmp_pat
     ):
         with pytest.raises(xcg.SceneError, match="follows particles by their ids"):
             call()
-    ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0], names={"serial": "particle_id"})
+    ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0], names={"code": "particle_id"})
     velocity = ds.cg.derive_velocity().velocity
     np.testing.assert_allclose(velocity.sel(component="x"), STEP, rtol=1e-12)
 
@@ -132,7 +133,6 @@ def test_step_numbers_of_any_spelling_separate_steps(tmp_path, name):
     ("column", "meant"),
     [
         ("r", "radius"),
-        ("Radius (mm)", "radius"),
         ("grain_size", "diameter"),
         ("c_rad", "radius"),
         ("vel_magnitude", "velocity"),
@@ -182,9 +182,6 @@ def test_columns_of_paraview_and_lammps_that_are_no_variables_are_not_named(tmp_
 @pytest.mark.parametrize(
     "name",
     [
-        "time [ms]",
-        "Time_us",
-        "t_ms",
         "POSITION_T",
         "Slice",
         "step_no",
@@ -209,15 +206,55 @@ def test_other_columns_are_no_times(tmp_path, name):
     assert xcg.open_scene(path, density=1).sizes["particle"] == 2
 
 
-@pytest.mark.parametrize("radius", ["radius (mm)", "R [mm]", "radius_mm", "size [um]"])
-def test_units_in_names_that_the_caller_maps_ask_for_factors(tmp_path, radius):
+@pytest.mark.parametrize("radius", ["radius (mm)", "R [mm]", "radius_mm", "size [mm]", "Radius_mm"])
+@pytest.mark.filterwarnings("error")
+def test_units_in_names_are_converted_unless_units_are_given(tmp_path, radius):
     path = tmp_path / "p.csv"
-    path.write_text(f"id,x,y,z,{radius}\n1,0,0,0,5\n")
+    path.write_text(f"id,x [mm],y_mm,z (cm),vx_mm_s,vy [cm/s],vz [m/s],{radius}\n1,2,3,4,5,6,7,5\n")
     names = {radius: "radius"}
-    with pytest.warns(xcg.SceneWarning, match=rf"{re.escape(repr(radius))} name a unit, and SI is"):
-        xcg.open_scene(path, density=1, names=names)
-    ds = xcg.open_scene(path, density=1, names=names, units={"length": 1e-3})
-    np.testing.assert_allclose(ds.diameter, 0.01, rtol=1e-12)
+    ds = xcg.open_scene(path, density=1, names=names)
+    np.testing.assert_allclose(ds.position[0, 0], [0.002, 0.003, 0.04], rtol=1e-15)
+    np.testing.assert_allclose(ds.velocity[0, 0], [0.005, 0.06, 7], rtol=1e-15)
+    np.testing.assert_allclose(ds.diameter, 0.01, rtol=1e-15)
+    ds = xcg.open_scene(path, density=1, names=names, units={"length": 1e-2})
+    np.testing.assert_allclose(ds.position[0, 0], [0.02, 0.03, 0.04], rtol=1e-15)
+    np.testing.assert_allclose(ds.diameter, 0.1, rtol=1e-15)
+    table = xcg.scene_from_table(pd.read_csv(path), density=1, names=names)
+    np.testing.assert_allclose(table.position[0, 0], [0.002, 0.003, 0.04], rtol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["time [ms]", "Time_ms", "t_ms", "Time (ms)"])
+@pytest.mark.filterwarnings("error")
+def test_times_in_another_unit_are_converted(tmp_path, name):
+    path = tmp_path / "p.csv"
+    path.write_text(f"id,x,y,z,radius,{name}\n1,0,0,0,0.1,0\n1,5,0,0,0.1,2\n")
+    for ds in (
+        xcg.open_scene(path, density=1),
+        xcg.scene_from_table(pd.read_csv(path), density=1),
+    ):
+        np.testing.assert_array_equal(ds.time, [0, 0.002])
+    np.testing.assert_array_equal(xcg.open_scene(path, density=1, units="SI").time, [0, 2])
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "powers"),
+    [
+        ("mm", 1e-3, (1, 0, 0)), ("µm", 1e-6, (1, 0, 0)), ("cm/s", 1e-2, (1, 0, -1)),
+        ("g/cm^3", 1e3, (-3, 1, 0)), ("kg m^-3", 1, (-3, 1, 0)), ("kg·m²", 1, (2, 1, 0)),
+        ("deg/s", np.pi / 180, (0, 0, -1)), ("rpm", np.pi / 30, (0, 0, -1)), ("mN", 1e-3, (1, 1, -2)),
+        ("1/s", 1, (0, 0, -1)), ("in", 0.0254, (1, 0, 0)),
+    ],
+)  # fmt: skip
+def test_units_of_columns_have_factors_to_si(unit, factor, powers):
+    found = parse_unit(unit)
+    assert found is not None
+    np.testing.assert_allclose(found[0], factor, rtol=1e-13)
+    assert found[1] == powers
+
+
+@pytest.mark.parametrize("word", ["px", "contact", "of cells", "1", "2", "", "x", "Points"])
+def test_other_words_in_brackets_are_no_units(word):
+    assert parse_unit(word) is None
 
 
 def test_brightness_in_tables_of_trackpy_is_no_mass(tmp_path):
@@ -234,12 +271,12 @@ def test_brightness_in_tables_of_trackpy_is_no_mass(tmp_path):
 
 def test_tables_of_pandas_get_the_warnings_of_files():
     table = pd.DataFrame(
-        {"id": [1, 2], "x (mm)": [0, 5], "y": 0, "z": 0, "r": 1, "time [ms]": [0, 1]}
+        {"id": [1, 2], "x (px)": [0, 5], "y": 0, "z": 0, "r": 1, "frame no": [0, 1]}
     )
     with pytest.warns(xcg.SceneWarning) as warned:
-        xcg.scene_from_table(table, names={"x (mm)": "position_x"})
+        xcg.scene_from_table(table, names={"x (px)": "position_x"})
     texts = [str(warning.message) for warning in warned]
-    for part in ("'r' (radius?)", "'time [ms]' may hold times", "'x (mm)' name a unit"):
+    for part in ("'r' (radius?)", "'frame no' may hold times", "'x (px)' name a unit"):
         assert sum(part in text for text in texts) == 1
 
 

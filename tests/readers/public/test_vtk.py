@@ -403,7 +403,7 @@ def test_arrays_of_other_cells_are_named(tmp_path):
     )
     with pytest.warns(xcg.SceneWarning, match=r"g_1\.vtk: arrays of cells are not read \(rank\)"):
         ds = xcg.open_scene(tmp_path / "g_1.vtk", density=1.0)
-    assert "rank (of cells)" in ds.attrs["ignored_columns"]
+    assert "rank (of cells)" in ds.attrs["not_read"]
     assert_grains(ds)
 
 

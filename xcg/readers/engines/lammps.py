@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers import wall_columns
+from xcg.readers.assigned import FEWEST_OF_LIGGGHTS, unread_by_number
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps_binary, lammps_netcdf
@@ -29,11 +30,16 @@ from xcg.readers.files.text import (
     source_of,
     uncompressed_size,
 )
+from xcg.readers.names import is_of_liggghts
 from xcg.readers.paths import index_steps
-from xcg.readers.unread_columns import unread_by_number
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 
+# boundaries in a header: LAMMPS' two letters, one for each face, and words of other programs
+_PERIODIC = {"pp", "p", "periodic", "per", "pbc", "t", "true", "1", "yes"}
+_OPEN = {a + b for a in "fsm" for b in "fsm"} | {
+    "f", "s", "m", "fixed", "open", "wall", "none", "shrink", "nonperiodic", "false", "0", "no",
+}  # fmt: skip
 _WALLS = "walls"  # kind of a step whose contacts stand in columns of the particles
 
 
@@ -82,15 +88,18 @@ class Dumps(Columnar):
                     )
         return table
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Columns of a step that are not read, each name once."""
-        if ref.kind == _WALLS:
-            return []
-        ignored = super().ignored_columns(ref, options, contacts=contacts)
-        of_walls = {*chain(*wall_columns.columns_of_walls(options).values())}
-        return [name for name in ignored if _TWIN not in name and name not in of_walls]
+    def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
+        """Return the slot of each column that is read, with those of walls and of columns that occur twice."""
+        if ref.kind == _WALLS:  # the particles are reported
+            return dict.fromkeys(ref.columns, _WALLS)
+        of_walls = {
+            name: wall
+            for wall, names in wall_columns.columns_of_walls(options).items()
+            for name in names
+        }
+        read = super().columns_read(ref, options, contacts=contacts)
+        twins = [name for name in ref.columns if _TWIN in name]  # named as a column before
+        return dict.fromkeys(twins, "copy") | of_walls | read
 
 
 class Lammps(Dumps):
@@ -107,7 +116,9 @@ class Lammps(Dumps):
             return False
         if len(set(columns)) < len(columns):  # as in what LIGGGHTS's tutorials write
             return False
-        return not is_numbered(columns) or len(columns) < _FEWEST_NUMBERED
+        if is_of_liggghts(columns):
+            return False
+        return not is_numbered(columns) or len(columns) < FEWEST_OF_LIGGGHTS
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``dump local`` files."""
@@ -140,6 +151,7 @@ class Lammps(Dumps):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
         if ref.kind == _WALLS:
+            options = options.of_kind("particles")
             return wall_columns.wall_contacts_from(ref, options, self.read_columns)
         return super().read_contacts(ref, options)
 
@@ -152,7 +164,6 @@ _NO_BODY = ("UNITS", "TIME", "TIMESTEP", "NUMBER OF", "BOX BOUNDS")
 _LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
-_FEWEST_NUMBERED = 12  # of LIGGGHTS with positions, ids and forces; one compute of LAMMPS has fewer
 _TWIN = " (column "  # in the names of columns that occur before
 # bytes of a body and of its end, by which it is seen whether more follows
 _SAMPLE = 1 << 14
@@ -178,8 +189,14 @@ def body_columns(path: str) -> list[str] | None:
     return None
 
 
+def without_index(names: Sequence[str]) -> Sequence[str]:
+    """Return the names of columns without the number of the row, which comes first or not at all."""
+    return names[1:] if names[:1] in (["index"], ("index",)) else names
+
+
 def is_numbered(names: Sequence[str]) -> bool:
     """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
+    names = without_index(names)
     compute = names[0].removesuffix("[1]") if names else ""
     return list(names) == [f"{compute}[{k}]" for k in range(1, len(names) + 1)]
 
@@ -280,14 +297,17 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     """Add an item of one value."""
     value = scanner.line().decode("utf-8", "replace").strip()
     if item == "UNITS":
-        return replace(ref, units=value)
+        return replace(ref, units=value.lower())
     try:
-        number: Any = float(value) if item == "TIME" else int(value)
-        if not abs(number) < _LARGEST:  # NaN is not
-            raise ValueError
-    except ValueError:
+        number: Any = float(value)
+        if item != "TIME" and number.is_integer():  # some programs write 1000.0
+            number = int(number) if "." in value or "e" in value.lower() else int(value)
+        if not abs(number) < _LARGEST or (item != "TIME" and isinstance(number, float)):
+            raise ValueError  # NaN, too
+    except (ValueError, OverflowError):
+        expected = "a number" if item == "TIME" else "a whole number"
         raise SceneError(
-            f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number"
+            f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected {expected}"
         ) from None
     return replace(ref, **{{"TIME": "time", "TIMESTEP": "step"}.get(item, "rows"): number})
 
@@ -328,7 +348,7 @@ def _twins(ref: StepRef, name: str, options: ReadOptions) -> list[str]:
 
 
 def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
-    flags = item.split()[2:]
+    flags = re.findall(r"[^\s,;'\"()\[\]]+", item.casefold())[2:]
     lines = [scanner.line().decode("utf-8", "replace").split() for _ in COMPONENTS]
     if "abc" in flags:
         raise SceneError(
@@ -351,6 +371,15 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         raise SceneError(
             f"{ref.path}: {lines} follow 'ITEM: {item}', expected three lines of {expected}"
         ) from None
-    if len(flags) != len(COMPONENTS):
-        return ref  # old files do not say what is periodic
-    return replace(ref, periodic="".join(compress(COMPONENTS, [flag == "pp" for flag in flags])))
+    if flags[:3] == ["xx", "yy", "zz"]:  # of the three lines
+        flags = flags[3:]
+    if len(flags) == 1:
+        flags *= len(COMPONENTS)
+    if len(flags) == len(COMPONENTS) and {*flags} <= _PERIODIC | _OPEN:
+        periodic = compress(COMPONENTS, [flag in _PERIODIC for flag in flags])
+        return replace(ref, periodic="".join(periodic))
+    if flags:  # old files do not say what is periodic
+        ref = replace(
+            ref, unknown=((f"{item!r} (pp is periodic, ff open)", "periodic='xyz', or ''"),)
+        )
+    return ref

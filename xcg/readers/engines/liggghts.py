@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.readers import names
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered
+from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered, without_index
 from xcg.readers.files.text import body_of, source_of
-from xcg.readers.unread_columns import warn_of_unread
 from xcg.scene.schema import COMPONENTS, Frame
 
 # Columns of each word, in their order. The history has as many as the contact model needs (0 here).
@@ -55,11 +54,7 @@ class Liggghts(Dumps):
     """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
 
     MORE_DIGITS = 'dump_modify ... format "%.10g %.10g ...", with one %.10g for each column'
-    PARTICLE_SLOTS: ClassVar[names.Slots] = {
-        **names.PARTICLE_SLOTS,
-        **names.components("half_axis", "half axis ?", "shape ?"),
-        **names.components("whole_axis", "whole axis ?"),
-    }
+    PARTICLE_SLOTS: ClassVar[names.Slots] = names.slots_of(names.PARTICLES, "liggghts")
 
     def recognises(self, path: str) -> bool:
         """Return whether the first lines identify a dump; LAMMPS comes first."""
@@ -78,8 +73,6 @@ class Liggghts(Dumps):
         """Check the columns of the first step, and guessed words with some of its rows."""
         first = next((ref for ref in refs if ref.rows), refs[0])
         columns = self.contact_columns(first, options)
-        if not is_numbered(first.columns):
-            warn_of_unread(first, columns, options, contacts=True)
         guess = _guess(first, options)
         if guess and not _words_of(first, options):
             _check_guess(first, guess)
@@ -120,9 +113,10 @@ def _guess(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
     """Return the words that the number of columns suggests, unless the caller maps columns; () without a guess."""
     if not is_numbered(ref.columns) or "contact_i" in options.names.values():
         return ()
-    if len(ref.columns) >= _FEWEST_OF_DEFAULT:
+    count = len(without_index(ref.columns))
+    if count >= _FEWEST_OF_DEFAULT:
         return _DEFAULT
-    return _USUAL.get(len(ref.columns), ())
+    return _USUAL.get(count, ())
 
 
 def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
@@ -139,14 +133,15 @@ def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
         raise SceneError(f"names={' '.join(words)!r}: {unknown('word', wrong[0], WORDS)}")
     meant = {spelt[word.casefold()] for word in words}
     columns = sum(WORDS[word] for word in meant)
-    history = len(ref.columns) - columns
+    count = len(without_index(ref.columns))
+    history = count - columns
     if history < 0 or (history > 0) != ("history" in meant):
         promised = f"{columns} columns"
         if "history" in meant:
             promised += " and at least one of the history"
         raise SceneError(
             f"{source_of(ref)}: the words {' '.join(words)!r} have {promised}, but the "
-            f"file has {len(ref.columns)}; {_way_out(ref)}"
+            f"file has {count}; {_way_out(ref)}"
         )
     places: dict[str, int] = {}
     place = 0
@@ -185,7 +180,7 @@ def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
         for k, axis in enumerate(COMPONENTS):
             numbers[f"{slot}_{axis}"] = (word, offset + k)
     return {
-        slot: (ref.columns[places[word] + offset],)
+        slot: (without_index(ref.columns)[places[word] + offset],)
         for slot, (word, offset) in numbers.items()
         if word in places
     }
@@ -244,6 +239,7 @@ def _first_rows(ref: StepRef) -> NDArray:
     lines = next(iter(body_of(ref)), b"").split(b"\n")[: ref.rows][:_SAMPLE]
     rows = [line.split() for line in lines]
     try:
-        return np.array([row for row in rows if len(row) == len(ref.columns)], float)
+        values = np.array([row for row in rows if len(row) == len(ref.columns)], float)
     except ValueError:
-        return np.empty((0, len(ref.columns)))
+        values = np.empty((0, len(ref.columns)))
+    return values[..., len(ref.columns) - len(without_index(ref.columns)) :]

@@ -76,9 +76,8 @@ class Mercury(Columnar):
     NEEDS_ID = False
     ROWS_ARE_IDS = True
     PARTICLE_SLOTS: ClassVar[names.Slots] = {
-        **names.PARTICLE_SLOTS,
-        **names.components("angular_velocity", "om?"),
-        "angular_velocity_z": ("omz", "om"),
+        **names.slots_of(names.PARTICLES, "mercury"),
+        "angular_velocity_z": ("omz", _SPIN_2D),
     }
 
     def recognises(self, path: str) -> bool:

@@ -43,6 +43,7 @@ from xcg.readers.engines.vtk_steps import packed_path
 from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import read_arrays
 from xcg.readers.files.vtp import read_collection
+from xcg.readers.names import OF_MFIX
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _NORMAL = "FORCE_CHAIN_FN"
@@ -68,14 +69,7 @@ class Mfix(Vtk):
     """Region output of MFiX-DEM."""
 
     OPTIONS: ClassVar = ()
-    CONTACT_NAMES: ClassVar = {
-        "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
-        "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
-        "Particle_ID_1": "contact_i",
-        "Particle_ID_2": "contact_j",
-        "FORCE_CHAIN_FC": "contact_force",
-        "FORCE_CHAIN_OVERLAP": "overlap",
-    }
+    CONTACT_SLOTS: ClassVar = OF_MFIX
     LINES = False
     ADVICE = (
         "Expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT): switch "
@@ -109,12 +103,10 @@ class Mfix(Vtk):
             targets |= {array: array for array in _SHAPE if array in free}
         return targets
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Arrays of a step that are not read."""
-        ignored = super().ignored_columns(ref, options, contacts=contacts)
-        return [name for name in ignored if not contacts or name not in _OF_CONTACTS]
+    def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
+        """Return the variable of each array that is read, with those that contacts are joined by."""
+        of_contacts = dict.fromkeys(_OF_CONTACTS, "contact") if contacts else {}
+        return of_contacts | super().columns_read(ref, options, contacts=contacts)
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step.

@@ -28,7 +28,7 @@ from xcg.readers.files.table import (
     scan_parquet,
 )
 from xcg.readers.files.text import first_lines
-from xcg.readers.names import CLOCK_SLOTS, canonical_columns, resembling_clock
+from xcg.readers.names import CLOCK_SLOTS, columns_by_name, factor_of, resembling_clock
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
 
@@ -61,8 +61,10 @@ class Table(Columnar):
         kind = "contacts" if contacts else "particles"
         in_order = enumerate(options.columns.get(kind, ()))
         names = [name or f"column {k}" for k, name in in_order]
-        scan = partial(_steps, given=clock, in_order=names)
-        refs = index_steps(paths, f"table {clock} {names}", scan, options.extra.get("timestep"))
+        convert = "units" not in options.given
+        scan = partial(_steps, given=clock, in_order=names, convert=convert)
+        key = f"table {clock} {names} {convert}"
+        refs = index_steps(paths, key, scan, options.extra.get("timestep"))
         if refs:
             warn_of_unread_clock(refs[0], options)
         return refs
@@ -81,13 +83,10 @@ class Table(Columnar):
         read = read_parquet if suffix_of(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Columns of a step that are not read."""
-        ignored = super().ignored_columns(ref, options, contacts=contacts)
-        of_clock = clock_of(ref.columns, options.names).values()
-        return [name for name in ignored if name not in of_clock]
+    def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
+        """Return the slot of each column that is read, with those of times and steps."""
+        of_clock = {column: slot for slot, column in clock_of(ref.columns, options.names).items()}
+        return of_clock | super().columns_read(ref, options, contacts=contacts)
 
 
 def _has_header(path: str) -> bool:
@@ -111,16 +110,11 @@ def _has_header(path: str) -> bool:
 
 def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of the time and of the number of the step, as far as there are such."""
+    by_name = columns_by_name([name for name in columns if name not in given], CLOCK_SLOTS)
     by_caller = {slot: name for name, slot in given.items() if name in columns}
-    named = canonical_columns(name for name in columns if name not in given)
-    clock = {}
-    for slot, aliases in CLOCK_SLOTS.items():  # the time, if there is one, separates the steps
-        by_name = [name for alias in aliases for name in named.get(alias, ())]
-        if slot in by_caller:
-            clock[slot] = by_caller[slot]
-        elif by_name:
-            clock[slot] = by_name[0]
-    return clock
+    clock = by_name | {slot: name for slot, name in by_caller.items() if slot is not None}
+    # the time, if there is one, separates the steps
+    return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
 
 
 def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
@@ -138,7 +132,7 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
 
 
 def _steps(
-    path: str, given: Mapping[str, str | None], in_order: Sequence[str]
+    path: str, given: Mapping[str, str | None], in_order: Sequence[str], *, convert: bool
 ) -> Iterator[StepRef]:
     scan: Callable[..., TableIndex] = partial(scan_csv, in_order=in_order)
     if suffix_of(path) == ".parquet":
@@ -146,6 +140,8 @@ def _steps(
     table = scan(path, lambda names: clock_of(names, given))
     columns = clock_of(table.columns, given)
     clock = {slot: table.clock[name] for slot, name in columns.items()}
+    if convert and "time" in clock:
+        clock["time"] = clock["time"] * factor_of(columns["time"], "time")
     for first, stop in runs_of(clock, table.rows, path):
         offset, length = table.place(first, stop)
         ref = StepRef(

@@ -12,6 +12,7 @@ import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.readers.assigned import magnitudes
 from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.engines import vtkhdf_points
@@ -25,16 +26,16 @@ from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.names import (
     CONTACT_ARRAYS,
     PARTICLE_ARRAYS,
-    PARTICLE_SLOTS,
-    canonical,
-    canonical_columns,
+    Slots,
+    columns_by_name,
     components,
+    factor_of,
+    slots_for,
 )
-from xcg.readers.unread_columns import warn_of_resembling
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _VECTORS = ("velocity", "angular_velocity", "unwrapped_position", "image")
-_COMPONENTS = [component for vector in _VECTORS for component in components(vector)]
+_PARTS = ("normal_force", "tangential_force")  # of contact forces
 # arrays that mark points which another piece holds, too
 _GHOSTS = ("vtkGhostType", "vtkGhostLevels")
 _XML = (".vtu", ".vtp", ".pvd", ".pvtu", ".pvtp", ".vtm", ".vti", ".vtr", ".vts")
@@ -81,16 +82,18 @@ class Vtk(Engine):
 
     Attributes
     ----------
-    CONTACT_NAMES : mapping
-        Arrays that are taken for variables of contacts without ``names=``; the first of two for one
-        variable counts. Those of particles are in `xcg.readers.names`.
+    PARTICLE_SLOTS, CONTACT_SLOTS : mapping
+        Arrays that are taken for variables of the scene without ``names=``, see
+        `xcg.readers.names`.
     LINES : bool
         Whether contacts are lines where a file holds any; else they are points.
     ADVICE : str
         What to do about contacts without ids or forces, a sentence.
     """
 
-    CONTACT_NAMES: ClassVar[Mapping[str, str]] = CONTACT_ARRAYS
+    PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_ARRAYS
+    CONTACT_SLOTS: ClassVar[Slots] = CONTACT_ARRAYS
+    WHOLE_VECTORS = True
     OPTIONS: ClassVar[tuple[str, ...]] = ("timestep",)
     LINES = True
     ROWS_ARE_IDS = False
@@ -140,10 +143,6 @@ class Vtk(Engine):
                 f"{first.path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
                 "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of points"
             )
-        known = {*options.names, *of_cells}
-        unread = [name for name in self.ignored_columns(first, options) if name not in known]
-        read = self.targets(first, options)
-        warn_of_resembling(first, unread, read, contacts=False, whole_vectors=True)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -200,37 +199,31 @@ class Vtk(Engine):
         points = ref.columns[0]
         if ref.kind != LINES and points not in options.names:
             targets.setdefault("contact_point" if contacts else "position", points)
-        named = canonical_columns(array for array in ref.columns if array not in options.names)
-        known = self.CONTACT_NAMES if contacts else PARTICLE_ARRAYS
-        for name, variable_name in known.items():
-            arrays = named.get(canonical(name))
-            if arrays:
-                targets.setdefault(variable_name, arrays[0])
-        if not contacts:
-            for component in _COMPONENTS:
-                arrays = [
-                    array for name in PARTICLE_SLOTS[component] for array in named.get(name, ())
-                ]
-                if arrays and component[:-2] not in targets:
-                    targets.setdefault(component, arrays[0])
+        free = [array for array in ref.columns if array not in options.names]
+        slots = self.CONTACT_SLOTS if contacts else slots_for(free, self.PARTICLE_SLOTS)
+        for name, array in columns_by_name(free, slots).items():
+            if name[:-2] not in targets:
+                targets.setdefault(name, array)
         return {
             name: array for name, array in targets.items() if not name.startswith(options.unwanted)
         }
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        return list(self.targets(ref, options, contacts=True))
+        targets = self.targets(ref, options, contacts=True)
+        names = [name for name in targets if name not in _PARTS]
+        if "normal_force" in targets and "contact_force" not in names:
+            names.append("contact_force")
+        return names
 
-    def ignored_columns(
-        self, ref: StepRef, options: ReadOptions, *, contacts: bool = False
-    ) -> list[str]:
-        """Arrays of a step that are not read."""
-        read = {*self.targets(ref, options, contacts=contacts).values(), *_GHOSTS}
-        return [array for array in ref.columns if array not in read]
+    def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
+        """Return the variable of each array that is read, with marks of points that another piece holds."""
+        targets = self.targets(ref, options, contacts=contacts)
+        return dict.fromkeys(_GHOSTS, "copy") | {array: name for name, array in targets.items()}
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step; radii become diameters, and components vectors."""
-        frame = read_arrays(ref, self.targets(ref, options))
+        frame = self._read(ref, options, contacts=False)
         for vector in _VECTORS:
             parts = {name: frame.pop(name) for name in components(vector) if name in frame}
             if parts:
@@ -247,7 +240,25 @@ class Vtk(Engine):
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step as they stand: points are contact points; on lines they follow from radii."""
-        return read_arrays(ref, self.targets(ref, options, contacts=True))
+        frame = self._read(ref, options, contacts=True)
+        parts = [frame.pop(name) for name in _PARTS if name in frame]
+        if "contact_force" not in frame:
+            if any(part.ndim == 1 for part in parts):
+                raise SceneError(
+                    f"{ref.path}: {magnitudes(self.targets(ref, options, contacts=True))}"
+                )
+            frame["contact_force"] = sum(parts[1:], parts[0])
+        return frame
+
+    def _read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> Frame:
+        """Read the arrays of a step, those with a unit in their names in SI."""
+        targets = self.targets(ref, options, contacts=contacts)
+        frame = read_arrays(ref, targets)
+        for name, array in targets.items():
+            factor = 1.0 if "units" in options.given else factor_of(array, name)
+            if factor != 1:
+                frame[name] = frame[name] * factor
+        return frame
 
 
 def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[str, xr.DataArray]:

@@ -36,19 +36,8 @@ class Yade(Columnar):
     """Text of YADE."""
 
     NEEDS_ID = False
-    PARTICLE_SLOTS: ClassVar[names.Slots] = {
-        **names.PARTICLE_SLOTS,
-        "radius": ("r", *names.PARTICLE_SLOTS["radius"]),
-    }
-    CONTACT_SLOTS: ClassVar[names.Slots] = {
-        **names.CONTACT_SLOTS,
-        # the force acts on the second body
-        "contact_i": ("id2",),
-        "contact_j": ("id1",),
-        **names.components("tangential_force", "fs?", "shear force ?", "tangential force ?"),
-        **names.components("contact_point", "c?", "contact point ?"),
-        **names.components("contact_normal", "n?", "contact normal ?"),
-    }
+    PARTICLE_SLOTS: ClassVar[names.Slots] = names.slots_of(names.PARTICLES, "yade")
+    CONTACT_SLOTS: ClassVar[names.Slots] = names.slots_of(names.CONTACTS, "yade")
 
     def recognises(self, path: str) -> bool:
         """Return whether a line of comments holds a format, time or columns in YADE's words."""
