@@ -319,6 +319,22 @@ TABLE = [
         "fields/formulas/rows/orientation.py", "-= 1 / (o.dimension - 1)", "-= 1 / o.dimension",
         "test_order_of_isotropic_directors_is_zero_and_of_aligned_ones_one",
     ),
+    Mutation(
+        "fields/formulas/rows/orientation.py", "where(is_planar, values[", "where(~is_planar, values[",
+        "test_order_of_directors_spread_over_a_plane_is_minus_one_half",
+    ),
+    Mutation(
+        "fields/formulas/floors.py", "(1 - 1 / dimension) / number", "(1 + 1 / dimension) / number",
+        "test_anisotropy_of_independent_contacts",
+    ),
+    Mutation(
+        "fields/formulas/floors.py", "math.sqrt(2 * _order(support))", "math.sqrt(_order(support))",
+        "test_friction_of_contacts_with_forces_of_an_exponential_distribution",
+    ),
+    Mutation(
+        "fields/advice.py", "dimension + 1 - 2 / dimension", "dimension + 1",
+        "test_floors_of_a_gas",
+    ),
     # --- fields ---
     Mutation(
         "fields/presets/pysammos.py", "2.5 * chosen.cutoff + 0.5 *", "2.5 * chosen.cutoff + 1.0 *",

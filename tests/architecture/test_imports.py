@@ -34,7 +34,7 @@ INSIDE = {
         ["request"],
         ["layout", "like"],
         ["plan"],
-        ["evaluate"],
+        ["evaluate", "advice"],
         ["accessible", "presets"],
         ["coarse_grain"],
         ["__init__"],

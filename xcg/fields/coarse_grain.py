@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from inspect import unwrap
 from typing import TypeVar
 
 import xarray as xr
 
+from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import in_frame, is_cylindrical
@@ -77,7 +77,17 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
+    return _compute(ds, request, advise=True)
+
+
+def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
+    """Coarse-grain a conformed scene for functions built on it, without advice on fields of single steps."""
+    return _compute(ds, request, advise=False)
+
+
+def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
     check_walls(request)
+    named = request.fields is not None
     like = request.like
     request = request_like(request)
     walls = walls_of(request)
@@ -106,6 +116,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )
+    if advise:
+        advice.advise(scene, plan, named=named)
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
@@ -114,10 +126,6 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     if rename is not None:
         result = rename(result)
     return result
-
-
-# coarse_grain of a conformed scene and a Request, for functions built on it
-answer: Callable[[xr.Dataset, Request], xr.Dataset] = unwrap(coarse_grain)
 
 
 @takes(Request)
@@ -137,8 +145,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     -------
     Plan
         Its text names fields, variables read, nodes, kernel, sums, loops, the rule for contacts,
-        memory, the noise of velocity and temperature that a dense packing would have, and the time
-        for the accessible fraction.
+        memory, the noise of velocity and temperature that a dense packing would have, the values
+        that single steps show where the true one is 0, and the time for the accessible fraction.
 
     Raises
     ------
@@ -163,7 +171,12 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     if walls:
         accessible = accessible_of(scene, plan, walls)
         cost = accessible.text(accessible.seconds())
-    return replace(plan, effective_count=effective_count(scene, plan), walls=cost)
+    return replace(
+        plan,
+        effective_count=effective_count(scene, plan),
+        floors=advice.text_of_floors(scene, plan),
+        walls=cost,
+    )
 
 
 def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:

@@ -73,6 +73,8 @@ class Plan:
     effective_count : float, optional
         Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction
         `DENSE`; None where d43 or the box is not known. Estimated by `explain` alone.
+    floors : str, optional
+        Values that single steps show where the true one is 0. Estimated by `explain` alone.
     walls : str, optional
         What the accessible fraction takes. Measured by `explain` alone.
 
@@ -94,6 +96,7 @@ class Plan:
     rtol: float
     is_narrow: bool = False
     effective_count: float | None = None
+    floors: str | None = None
     walls: str | None = None
 
     def __post_init__(self) -> None:
@@ -176,6 +179,8 @@ class Plan:
                 f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
                 f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
             )
+        if self.floors is not None:
+            lines["floors"] = self.floors
         if self.walls is not None:
             lines["walls"] = self.walls
         return lines

@@ -73,6 +73,8 @@ class Description:
         Distance of the outermost particle from the axis of that frame (m), where it is known.
     lag : int, optional
         Frames to the later one, in a scene of displacements.
+    counts : mapping
+        Largest number of particles and of contacts in a step, as far as it is known without reading.
     attrs, times : mapping
         Attributes, and coordinates along time, which results have, too.
     """
@@ -91,6 +93,7 @@ class Description:
     cylindrical: bool
     radius: float | None
     lag: int | None
+    counts: Mapping[str, int]
     attrs: Mapping[str, Any] = field(compare=False, repr=False)
     times: Mapping[str, xr.Variable] = field(compare=False, repr=False)
 
@@ -231,6 +234,7 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         cylindrical=cylindrical,
         radius=_largest_radius(ds) if cylindrical else None,
         lag=ds.attrs.get("lag"),
+        counts={row: ds.sizes.get(row, 0) for row in ("particle", "contact")},
         attrs=ds.attrs,
         times={name: ds.variables[name] for name in ("time", "step") if name in ds.coords},
     )

@@ -42,10 +42,11 @@ rods = xr.concat([ds.assign_coords(time=[t]) for t in time], "time", data_vars="
 rods = rods.assign(director=(("time", "particle", "component"), director))
 
 # %%
-# ``nematic_order`` is 0 where directors are spread evenly over all directions, 1/4 where they are spread evenly in a
-# plane, and 1 where they are parallel.
+# The largest eigenvalue of ``nematic_tensor`` is 0 where directors are spread evenly over all directions, 1/4 where
+# they are spread evenly in a plane, and 1 where they are parallel. ``nematic_order`` is the eigenvalue of largest
+# modulus: the same once most rods are along one axis, and -1/2, along the normal of the plane, before.
 
-names = ["orientation_tensor", "nematic_order", "nematic_director"]
+names = ["nematic_tensor", "nematic_order", "nematic_director"]
 whole = rods.cg.coarse_grain(names, axes="", at={}, for_averages=True).compute()
 expected_2d = (aspect - 1) / (aspect + 1)
 expected = (
@@ -53,15 +54,17 @@ expected = (
 ) / 4  # largest eigenvalue of (3 <n n> - I) / 2 for directors in a plane
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
-left.plot(time * rate.mean(), whole.nematic_order, label="all rods")
+largest = whole.cg.principal("nematic_tensor").nematic_tensor_principal.sel(principal=1)
+left.plot(time * rate.mean(), largest, label="all rods")
 left.axhline(expected, color="k", ls="--", label="Jeffery, long times")
 left.axhline(0.25, color="0.6", ls=":", label="even in the plane")
-left.set(xlabel="mean shear strain", ylabel="nematic order $S$", ylim=(0, 1))
+left.set(xlabel="mean shear strain", ylabel="largest eigenvalue of $Q$", ylim=(0, 1))
 left.legend()
 layers = rods.isel(time=[0, 5, 15, 59]).cg.coarse_grain(names, axes="z", width="2 d43").compute()
+of_layers = layers.cg.principal("nematic_tensor").nematic_tensor_principal.sel(principal=1)
 for k, strain in enumerate((0, 5, 15, 59)):
-    right.plot(layers.nematic_order.isel(time=k), layers.z, label=f"strain {strain}")
-right.set(xlabel="nematic order $S$", ylabel="height $z$", xlim=(0, 1))
+    right.plot(of_layers.isel(time=k), layers.z, label=f"strain {strain}")
+right.set(xlabel="largest eigenvalue of $Q$", ylabel="height $z$", xlim=(0, 1))
 right.legend(loc="lower left", framealpha=0.5)
 plt.show()
 

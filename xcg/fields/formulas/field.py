@@ -103,6 +103,48 @@ class Options:
         return len(self.plane)
 
 
+@dataclass(frozen=True)
+class Support:
+    """Effective numbers in the support of a node, of equal grains or contacts that are placed at random.
+
+    Attributes
+    ----------
+    grains, contacts : float
+        N_eff of grains and of contacts, at least 1.
+    partners : float
+        Contacts of a grain.
+    dimension : int
+        Number of dimensions D of the scene.
+    slope : float
+        Root mean square of |Gamma| d over the velocity fluctuation along an axis, of a fit to
+        independent velocities without shear.
+    volume_fraction : float
+        Volume of the grains over that which they extend over.
+    """
+
+    grains: float
+    contacts: float
+    partners: float
+    dimension: int
+    slope: float
+    volume_fraction: float
+
+    @property
+    def is_dense(self) -> bool:
+        """Return whether contacts, of which a grain has two halves at least, carry the stress."""
+        return self.partners >= 2.0
+
+    def text(self) -> str:
+        """Return the numbers that fields of the scene follow from, in words."""
+        numbers = {"grains": self.grains}
+        if self.is_dense:
+            numbers["contacts"] = self.contacts
+        texts = [
+            f"{number:.{0 if number >= 10 else 1}f} {name}" for name, number in numbers.items()
+        ]
+        return f"{' and '.join(texts)} (N_eff)"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Field:
     """Field of the registry; names with an underscore first are steps of the algebra, not fields themselves.
@@ -136,6 +178,11 @@ class Field:
         their mean. Linear functions of such a field follow.
     averages : str
         What averages are, where a user may expect something else, for the attributes.
+    floor : callable, optional
+        ``floor(support)`` gives the value that a single step shows where the true one is zero, of a
+        norm or an eigenvalue, see `xcg.fields.formulas.floors`.
+    usual : float
+        Value that the floor is compared with.
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -159,6 +206,8 @@ class Field:
     harmonic: bool = False
     covariance: Function | None = None
     averages: str = ""
+    floor: Callable[[Support], float] | None = None
+    usual: float = 0.0
     default: bool = True
     option: str = ""
     paired: bool = False

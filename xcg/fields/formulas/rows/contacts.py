@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.fields.formulas import floors
 from xcg.fields.formulas.algebra import (
     contraction,
     deviator,
@@ -165,6 +166,8 @@ _ROWS: dict[str, Field] = {
         formula="a_c = sqrt(3/2 a:a), a = 15/2 dev Phi, 2D: sqrt(a:a / 2), a = 4 dev Phi",
         compute=lambda f, s, o: _anisotropy(f.contact_fabric, _NORMAL, o),
         fields=("contact_fabric",),
+        floor=floors.contact_anisotropy,
+        usual=0.1,
     ),
     "branch_anisotropy": Field(
         long_name="anisotropy of the branch lengths",
@@ -177,6 +180,8 @@ _ROWS: dict[str, Field] = {
         formula="a_n, from a = 15/2 dev (X_n - Phi), 2D: 4 dev (X_n - Phi)",
         compute=lambda f, s, o: _anisotropy(f.normal_force_fabric - f.contact_fabric, _NORMAL, o),
         fields=("normal_force_fabric", "contact_fabric"),
+        floor=floors.force_anisotropy,
+        usual=0.1,
     ),
     "tangential_force_anisotropy": Field(
         long_name="anisotropy of the tangential forces",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.fields.formulas import floors
 from xcg.fields.formulas.algebra import (
     deviator,
     mean_normal,
@@ -71,12 +72,16 @@ ROWS: dict[str, Field] = {
         formula="mu = |dev sigma| / p, where p > 0",
         compute=lambda f, s, o: ratio(f.shear_stress, f.pressure),
         fields=("shear_stress", "pressure"),
+        floor=floors.friction,
+        usual=0.3,
     ),
     "inertial_number": Field(
         long_name="inertial number",
         formula="I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
         compute=_inertial_number,
         fields=("shear_rate", "pressure", "particle_density", "_size"),
+        floor=floors.inertial_number,
+        usual=0.1,
     ),
     "fluidity": Field(
         units="s^-1",

@@ -1,0 +1,127 @@
+"""Floors: what norms and eigenvalues of independent directions and velocities show, by brute force."""
+
+import numpy as np
+import pytest
+
+from tests import truths
+from xcg.fields.advice import support_of
+from xcg.fields.formulas import floors
+from xcg.fields.formulas.field import Support
+from xcg.fields.plan import make_plan
+from xcg.fields.request import Request
+from xcg.scene.description import describe
+
+DRAWS = 4000
+
+
+def support(number, dimension, partners=0.0):
+    return Support(number, number, partners, dimension, slope=1.0, volume_fraction=0.5)
+
+
+def dyads(number, dimension, seed=1):
+    """Means of dyads of directions, in many draws."""
+    n = np.random.default_rng(seed).normal(size=(DRAWS, number, dimension))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    return np.einsum("sni,snj->sij", n, n) / number
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("number", [10, 100])
+def test_anisotropy_of_independent_contacts(number, dimension):
+    dev = dyads(number, dimension) - np.eye(dimension) / dimension
+    squares = (dev**2).sum(axis=(1, 2))
+    size = {2: 4 * np.sqrt(squares / 2), 3: 7.5 * np.sqrt(1.5 * squares)}[dimension]
+    floor = floors.contact_anisotropy(support(number, dimension))
+    assert floor == pytest.approx(size.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("number", [10, 100])
+def test_order_of_directors_at_random(number, dimension):
+    tensor = (dimension * dyads(number, dimension) - np.eye(dimension)) / (dimension - 1)
+    largest = np.abs(np.linalg.eigvalsh(tensor)).max(axis=-1)
+    assert floors.order(support(number, dimension)) == pytest.approx(largest.mean(), rel=0.03)
+
+
+def friction(tensors):
+    """Friction coefficients of stress tensors."""
+    d = tensors.shape[-1]
+    p = np.trace(tensors, axis1=1, axis2=2) / d
+    dev = tensors - p[:, None, None] * np.eye(d)
+    return np.sqrt((dev**2).sum(axis=(1, 2)) / 2) / p
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_friction_of_a_gas(dimension):
+    v = np.random.default_rng(2).normal(size=(DRAWS, 50, dimension))
+    mu = friction(np.einsum("sni,snj->sij", v, v))
+    assert floors.friction(support(50, dimension)) == pytest.approx(mu.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_friction_of_contacts_with_forces_of_an_exponential_distribution(dimension):
+    rng = np.random.default_rng(3)
+    n = rng.normal(size=(DRAWS, 100, dimension))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    mu = friction(np.einsum("sn,sni,snj->sij", rng.exponential(size=n.shape[:2]), n, n))
+    # of contacts that do not exclude each other
+    partners = 2.0
+    left = 1 - partners / {2: 6.7, 3: 14.0}[dimension]
+    floor = floors.friction(support(100, dimension, partners)) / np.sqrt(left)
+    assert floor == pytest.approx(mu.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_single_grain_has_the_largest_friction(dimension):
+    v = np.random.default_rng(4).normal(size=(10, 1, dimension))
+    mu = friction(np.einsum("sni,snj->sij", v, v))
+    np.testing.assert_allclose(floors.friction(support(1, dimension)), mu)
+
+
+def of_scene(ds, **options):
+    """Support of a node of a scene, and the options."""
+    scene = describe(ds)
+    plan = make_plan(scene, Request("volume_fraction", **options))
+    return support_of(scene, plan)
+
+
+@pytest.mark.parametrize("width", [1.0, 1.5, 2.0])
+def test_floors_of_a_gas(width):
+    ds = truths.gas(4)
+    names = ["friction_coefficient", "inertial_number"]
+    f = ds.cg.coarse_grain(names, width=width, spacing=1.5)
+    here = of_scene(ds, width=width)
+    assert floors.friction(here) == pytest.approx(f.friction_coefficient.mean().item(), rel=0.15)
+    assert floors.inertial_number(here) == pytest.approx(
+        f.inertial_number.median().item(), rel=0.25
+    )
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("width", [0.75, 1.5])
+def test_floors_of_relaxed_packings(width, dimension):
+    """Contacts of a grain exclude each other: floors are below those of independent ones."""
+    ds = truths.packing(**PACKINGS[dimension])
+    ways = {
+        "friction_coefficient": floors.friction,
+        "contact_anisotropy": floors.contact_anisotropy,
+        "normal_force_anisotropy": floors.force_anisotropy,
+    }
+    f = ds.cg.coarse_grain([*ways], width=f"{width} d43", for_averages=True)
+    here = of_scene(ds, width=f"{width} d43")
+    for name, floor in ways.items():
+        assert floor(here) == pytest.approx(f[name].mean().item(), rel=0.4), name
+
+
+PACKINGS = {
+    2: {"dimension": 2, "phi": 0.9, "count": 200, "steps": 3},
+    3: {"count": 200, "steps": 2},
+}
+
+
+@pytest.mark.parametrize("axes", ["xyz", "z"])
+def test_order_of_rods_at_random(axes):
+    ds = truths.rods(0.0, 4)
+    f = ds.cg.coarse_grain("nematic_order", axes=axes)
+    floor = floors.order(of_scene(ds, axes=axes))
+    assert floor == pytest.approx(np.abs(f.nematic_order).mean().item(), rel=0.1)

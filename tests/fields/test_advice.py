@@ -1,0 +1,84 @@
+"""Warnings about single steps: what fires them, what they say, and what stays silent."""
+
+import re
+import warnings
+
+import pytest
+
+import xcg
+from tests import raise_if_dask_computes, truths
+
+NAMES = ["friction_coefficient", "inertial_number"]
+
+
+def said(ds, *args, **options):
+    """Return what a call warns of single steps."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ds.cg.coarse_grain(*args, **options)
+    texts = [str(warning.message) for warning in caught]
+    return [text for text in texts if text.startswith("single steps show")]
+
+
+def test_one_warning_names_all_fields_with_their_floors():
+    (text,) = said(truths.gas(1), NAMES, width=1.5)
+    assert re.match(
+        r"single steps show friction_coefficient of about 0\.\d+, inertial_number of about \d", text
+    )
+    assert "sees only about 12 grains (N_eff)" in text or "13 grains" in text
+
+
+def test_the_warning_is_the_same_for_a_lazy_scene_and_reads_nothing():
+    ds = truths.gas(2)
+    with raise_if_dask_computes():
+        lazy = said(ds.chunk(time=1), NAMES)
+    assert lazy == said(ds, NAMES) != []
+
+
+def test_fields_that_come_by_default_are_named_once():
+    (text,) = said(truths.packing(count=200, steps=2))
+    assert "friction_coefficient of about 0.3" in text
+
+
+@pytest.mark.parametrize(
+    ("fields", "options"),
+    [
+        (["velocity", "granular_temperature"], {}),
+        (["pressure", "stress", "shear_rate"], {}),
+    ],
+)
+def test_fields_without_a_floor_are_silent(fields, options):
+    assert said(truths.gas(1), fields, **options) == []
+
+
+def test_many_grains_are_silent():
+    many = xcg.datasets.dense_packing(20_000)
+    assert said(many, ["friction_coefficient"], axes="z") == []
+    assert said(many, axes="z") == []
+    assert said(many, ["friction_coefficient"], width=3.0) == []
+    assert said(many, ["friction_coefficient"]) != []
+
+
+def test_a_profile_by_default_is_silent_where_a_named_field_is_not():
+    chute = xcg.datasets.open("chute")
+    assert said(chute, axes="z") == []
+    assert said(chute, NAMES, axes="z") != []
+
+
+def test_functions_that_measure_noise_give_no_advice():
+    ds = truths.gas(3)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "single steps show")
+        ds.cg.width_sweep(["1 d43", "1.5 d43"], ["friction_coefficient"], axes="z")
+
+
+def test_explain_shows_the_floors():
+    plan = truths.gas(1).cg.explain(NAMES, width=1.5)
+    assert re.search(r"floors +friction_coefficient 0\.\d+, inertial_number", str(plan))
+    assert "floors" not in str(truths.gas(1).cg.explain("velocity", width=1.5))
+
+
+def test_unknown_extent_or_weights_have_no_floor():
+    ds = truths.gas(1)
+    assert said(ds, NAMES, width={1: 1.0}, by="species") == []
+    assert said(ds, NAMES, frame=xcg.Cylindrical("z", (6.0, 6.0, 0.0)), axes="r") == []

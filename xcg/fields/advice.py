@@ -1,0 +1,141 @@
+"""Warnings about fields of single steps that noise may make up, from scene and plan; nothing is read."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from xcg.common.messages import warn_once
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import squared_integral
+from xcg.fields.formulas.field import Support
+from xcg.fields.plan import Plan
+from xcg.fields.sums.kernels import Kernel
+from xcg.scene.description import Description
+
+# Shares of the usual value of a field above which its floor is a reason for a warning: of fields
+# that were asked for by name, and of those that come by default.
+_NAMED = 0.2
+_BY_DEFAULT = 0.5
+
+
+def advise(scene: Description, plan: Plan, *, named: bool) -> None:
+    """Warn of fields whose values in single steps are far from those of averages.
+
+    `named` is whether they were asked for by name.
+    """
+    if plan.is_narrow:
+        return  # the plan has warned of the cause
+    for about, advice in _ADVICE.items():
+        text = advice(scene, plan, named)
+        if text:
+            warn_once(about, text)
+
+
+def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
+    """Return a warning if norms and eigenvalues of few grains or contacts are noise; "" if they are not."""
+    support = support_of(scene, plan)
+    if support is None:
+        return ""
+    floors = floors_of(plan, support)
+    share = _NAMED if named else _BY_DEFAULT
+    large = [name for name, (floor, usual) in floors.items() if floor > share * usual]
+    if not large:
+        return ""
+    values = ", ".join(f"{name} of about {floors[name][0]:.2g}" for name in large)
+    return (
+        f"single steps show {values} where the true value is 0, as a node sees only about {support.text()}: take the "
+        f"time_average of the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
+    )
+
+
+# what a warning is about, and a function of scene, plan and whether fields were named
+_ADVICE = {
+    "few grains": _few_grains,
+}
+
+
+def text_of_floors(scene: Description, plan: Plan) -> str | None:
+    """Return the floors of the requested fields in words, None where no field has one."""
+    support = support_of(scene, plan)
+    if support is None:
+        return None
+    floors = floors_of(plan, support)
+    if not floors:
+        return None
+    values = ", ".join(f"{name} {floor:.2g}" for name, (floor, _) in floors.items())
+    return f"{values} in one step where the true value is 0, from {support.text()} at a node"
+
+
+def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
+    """Return floor and usual value of each requested field that has a floor."""
+    floors = {}
+    for name in plan.asked:
+        row = registry.row(name, plan.options)
+        if row.floor is not None:
+            floors[name] = row.floor(support), row.usual
+    return floors
+
+
+def support_of(scene: Description, plan: Plan) -> Support | None:
+    """Return the effective numbers of a node, of grains that fill their extent evenly.
+
+    None for rings and widths by group, whose weights are not those of one kernel, and where sizes,
+    extent or the box are not known.
+    """
+    grid = plan.deposit.grid
+    count = scene.counts["particle"]
+    other_weights = scene.cylindrical or len(plan.deposit.cutoffs) > 1
+    size = scene.sizes.get("d43", np.nan)
+    filled = _extent(scene, size)
+    lengths = [
+        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
+    ]
+    if other_weights or not count or not np.isfinite([filled, *lengths]).all():
+        return None
+    d = scene.setup.dimension
+    seen = len(grid.seen)
+    # in a unit of the space that the kernel sees
+    number = count / filled * math.prod(lengths)
+    partners = 2 * scene.counts["contact"] / count
+    grains = max(1.0, number / squared_integral(plan.kernel, seen))
+    share = {2: math.pi / 4, 3: math.pi / 6}[d] * size**d * count / filled
+    return Support(
+        grains=grains,
+        contacts=max(1.0, grains * partners / 2),
+        partners=partners,
+        dimension=d,
+        slope=_slope(plan.kernel, seen, d, number) * size,
+        volume_fraction=share,
+    )
+
+
+def _extent(scene: Description, size: float) -> float:
+    """Return the volume (in a layer the area) of the box around the grains; NaN where it is not known."""
+    lengths = []
+    for a in scene.setup.plane:
+        length = scene.periods.get(a, np.nan)
+        if a not in scene.periods and scene.corners is not None:
+            k = "xyz".index(a)
+            low, high = scene.corners[0][k], scene.corners[1][k]
+            length = high - low + size
+        lengths.append(length)
+    return math.prod(lengths)
+
+
+def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
+    """Root mean square of |dev Gamma| of independent velocities with the variance 1 along each axis (m^-1).
+
+    Each of the components of the gradient along the axes that are seen has the variance
+    ``S = int Psi^2 x^2 / n (int Psi x^2)^2``, of n grains in a unit of what the kernel sees.
+    """
+    if not seen:
+        return 0.0
+    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
+    shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
+    psi = kernel.value(r, seen)
+    squares = np.trapezoid(psi**2 * shells, dx=step)
+    spread = np.trapezoid(psi * shells, dx=step)
+    components = seen * (dimension + 1 - 2 / dimension)
+    return math.sqrt(float(squares) * components / number) / float(spread)

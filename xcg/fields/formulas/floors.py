@@ -1,0 +1,74 @@
+"""Floors: values of norms and eigenvalues in a single step of an isotropic state, where the true value is zero.
+
+Of N independent directions n the deviator of <n n> has the mean square (1 - 1 / D) / N, and its
+components (5 in space, 2 in a plane) are normally distributed for large N. Grains of a gas carry
+m v v in place of n n. Forces are taken to be exponentially distributed, <f^2> = 2 <f>^2.
+
+Contacts of one grain are not independent, as its neighbours exclude each other: of Z contacts of a
+grain the fabric is smaller by 1 - Z / 14 (1 - Z / 6.7 in a plane), and the stress, with forces that
+differ, by the root of that. The factors are those of relaxed packings of soft spheres and discs at
+widths from 0.5 to 2 d43 (tests/fields/formulas/test_floors.py), where the floors are right to 40 %.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xcg.fields.formulas.field import Support
+
+# mean over root mean square of the norm of 2 and of 5 normal components, and the largest modulus of
+# an eigenvalue of a random deviator over its norm
+_NORM = {2: 0.886, 3: 0.951}
+_EIGENVALUE = {2: math.sqrt(0.5), 3: 0.767}
+_CROWDED = {2: 6.7, 3: 14.0}  # contacts of a grain that would leave no fabric
+_LEAST = 0.2  # of the factor, as the number of contacts may be a bound
+_SHAKEN = 0.2  # velocity fluctuation over sqrt(p / rho_p) in dense shear at I = 0.1, da Cruz et al. (2005)
+
+
+def _deviator(number: float, dimension: int) -> float:
+    """Return the mean norm of the deviator of <n n>, of so many independent directions."""
+    return _NORM[dimension] * math.sqrt((1 - 1 / dimension) / number)
+
+
+def _order(support: Support) -> float:
+    """Return the part of the fabric that is left as neighbours exclude each other."""
+    return max(_LEAST, 1 - support.partners / _CROWDED[support.dimension])
+
+
+def friction(support: Support) -> float:
+    """Return mu of isotropic contacts in a dense state, or of the velocities of a gas; at most that of one."""
+    d = support.dimension
+    largest = d * math.sqrt((1 - 1 / d) / 2)
+    if support.is_dense:
+        spread = math.sqrt(2 * _order(support))
+        value = d * spread * _deviator(support.contacts, d) / math.sqrt(2)
+    else:
+        # of m v v with normal velocities: |dev|^2 = (D + 2)(D - 1) T^2, p = T
+        value = _NORM[d] * math.sqrt((d + 2) * (d - 1) / 2 / support.grains)
+    return min(largest, value)
+
+
+def contact_anisotropy(support: Support) -> float:
+    """Return a_c of isotropic contacts."""
+    d = support.dimension
+    size = {2: 4.0 * math.sqrt(0.5), 3: 7.5 * math.sqrt(1.5)}[d]
+    return size * _order(support) * _deviator(support.contacts, d)
+
+
+def force_anisotropy(support: Support) -> float:
+    """Return a_n of isotropic contacts."""
+    return contact_anisotropy(support) / math.sqrt(_order(support))
+
+
+def order(support: Support) -> float:
+    """Return the nematic order of directors at random."""
+    d = support.dimension
+    size = d / (d - 1) * _EIGENVALUE[d]
+    return min(1.0, size * _deviator(support.grains, d))
+
+
+def inertial_number(support: Support) -> float:
+    """Return I of a gas, p = phi rho_p T, or of dense grains that fluctuate as in shear at I = 0.1, without shear."""
+    if support.is_dense:
+        return _SHAKEN * support.slope
+    return support.slope / math.sqrt(support.volume_fraction)
