@@ -80,5 +80,6 @@ def test_explain_shows_the_floors():
 
 def test_unknown_extent_or_weights_have_no_floor():
     ds = truths.gas(1)
-    assert said(ds, NAMES, width={1: 1.0}, by="species") == []
+    mixture = truths.gas(1, sizes=(1.0, 2.0))
+    assert said(mixture, NAMES, width={1: 1.0, 2: 2.0}, by="species") == []
     assert said(ds, NAMES, frame=xcg.Cylindrical("z", (6.0, 6.0, 0.0)), axes="r") == []
