@@ -312,6 +312,14 @@ TABLE = [
         "test_kinetic_stress_of_an_average_is_about_the_averaged_velocity",
     ),
     Mutation(
+        "fields/formulas/averages.py", '_to_sums(f, "coarsen", dims).mean', '_to_sums(f, "coarsen").mean',
+        "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "outer(moved, b)", "outer(s.momentum, b)",
+        "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums test_fields_equal_the_columns_of_mercury",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "independent**0.5", "independent",
         "test_an_average_over_steps_has_the_larger_error_and_names_it",
     ),

@@ -30,7 +30,7 @@ from .analysis.widths import choose_width, plot_width, width_sweep
 from .analysis.without_kernel import cell_volumes, slice_temperature
 from .common.messages import SceneError, SceneWarning
 from .fields.coarse_grain import coarse_grain
-from .fields.formulas.averages import profile, time_average
+from .fields.formulas.averages import coarsen, profile, time_average
 from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance
 from .fields.formulas.registry import FIELDS, register_field
 from .fields.grids.frames import Cylindrical, Rotated
@@ -89,6 +89,7 @@ __all__ = [
     "chain_table",
     "choose_width",
     "coarse_grain",
+    "coarsen",
     "contact_graph",
     "contact_history",
     "contact_value",

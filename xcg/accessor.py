@@ -32,7 +32,6 @@ def kind_of(ds: xr.Dataset) -> str:
 
 # Names of other packages for methods.
 _OTHER_NAMES = {
-    "coarsen": "coarse_grain",
     "compute": "coarse_grain",
     "fields": "coarse_grain",
     "rdf": "radial_distribution",
@@ -184,6 +183,7 @@ class CoarseGrainAccessor:
     principal = Method("xcg.analysis.principal", RESULT)
     plot_principal = Method("xcg.analysis.principal", RESULT)
     profile = Method("xcg.fields.formulas.averages", RESULT)
+    coarsen = Method("xcg.fields.formulas.averages", RESULT)
     time_average = Method("xcg.fields.formulas.averages", RESULT)
     spatial_correlation = Method("xcg.analysis.correlations", RESULT)
     time_correlation = Method("xcg.analysis.correlations", RESULT)

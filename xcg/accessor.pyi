@@ -32,7 +32,7 @@ from xcg.analysis.widths import choose_width, plot_width, width_sweep
 from xcg.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
-from xcg.fields.formulas.averages import profile, time_average
+from xcg.fields.formulas.averages import coarsen, profile, time_average
 from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
 from xcg.scene.frame import measure, size_statistics
@@ -105,6 +105,7 @@ class CoarseGrainAccessor:
     principal = _Bound(principal)
     plot_principal = _Bound(plot_principal)
     profile = _Bound(profile)
+    coarsen = _Bound(coarsen)
     time_average = _Bound(time_average)
     spatial_correlation = _Bound(spatial_correlation)
     time_correlation = _Bound(time_correlation)

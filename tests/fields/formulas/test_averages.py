@@ -652,3 +652,50 @@ def test_fluxes_and_powers_say_that_their_averages_are_means_of_steps():
     assert "averages" not in f.kinetic_stress.attrs
     average = f.cg.time_average()
     np.testing.assert_allclose(average.kinetic_heat_flux, f.kinetic_heat_flux.mean("time"))
+
+
+# --- blocks of nodes ---
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums(lazy):
+    ds = moving_grains(2)
+    names = ["density", "velocity", "kinetic_stress", "momentum_flux", "granular_temperature"]
+    scene = ds.chunk(time=1) if lazy else ds
+    f = scene.cg.coarse_grain(names, width=1.0, spacing=1.0, for_averages=True)
+    blocks = f.cg.coarsen(x=4, z=2)
+    assert (blocks.velocity.chunks is not None) == lazy
+    assert (blocks.sizes["x"], blocks.sizes["y"], blocks.sizes["z"]) == (2, 8, 4)
+    np.testing.assert_array_equal(blocks.x, [1.5, 5.5])
+    assert blocks.x.attrs == f.x.attrs
+    total = blocks.density.sum(["x", "y", "z"]) * 8
+    np.testing.assert_allclose(total, f.density.sum(["x", "y", "z"]), rtol=1e-14)
+    # one block by hand, and as a profile
+    part = f.isel(x=slice(4), z=slice(2, 4))
+    u = (part.density * part.velocity).mean(["x", "z"]) / part.density.mean(["x", "z"])
+    block = blocks.isel(x=0, z=1)
+    np.testing.assert_allclose(block.velocity, u, rtol=1e-12)
+    profile = part.cg.profile("y")
+    for name in names:
+        np.testing.assert_allclose(block[name], profile[name], rtol=1e-10, atol=1e-12)
+    # and so the flux of momentum is that of the mean flow and the stress
+    flow = blocks.density * blocks.velocity * blocks.velocity.rename(component="direction")
+    expected = (flow + blocks.kinetic_stress).transpose(*blocks.momentum_flux.dims)
+    np.testing.assert_allclose(blocks.momentum_flux, expected, rtol=1e-10, atol=1e-12)
+    whole = f.cg.coarsen(x=8, y=8, z=8)
+    np.testing.assert_allclose(
+        whole.kinetic_stress.squeeze(), blocks.cg.coarsen(x=2, y=8, z=4).kinetic_stress.squeeze()
+    )
+    assert "coarsen(x=4, z=2)" in blocks.attrs["history"]
+
+
+def test_blocks_that_do_not_fit_raise():
+    f = moving_grains(1).cg.coarse_grain("velocity", width=1.0, spacing=1.0)
+    with pytest.raises(ValueError, match=r"8 nodes along 'x' are 2 more .* f.isel\(x=slice\(6\)\)"):
+        f.cg.coarsen(x=3)
+    with pytest.raises(ValueError, match=r"coarsen\(r=2\): blocks are along x, y, z here"):
+        f.cg.coarsen(r=2)
+    with pytest.raises(ValueError, match="x=9: expected a whole number from 1 to 8"):
+        f.cg.coarsen(x=9)
+    with pytest.raises(ValueError, match="coarsen averages fields, and this is a scene"):
+        moving_grains(1).cg.coarsen(x=2)

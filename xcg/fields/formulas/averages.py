@@ -182,6 +182,64 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     return mean.set_coords(sums_beside)
 
 
+def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
+    """Average a result over blocks of nodes; ratios are ratios of averaged sums.
+
+    The `coarsen` of xarray averages ratios as they are: velocities without the density that weighs
+    them, and a friction coefficient of each node. The mass of all nodes does not change.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain`, without errors of one step.
+    **blocks : int
+        Nodes of a block along axes: x, y, z, or theta.
+
+    Returns
+    -------
+    xarray.Dataset
+        The fields at the means of the blocks' nodes.
+
+    Raises
+    ------
+    SceneError
+        If results of different options were joined, or the result has lost its options.
+    ValueError
+        If an axis is not resolved or no whole number of blocks, if a sum that a ratio needs is not
+        in the result, or if it holds standard errors.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.random_scene(100).cg.coarse_grain(["density", "velocity"], spacing=0.5)
+    >>> f.cg.coarsen(x=5, z=2).density.dims
+    ('time', 'x', 'y', 'z')
+    """
+    _refuse_scene(f, "coarsen")
+    f, beside = _with_sums(with_facts(f))
+    axes = [a for a in (*COMPONENTS, "theta") if a in f.dims]
+    for axis, size in blocks.items():
+        if axis not in axes:
+            raise ValueError(
+                f"coarsen({axis}={size!r}): blocks are along {', '.join(axes) or 'no axis'} here"
+            )
+        nodes = f.sizes[axis]
+        check(axis, size, whole(1, nodes), hint=f", nodes of a block along {axis!r}")
+        left = nodes % size
+        if left:
+            raise ValueError(
+                f"coarsen({axis}={size}): {nodes} nodes along {axis!r} are {left} more than a multiple of {size}: "
+                f"call f.isel({axis}=slice({nodes - left})).cg.coarsen(...), or take a divisor of {nodes}"
+            )
+    f = f.assign_attrs(provenance(f, format_call("coarsen", blocks)))
+    places = {axis: f[axis].coarsen({axis: size}).mean() for axis, size in blocks.items()}
+    inside = {axis: (axis, f"{axis} in block") for axis in blocks}
+    f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
+    dims = [inner for _, inner in inside.values()]
+    mean = _from_sums(_to_sums(f, "coarsen", dims).mean(dims, skipna=False), f)
+    return mean.assign_coords(places).set_coords(beside)
+
+
 def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
 
@@ -411,7 +469,8 @@ def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Datase
     errors = _errors_among(rows)
     if errors:
         raise ValueError(
-            f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
+            f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average, on a "
+            "result without errors=True"
         )
     anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
     if anew:

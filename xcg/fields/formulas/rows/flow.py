@@ -154,6 +154,13 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     return _outer(out)
 
 
+def _momentum_flux(f: Any, s: Any, o: Options) -> NDArray:
+    """Sum of m Psi v v from those of m Psi, m Psi u and m Psi u u, v = u + b, b the node's reference."""
+    b = s.reference
+    moved = s.momentum + s.mass[..., None] * b
+    return s.kinetic + outer(b, s.momentum) + outer(moved, b)
+
+
 def about(
     sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray
 ) -> tuple[NDArray, NDArray]:
@@ -278,6 +285,16 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: s.momentum + s.mass[..., None] * s.reference,
         moments=("mass", "momentum"),
         additive=True,
+    ),
+    "momentum_flux": Field(
+        rank=2,
+        units="Pa",
+        long_name="flux of momentum that moving grains carry",
+        formula="sum m_i v_i v_i Psi = rho V V + sigma^k",
+        compute=_momentum_flux,
+        moments=("mass", "momentum", "kinetic"),
+        additive=True,
+        default=False,
     ),
     "velocity": Field(
         rank=1,
