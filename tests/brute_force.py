@@ -244,6 +244,9 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             put("inertial_number", None)
         else:
             gamma = (G + G.T) / 2
+            trace = sum(gamma[i, i] for i in plane)
+            for i in plane:
+                gamma[i, i] -= trace / D
             rate = np.sqrt(2 * (gamma**2).sum())
             put("shear_rate", rate)
             d = out["d43"][-1]

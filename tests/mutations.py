@@ -402,6 +402,14 @@ TABLE = [
         "test_the_thickness_is_that_of_the_slab_and_the_solid_depth_that_of_its_grains",
     ),
     Mutation(
+        "fields/formulas/rows/errors.py", "4 / n * mixed - 2", "4 / n * mixed + 2",
+        "test_errors_are_the_scatter_of_draws",
+    ),
+    Mutation(
+        "fields/request.py", 'deviatoric: Deviatoric = "both"', 'deviatoric: Deviatoric = "stress"',
+        "test_the_shear_rate_of_compression_is_zero_and_of_simple_shear_its_rate",
+    ),
+    Mutation(
         "fields/formulas/rows/rheology.py", "ratio(f.shear_stress, f.shear_rate)", "f.shear_stress * f.shear_rate",
         "test_the_granular_viscosity_is_the_relative_one_times_that_of_the_fluid",
     ),

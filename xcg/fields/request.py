@@ -142,8 +142,8 @@ class SharedOptions:
         Axes that deviatoric stress, shear stress and shear rate are restricted to, for example
         "xz".
     deviatoric : str
-        Magnitudes computed from deviators: of the "stress" (default), the "rate", "both" or
-        "neither".
+        Magnitudes computed from deviators: of "both" stress and rate of shear (default), of the
+        "stress" or the "rate" alone, or "neither".
     size : str
         Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of
         the scene.
@@ -193,7 +193,7 @@ class SharedOptions:
     gradient: Gradient = "least_squares"
     pressure_dims: str | None = None
     shear_dims: str | None = None
-    deviatoric: Deviatoric = "stress"
+    deviatoric: Deviatoric = "both"
     size: InertialSize = "d43"
     fluid_viscosity: float | None = None
     friction: float | None = None

@@ -64,7 +64,9 @@ def assert_ratios_of_sums(got, f, dims):
     )
     w = f.density.where(f.shear_rate_tensor.notnull(), 0)
     gamma = (f.shear_rate_tensor.fillna(0) * w).sum(dims) / w.sum(dims)
-    rate = np.sqrt(2 * (gamma.values**2).sum((-1, -2)))
+    trace = np.trace(gamma.values, axis1=-2, axis2=-1)
+    dev = gamma.values - trace[..., None, None] / 3 * np.eye(3)
+    rate = np.sqrt(2 * (dev**2).sum((-1, -2)))
     np.testing.assert_allclose(got.shear_rate, rate, rtol=1e-9)
     rho_p = (mean["density"] / mean["volume_fraction"]).values
     number = rate * got.d43.values * np.sqrt(rho_p / np.where(p > 0, p, np.nan))

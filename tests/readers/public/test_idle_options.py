@@ -263,7 +263,7 @@ def test_images_refuse_a_compression_that_they_ignore(tmp_path):
 @pytest.mark.parametrize("preset", ["lammps", "pysammos"])
 @pytest.mark.parametrize(
     "option",
-    [{"friction": 0.5}, {"fluid_viscosity": 1e-3}, {"deviatoric": "both"}, {"size": "d32"}],
+    [{"friction": 0.5}, {"fluid_viscosity": 1e-3}, {"deviatoric": "stress"}, {"size": "d32"}],
     ids=str,
 )
 def test_presets_refuse_options_that_they_ignore(preset, option):

@@ -210,7 +210,7 @@ def test_slopes_of_surfaces_keep_the_support_of_the_kernel_in_their_errors():
         ({"pressure_dims": "z"}, 'pressure_dims is "xyz" and "z"'),
         ({"shear_dims": "xz"}, 'shear_dims is not given and "xz"'),
         ({"size": "dmax"}, 'size is "d43" and "dmax"'),
-        ({"deviatoric": "both"}, 'deviatoric is "stress" and "both"'),
+        ({"deviatoric": "stress"}, 'deviatoric is "both" and "stress"'),
         ({"extent": {"x": 1.0}}, "extent is not given and"),
         (
             {"surfaces": [xcg.Plane((0, 0, 0), (0, 0, 1))], "per": "accessible"},

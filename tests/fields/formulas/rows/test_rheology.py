@@ -44,6 +44,38 @@ def test_magnitudes_in_a_plane(dims, deviatoric):
     assert (f.deviatoric_stress.values[..., other, :] == 0).all()
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("options", [{}, {"axes": "xz", "at": {"y": 0.1}}])
+def test_the_shear_rate_of_compression_is_zero_and_of_simple_shear_its_rate(dimension, options):
+    rng = np.random.default_rng(2)
+    position = rng.uniform(-2, 2, (1500, 3))
+    where = {}
+    if dimension == 2:
+        position[:, 1] = 0.0
+        where = {"dimension": 2, "plane": "xz"}
+        options = {key: value for key, value in options.items() if key == "axes"}
+    rate = 0.1
+    expected = {"compression": 0.0, "shear": rate}
+    flows = {"compression": -rate * position, "shear": rate * position[:, [2, 1, 0]] * [1, 0, 0]}
+    if dimension == 2:
+        flows["compression"][:, 1] = 0.0
+    for name, velocity in flows.items():
+        ds = xcg.scene_from_arrays(
+            position, velocity=velocity, diameter=np.full(1500, 0.3), density=1.0, **where
+        )
+        axes = options.get("axes", ds.attrs["plane"])
+        bounds = dict.fromkeys(axes, (-1.0, 1.0))
+        f = ds.cg.coarse_grain("shear_rate", width=0.6, spacing=0.5, bounds=bounds, **options)
+        np.testing.assert_allclose(f.shear_rate, expected[name], atol=1e-12)
+        whole = ds.cg.coarse_grain(
+            "shear_rate", width=0.6, spacing=0.5, bounds=bounds, deviatoric="stress", **options
+        )
+        of_trace = np.sqrt(2 * dimension) * rate
+        np.testing.assert_allclose(
+            whole.shear_rate, {"compression": of_trace, "shear": rate}[name], rtol=1e-9
+        )
+
+
 def test_the_inertial_number_takes_the_chosen_size():
     scene = xcg.datasets.random_scene(150, seed=6)
     ones = {}

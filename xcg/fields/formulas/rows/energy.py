@@ -290,7 +290,7 @@ _ROWS: dict[str, Field] = {
     "stress_power": Field(
         units="W m^-3",
         long_name="power of the stress on the mean flow: what fluctuations gain",
-        formula="-sigma : G, G of the bulk",
+        formula="-sigma : G, G of the bulk in whole",
         compute=lambda f, s, o: -double_dot(f.velocity_gradient[:1], f.stress),
         fields=("stress", "velocity_gradient"),
         additive=True,

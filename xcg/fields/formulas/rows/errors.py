@@ -87,10 +87,11 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
-    """Error of |Gamma| = sqrt(Q), Q = 2 Gamma:Gamma, to second order: var Q = 16 Gamma C Gamma - 8 tr C^2.
+    """Error of |D| = sqrt(Q), Q = 2 D:D, to second order: var Q = 16 D C D - 8 tr (P C)^2.
 
-    C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself
-    adds to the first, at most three quarters of it.
+    C is the covariance of (dG + dG^T) / 2, and P takes the deviator, as D = dev Gamma does: with M =
+    C : 1 = (Theta S + S Theta) / 2, tr (P C)^2 = tr C^2 - 2/n M:M + (Theta:S)^2 / n^2. The second
+    term subtracts what the noise of Gamma itself adds to the first, at most three quarters of it.
     """
     rate = flow.rate_of_magnitude(f, o)
     theta = restricted(f._covariance, o.shear_axes)
@@ -99,6 +100,11 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     squares = contraction(theta) * contraction(slopes) + 2 * contraction(times(theta, slopes))
     both = double_dot(theta, slopes)
     second = (squares + both * both) / 2
+    if o.deviatoric in ("rate", "both"):
+        n = len(o.shear_axes or o.plane)
+        product = times(theta, slopes)
+        mixed = contraction((product + transposed(product)) / 2)
+        second = second - (4 / n * mixed - 2 / (n * n) * both * both)
     rate2 = f.shear_rate * f.shear_rate
     return _root(ratio(first / 4 + at_least_zero(0.75 * first - second), rate2))
 
@@ -154,7 +160,7 @@ _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
     "shear_rate": (
         _shear_rate,
         (*_SLOPES, "shear_rate_tensor", "shear_rate"),
-        "standard deviation of sqrt(2 Gamma:Gamma)",
+        "standard deviation of |dev Gamma|",
     ),
     "vorticity": (_vorticity, _SLOPES, "that of G_kl - G_lk"),
     "granular_temperature": (

@@ -326,7 +326,7 @@ ROWS: dict[str, Field] = {
     "shear_rate": Field(
         units="s^-1",
         long_name="shear rate",
-        formula="|Gamma| = sqrt(2 Gamma:Gamma)",
+        formula="|dev Gamma| = sqrt(2 dev Gamma : dev Gamma)",
         compute=lambda f, s, o: rate_magnitude(rate_of_magnitude(f, o)),
         fields=("shear_rate_tensor",),
     ),
@@ -345,7 +345,7 @@ ROWS: dict[str, Field] = {
         rank=2,
         units="Pa",
         long_name="kinetic stress about the velocity at the particles",
-        formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
+        formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar), G in whole",
         compute=_fluctuation_stress,
         fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
         moments=(*LINEAR[1:], "kinetic"),

@@ -77,7 +77,7 @@ ROWS: dict[str, Field] = {
     ),
     "inertial_number": Field(
         long_name="inertial number",
-        formula="I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        formula="I = |dev Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
         compute=_inertial_number,
         fields=("shear_rate", "pressure", "particle_density", "_size"),
         floor=floors.inertial_number,
@@ -86,21 +86,21 @@ ROWS: dict[str, Field] = {
     "fluidity": Field(
         units="s^-1",
         long_name="granular fluidity",
-        formula="g = |Gamma| / mu, where p > 0",
+        formula="g = |dev Gamma| / mu, where p > 0",
         compute=lambda f, s, o: ratio(f.shear_rate, f.friction_coefficient),
         fields=("shear_rate", "friction_coefficient"),
         default=False,
     ),
     "viscous_number": Field(
         long_name="viscous number",
-        formula="J = eta_f |Gamma| / p, where p > 0",
+        formula="J = eta_f |dev Gamma| / p, where p > 0",
         compute=lambda f, s, o: ratio(o.fluid_viscosity * f.shear_rate, f.pressure),
         fields=("shear_rate", "pressure"),
         option="fluid_viscosity",
     ),
     "relative_viscosity": Field(
         long_name="viscosity of the grains alone relative to that of the fluid",
-        formula="eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
+        formula="eta_s = mu / J = |dev sigma| / (eta_f |dev Gamma|)",
         compute=lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
         fields=("friction_coefficient", "viscous_number"),
         option="fluid_viscosity",
@@ -108,7 +108,7 @@ ROWS: dict[str, Field] = {
     "granular_viscosity": Field(
         units="Pa s",
         long_name="granular viscosity",
-        formula="eta = |dev sigma| / |Gamma|",
+        formula="eta = |dev sigma| / |dev Gamma|",
         compute=lambda f, s, o: ratio(f.shear_stress, f.shear_rate),
         fields=("shear_stress", "shear_rate"),
         default=False,
