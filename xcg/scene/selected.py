@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import check_choice
 from xcg.common.messages import plain, unknown
 from xcg.scene.conform import in_whole_rows, require_scene, takes_scene
+from xcg.scene.expressions import evaluate
 from xcg.scene.schema import COMPONENTS, MEASURED, PADDING, variable
 
 Outside: TypeAlias = Literal["keep", "drop"]
@@ -49,7 +50,9 @@ def select(
     condition : DataArray or str
         Truth values (time, particle), such as ``ds.diameter > 1e-3``, or an expression of variables
         of the particles, such as ``"z > 0.1 and diameter < 2e-3"``. Expressions know scalars by
-        their names, and the components ``x y z``, ``vx vy vz`` and ``omega_x omega_y omega_z``.
+        their names, the components ``x y z``, ``vx vy vz`` and ``omega_x omega_y omega_z``, numbers,
+        comparisons, ``and or not``, arithmetic, and the functions ``abs sqrt exp log sin cos tan
+        arctan2 hypot minimum maximum floor isfinite isnan``. Nothing else is evaluated.
     outside : {"keep", "drop"}
         What becomes of contacts between selected particles and others.
 
@@ -138,19 +141,17 @@ def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
                     f"{letter}{axis}", ds[name].sel(component=axis, drop=True).variable
                 )
     try:
-        found = xr.Dataset(known).eval(expression)
-        if isinstance(found, xr.Dataset):
-            raise SyntaxError("= assigns, and == compares")
-        return found
+        return xr.DataArray(evaluate(expression, known))
     except NameError as error:
-        name = str(error.name or error)
-        raise ValueError(
-            f"select({plain(expression)}): {unknown('variable', name, known, synonyms=_OTHER_NAMES)}"
-        ) from None
-    except (SyntaxError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"select({plain(expression)}): {error}; expected an expression such as 'z > 0.1 and species == 1'"
-        ) from None
+        unknown_name = unknown("variable", error.name, known, synonyms=_OTHER_NAMES)
+        raise ValueError(f"select({plain(expression)}): {unknown_name}") from None
+    except SyntaxError as error:
+        reason = error.msg
+    except (ArithmeticError, TypeError, ValueError) as error:
+        reason = str(error.args[-1])
+    raise ValueError(
+        f"select({plain(expression)}): {reason}; expected an expression such as 'z > 0.1 and species == 1'"
+    )
 
 
 def _contacts_of(
