@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from contextlib import nullcontext
 
 import dask
 import h5py
@@ -12,7 +11,9 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import raise_if_dask_computes, steps_of_random_scenes
+from tests import steps_of_random_scenes
+from tests.analyses import CALLS
+from tests.analyses import scene as moving_spheres
 from tests.benchmarks import series
 from tests.writers.test_save import assert_same_bits, reopen
 
@@ -64,63 +65,13 @@ def test_fields_under_a_cluster_have_equal_bits(client, scene):
         assert_same_bits(here(f), f.compute())
 
 
-@pytest.mark.parametrize(
-    "work",
-    ["force_chains", "microstructure", "particle_stress", "find_contacts"],
-)
-def test_other_functions_under_a_cluster_have_equal_bits(client, scene, work):
-    result = getattr(scene.cg, work)()
-    assert_same_bits(here(result), result.compute())
-
-
-def moving_spheres() -> xr.Dataset:
-    """Three steps of spheres that move a little, with contacts."""
-    r = np.random.default_rng(2)
-    return xcg.scene_from_arrays(
-        r.uniform(0, 3, (40, 3)) + 0.05 * r.normal(size=(3, 40, 3)).cumsum(axis=0),
-        velocity=r.normal(size=(3, 40, 3)),
-        diameter=r.uniform(0.4, 0.7, (3, 40)),
-        density=1.0,
-        species=np.tile(1 + np.arange(40) % 2, (3, 1)),
-        time=np.arange(3.0),
-        box=dict.fromkeys("xyz", (0, 3)),
-        periodic="xyz",
-    ).cg.find_contacts()
-
-
-def fitted_shear(ds: xr.Dataset) -> xr.Dataset:
-    f = ds.cg.coarse_grain("velocity", axes="z", width=0.5).sel(component="x")
-    return f.cg.fit_law(lambda z, a, b: a + b * z, x="z", y="velocity")
-
-
-PHASES = {"by": "species", "groups": [1, 2]}
-STRUCTURE = {
-    "radial_distribution": lambda ds: ds.cg.radial_distribution(1.2, axis="z", **PHASES),
-    "scaled distances": lambda ds: ds.cg.radial_distribution(1.2, scaled=True),
-    "contact_value": lambda ds: ds.cg.contact_value(**PHASES),
-    "structure_factor": lambda ds: ds.cg.structure_factor(9.0, bins=5, **PHASES),
-    "waves": lambda ds: ds.cg.structure_factor(vectors=[(1, 0, 0), (2, -1, 3)]),
-    "bond_order": lambda ds: ds.cg.bond_order(neighbours=4),
-    "bond_order by distance": lambda ds: ds.cg.bond_order([5], r_max=1.0),
-    "voronoi": lambda ds: pytest.importorskip("pyvoro2") and ds.cg.voronoi(),
-}
-# which are whole when they return
-COMPUTED = {
-    "contact_history": lambda ds: ds.cg.contact_history([1]),
-    "fit_law": fitted_shear,
-}
-
-
-@pytest.mark.parametrize("call", STRUCTURE | COMPUTED)
-def test_structure_has_equal_bits_in_memory_lazily_and_under_a_cluster(client, call):
-    compute = (STRUCTURE | COMPUTED)[call]
-    ds = moving_spheres()
-    in_memory = compute(ds)
-    guard = nullcontext() if call in COMPUTED else raise_if_dask_computes()
-    with guard:
-        lazy = compute(ds.chunk(time=1))
-    assert_same_bits(here(lazy), in_memory)
-    assert_same_bits(lazy.compute(), in_memory)
+@pytest.mark.filterwarnings("ignore:.*granular_temperature is NaN")
+@pytest.mark.parametrize("name", CALLS)
+def test_analyses_have_equal_bits_in_memory_and_under_a_cluster(client, name):
+    call = CALLS[name]
+    ds = moving_spheres(name)
+    lazy = call(ds.chunk(time=1))
+    assert_same_bits(lazy.compute(), call(ds))
 
 
 def test_kernels_of_users_reach_workers(client):

@@ -232,6 +232,10 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     scene = ds
     if renamed := _renamed(ds):
         scene = ds.swap_dims(renamed)
+    for name, values in scene.variables.items():
+        merged = without_empty_chunks(values)
+        if merged is not values:
+            scene = scene.assign({name: merged})
     if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
@@ -270,6 +274,17 @@ def _renamed(ds: xr.Dataset) -> dict[str, str]:
     return {
         label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes
     }
+
+
+def without_empty_chunks(values: xr.Variable) -> xr.Variable:
+    """Return a variable whose chunks of time all have steps, or itself.
+
+    dask leaves empty chunks in slices by a stride, and cannot index such arrays.
+    """
+    steps = values.chunksizes.get("time", ())
+    if 0 in steps and any(steps):
+        return values.chunk(time=tuple(n for n in steps if n))
+    return values
 
 
 def _taken_away(ds: xr.Dataset) -> list[str]:

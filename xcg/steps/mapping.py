@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import Once, active_call
 from xcg.compiled._jit import is_interactive
+from xcg.scene.conform import without_empty_chunks
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 
 if TYPE_CHECKING:
@@ -307,7 +308,7 @@ def apply_along(
     """
     return xr.apply_ufunc(
         function,
-        *fields,
+        *(field.copy(data=without_empty_chunks(field.variable).data) for field in fields),
         input_core_dims=along,
         output_core_dims=to,
         dask="parallelized",
