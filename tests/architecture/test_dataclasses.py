@@ -6,18 +6,16 @@ import pickle
 import pytest
 
 import xcg
-from tests import ROOT
+from tests.architecture import PACKAGE, nodes_of_package
 from xcg.fields.formulas.program import program_for
 from xcg.fields.plan import _options_of as options_of
 from xcg.fields.request import Request
 from xcg.scene.description import describe
 
-PACKAGE = ROOT / "xcg"
-
 
 def _with_arrays():
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path, nodes in nodes_of_package(".py").items():
+        for node in nodes:
             if not isinstance(node, ast.ClassDef):
                 continue
             decorators = [ast.unparse(one) for one in node.decorator_list]

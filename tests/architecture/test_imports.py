@@ -3,12 +3,12 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
 from tests import ROOT
-
-PACKAGE = ROOT / "xcg"
+from tests.architecture import PACKAGE, nodes_of_package
 
 # floors from the ground up; a room imports only from lower floors, so that the wings of one floor know nothing of each
 # other
@@ -81,20 +81,37 @@ for name in ("xarray", "dask", "pandas", "vtk"):
     assert done.returncode == 0, done.stderr
 
 
+# what a new process finds, in this order: each part loads more
+FACTS = """
+import sys, xcg
+heavy = {"vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click", "dask", "numba", "scipy"}
+facts = {"heavy": heavy & set(sys.modules), "all": xcg.__all__, "dir": dir(xcg)}
+import xarray as xr
+facts["accessor"] = type(xr.Dataset().cg).__name__
+xr.Dataset().cg.coarse_grain
+facts["rooms"] = {m.split(".")[1] for m in sys.modules if m.startswith("xcg.")}
+try:
+    xcg.schema
+except AttributeError as error:
+    facts["error"] = str(error)
+facts["missing"] = {name for name in xcg.__all__ if getattr(xcg, name, None) is None}
+from xcg.accessor import CoarseGrainAccessor, Method
+rows = vars(CoarseGrainAccessor).items()
+facts["methods"] = {name: row.module for name, row in rows if isinstance(row, Method)}
+print(facts)
+"""
+
+
+@cache
+def facts():
+    """Return what a new process finds when it imports the package."""
+    done = run(FACTS)
+    assert done.returncode == 0, done.stderr
+    return eval(done.stdout)
+
+
 def test_import_of_the_package_loads_no_heavy_library():
-    heavy = (
-        "vtk",
-        "vtkmodules",
-        "matplotlib",
-        "sklearn",
-        "h5py",
-        "click",
-        "dask",
-        "numba",
-        "scipy",
-    )
-    done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
-    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+    assert facts()["heavy"] == set()
 
 
 @pytest.mark.parametrize(
@@ -110,11 +127,13 @@ def test_all_rooms_and_modules_are_listed(folder, floors):
     assert found == {room for floor in floors for room in floor}
 
 
+@cache
 def _imports():
-    """Pairs (module, module that it imports), each as its path of names below xcg."""
-    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")]):
+    """Return pairs (module, module that it imports), each as its path of names below xcg."""
+    pairs = []
+    for path, nodes in nodes_of_package().items():
         own = path.relative_to(PACKAGE).with_suffix("").parts
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes:
             name = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
             if isinstance(node, ast.ImportFrom) and node.level:  # in the stub of xcg alone
                 name = f"xcg.{name}".strip(".")
@@ -126,9 +145,10 @@ def _imports():
                         PACKAGE.joinpath(*deeper).is_dir()
                         or PACKAGE.joinpath(*deeper).with_suffix(".py").exists()
                     )
-                    yield own, deeper if is_module else module or ("__init__",)
+                    pairs.append((own, deeper if is_module else module or ("__init__",)))
             elif isinstance(node, ast.Import) and any(alias.name == "xcg" for alias in node.names):
-                yield own, ("__init__",)
+                pairs.append((own, ("__init__",)))
+    return pairs
 
 
 def _floor(room, floors):
@@ -181,59 +201,43 @@ def test_modules_of_one_name_are_a_module_and_its_loops():
 
 def test_classes_have_names_of_their_own():
     seen, twice = set(), set()
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for nodes in nodes_of_package(".py").values():
+        for node in nodes:
             if isinstance(node, ast.ClassDef):
                 (twice if node.name in seen else seen).add(node.name)
     assert twice <= NAMED_TWICE, twice - NAMED_TWICE
 
 
 def test_kernel_means_the_smoothing_function_alone():
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path, nodes in nodes_of_package(".py").items():
+        for node in nodes:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 assert "kernel" not in {alias.asname for alias in node.names}, path
 
 
 def test_completion_shows_public_names_only():
-    done = run(
-        "import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))"
-    )
-    assert done.stdout.startswith("True"), done.stdout + done.stderr
+    assert set(facts()["dir"]) == {*facts()["all"], "__version__"}
 
 
 def test_names_are_imported_from_where_the_stub_says():
     stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
-    told = [ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign)]
-    done = run("import xcg; print(xcg.__all__)")
-    assert [ast.literal_eval(done.stdout)] == [sorted(names) for names in told], (
-        done.stdout + done.stderr
-    )
-    done = run(
-        "import xcg; print({name for name in xcg.__all__ if getattr(xcg, name, None) is None})"
-    )
-    assert done.stdout.strip() == "set()", done.stdout + done.stderr
+    names = [ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign)]
+    assert [sorted(listed) for listed in names] == [facts()["all"]]
+    assert facts()["missing"] == set()
 
 
 def test_unknown_names_raise_attribute_error():
-    done = run("import xcg; xcg.schema")
-    assert "AttributeError: module 'xcg' has no attribute 'schema'" in done.stderr
+    assert "module 'xcg' has no attribute 'schema'" in facts()["error"]
 
 
 def test_every_dataset_has_the_accessor_once_the_package_is_imported():
-    done = run("import xarray as xr, xcg; print(type(xr.Dataset().cg).__name__)")
-    assert done.stdout.strip() == "CoarseGrainAccessor", done.stdout + done.stderr
+    assert facts()["accessor"] == "CoarseGrainAccessor"
 
 
 def test_a_method_loads_only_the_rooms_it_uses():
-    rooms = ("analysis", "readers", "writers", "datasets")
-    code = "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; "
-    code += "print('xcg.fields.coarse_grain' in sys.modules, "
-    done = run(
-        code
-        + f"[m for m in sys.modules if m.startswith(tuple('xcg.' + room for room in {rooms}))])"
-    )
-    assert done.stdout.strip() == "True []", done.stdout + done.stderr
+    rooms = facts()["rooms"]
+    assert "fields" in rooms
+    assert rooms.isdisjoint({"analysis", "readers", "writers", "datasets"})
 
 
 def test_the_stub_lists_each_method_of_the_accessor():
@@ -250,11 +254,7 @@ def test_the_stub_lists_each_method_of_the_accessor():
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    done = run(
-        "from xcg.accessor import CoarseGrainAccessor as cg, Method; "
-        "print({name: m.module for name, m in vars(cg).items() if isinstance(m, Method)})"
-    )
-    assert ast.literal_eval(done.stdout) == {name: homes[name] for name in has}
+    assert facts()["methods"] == {name: homes[name] for name in has}
 
 
 # private names of other packages, which a new version may move
@@ -265,10 +265,10 @@ PRIVATE = {
 
 
 def test_private_names_of_other_packages_are_in_one_module_each():
-    files = sorted(PACKAGE.rglob("*.py"))
+    files = nodes_of_package(".py")
     assert {*PRIVATE.values()} <= {*files}
-    for file in files:
-        for node in ast.walk(ast.parse(file.read_text())):
+    for file, nodes in files.items():
+        for node in nodes:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom):
                 names = [str(node.module)]
