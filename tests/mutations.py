@@ -80,8 +80,8 @@ TABLE = [
         "test_fits_to_no_grain_one_grain_or_damaged_sums_are_nan test_grains_in_a_plane_give_no_gradient_across_it",
     ),
     Mutation(
-        "compiled/matrices.py", "square = half * half + above * below", "square = half * half - above * below",
-        "test_eigenvalues_of_any_matrix",
+        "compiled/matrices.py", "second[n] = sine[n] * a + cosine[n] * b", "second[n] = cosine[n] * b - sine[n] * a",
+        "test_eigenvalues",
     ),
     Mutation(
         "compiled/geometry.py", "(half - _disc_in_quarter(a, -b))", "(half + _disc_in_quarter(a, -b))",

@@ -194,6 +194,13 @@ def _stress(
         raise click.BadParameter(f"{value!r} is neither 'mean' nor a stress") from None
 
 
+def _no_raw(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        raise click.BadParameter(
+            "chains follow the principal stresses of the symmetric part; leave it out"
+        )
+
+
 @click.command()
 @takes_files
 @click.option(
@@ -209,7 +216,7 @@ def _stress(
 @click.option(
     "--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True
 )
-@click.option("--raw", is_flag=True, help="Do not symmetrise the stress (as Force Chain Finder).")
+@click.option("--raw", is_flag=True, hidden=True, expose_value=False, callback=_no_raw)
 @click.option(
     "--csv",
     type=click.Path(path_type=Path),
@@ -237,7 +244,6 @@ def chains(
     min_stress: float | Literal["mean"] | None,
     min_length: int,
     algorithm: Algorithm,
-    raw: bool,
     csv: Path | None,
     vtp: Path | None,
     vtkhdf: Path | None,
@@ -269,7 +275,6 @@ def chains(
             min_stress,
             min_length,
             algorithm=algorithm,
-            symmetric=not raw,
             on_error=on_error,
         )
         # names are looked at before anything is computed or written

@@ -242,7 +242,6 @@ options = st.fixed_dictionaries(
         "algorithm": st.sampled_from(["branching", "peters2005"]),
         "min_stress": st.sampled_from([None, "mean"]),
         "min_length": st.integers(2, 4),
-        "symmetric": st.booleans(),
     }
 )
 
@@ -251,7 +250,7 @@ options = st.fixed_dictionaries(
 @given(ds=scenes, given_options=options, seed=st.integers(0, 1000), mirror=st.booleans())
 @example(  # three particles in contact with each other, of which either end of a chain could take the third
     ds=xcg.datasets.random_scene(27, seed=6246, periodic="", polydispersity=2.75, edge=3.0), mirror=False, seed=0,
-    given_options={"alpha": 81.0, "algorithm": "peters2005", "min_stress": None, "min_length": 2, "symmetric": True},
+    given_options={"alpha": 81.0, "algorithm": "peters2005", "min_stress": None, "min_length": 2},
 )  # fmt: skip
 def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirror):
     rng = np.random.default_rng(seed)
@@ -425,13 +424,12 @@ def test_scenes_of_up_to_two_particles(particles):
     assert fc.cg.chain_table().empty
 
 
-@pytest.mark.parametrize("symmetric", [True, False])
-def test_threads_give_the_same_bits(monkeypatch, symmetric):
+def test_threads_give_the_same_bits(monkeypatch):
     ds = xcg.datasets.random_scene(300, seed=4, periodic="xy")
-    alone = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
+    alone = ds.cg.force_chains(), ds.cg.particle_stress()
     monkeypatch.setattr("xcg.compiled._jit.PARTICLES_A_THREAD", 90)
     monkeypatch.setattr("xcg.steps.analysis.THREADS", 3)
-    shared = ds.cg.force_chains(symmetric=symmetric), ds.cg.particle_stress(symmetric=symmetric)
+    shared = ds.cg.force_chains(), ds.cg.particle_stress()
     for one, other in zip(alone, shared, strict=True):
         xr.testing.assert_equal(one, other)
 

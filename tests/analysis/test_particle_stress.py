@@ -6,7 +6,7 @@ import pytest
 import xcg
 from tests import ROOT
 from tests.networks import network
-from xcg.compiled.matrices import principal, principal_of_any
+from xcg.compiled.matrices import principal
 
 EXAMPLES = ROOT / "examples" / "data"
 
@@ -25,8 +25,6 @@ def test_stress_equals_brute_force(periodic):
                 a = x[row] - c
                 a = a - np.where(np.isfinite(period), period, 0) * np.rint(a / period)
                 stress[row] += np.outer(force, a) / volume[row]
-    raw = ds.cg.particle_stress(symmetric=False)
-    np.testing.assert_allclose(raw.stress.values[0], stress, rtol=1e-12, atol=1e-12)
     result = ds.cg.particle_stress()
     symmetric = 0.5 * (stress + stress.transpose(0, 2, 1))
     np.testing.assert_allclose(result.stress.values[0], symmetric, rtol=1e-12, atol=1e-12)
@@ -39,17 +37,11 @@ def test_stress_equals_brute_force(periodic):
     np.testing.assert_array_equal(result.major_stress.values[0], values[:, 0])
 
 
-def test_raw_principal_stresses():
-    """Right eigenvectors of real eigenvalues; NaN where two are complex."""
-    ds = xcg.datasets.random_scene(200, seed=1)
-    result = ds.cg.particle_stress(symmetric=False).isel(time=0)
-    values, vectors = result.principal_stress.values, result.principal_direction.values
-    turned = np.einsum("nij,nkj->nki", result.stress.values, vectors)
-    np.testing.assert_allclose(turned, values[:, :, None] * vectors, rtol=1e-9, atol=1e-9)
-    complex_pairs = np.isnan(values).any(axis=1)
-    assert 0 < complex_pairs.sum() < 200
-    assert np.isfinite(values[:, 0]).all()
-    assert (np.diff(values[~complex_pairs], axis=1) <= 0).all()
+@pytest.mark.parametrize("name", ["particle_stress", "force_chains"])
+def test_the_stress_that_is_not_symmetric_has_no_principal_values(name):
+    compute = getattr(xcg.datasets.random_scene(20, seed=1).cg, name)
+    with pytest.raises(TypeError, match=r"'symmetric'; .* of the symmetric part; leave it out"):
+        compute(symmetric=False)
 
 
 def test_virial_equals_that_of_the_code():
@@ -135,59 +127,4 @@ def test_eigenvalues():
     np.testing.assert_allclose(values / scale, np.sort(d)[:, ::-1] / scale, atol=1e-14)
     np.testing.assert_allclose(
         np.einsum("nki,nli->nkl", vectors, vectors), np.tile(np.eye(3), (300, 1, 1)), atol=1e-14
-    )
-
-
-def _pairs_of(matrix):
-    values, vectors = np.empty(matrix.shape[:2]), np.empty(matrix.shape)
-    principal_of_any(matrix, values, vectors)
-    np.testing.assert_allclose(
-        np.linalg.norm(vectors, axis=2), np.where(np.isnan(values), np.nan, 1.0), atol=1e-14
-    )
-    size = np.maximum(np.abs(matrix).max(axis=(1, 2)), 1e-300)[:, None, None]
-    turned = np.einsum("nij,nkj->nki", matrix, vectors)
-    np.testing.assert_allclose(turned / size, values[:, :, None] * vectors / size, atol=1e-14)
-    return values, vectors
-
-
-def test_eigenvalues_of_any_matrix():
-    """Those of LAPACK, largest first, and the vectors that belong to them; NaN where two are complex."""
-    rng = np.random.default_rng(0)
-    matrix = rng.normal(size=(600, 3, 3)) * 10.0 ** rng.integers(-8, 8, (600, 1, 1))
-    matrix[300:] += 3 * matrix[300:].transpose(0, 2, 1)
-    matrix[:100, 2] = matrix[:100, :, 2] = 0.0  # of a layer
-    values, _ = _pairs_of(matrix)
-    known = np.linalg.eigvals(matrix)
-    known = -np.sort(-np.where(np.imag(known) == 0, np.real(known), np.nan), axis=1)
-    assert 50 < np.isnan(known).any(axis=1).sum() < 500
-    size = np.abs(matrix).max(axis=(1, 2))[:, None]
-    np.testing.assert_allclose(values / size, known / size, atol=1e-12)
-
-
-def test_equal_eigenvalues_are_real():
-    """One contact gives a dyad: its stress along the force, and zero twice, which rounding must not make complex."""
-    rng = np.random.default_rng(1)
-    force, branch = rng.normal(size=(2, 500, 3))
-    values, vectors = _pairs_of(force[:, :, None] * branch[:, None])
-    dot, size = (
-        (force * branch).sum(axis=1),
-        np.linalg.norm(force, axis=1) * np.linalg.norm(branch, axis=1),
-    )
-    expected = -np.sort(-np.stack([dot, 0 * dot, 0 * dot], axis=1), axis=1)
-    np.testing.assert_allclose(values / size[:, None], expected / size[:, None], atol=1e-12)
-    clear = np.abs(dot) > 0.01 * size
-    along = np.where((dot > 0)[:, None], vectors[:, 0], vectors[:, 2])
-    np.testing.assert_allclose(
-        np.abs((along * force).sum(axis=1) / np.linalg.norm(force, axis=1))[clear], 1, atol=1e-12
-    )
-    values, vectors = _pairs_of(
-        np.stack([np.diag(d) for d in ([3.0, 1, 2], [1, 1, 1], [2, 1, 2], [0, 0, 0])])
-    )
-    np.testing.assert_allclose(values, [[3, 2, 1], [1, 1, 1], [2, 2, 1], [0, 0, 0]], rtol=1e-15)
-    np.testing.assert_array_equal(np.abs(vectors).sum(axis=1), 1)  # the axes, each of them once
-    few = np.eye(3, k=1)  # one eigenvector for all three eigenvalues
-    _pairs_of(
-        np.stack(
-            [few, few.T, few * [[1], [0], [0]], few.T * [[0], [1], [0]], few.T * [[0], [0], [1]]]
-        )
     )

@@ -48,7 +48,7 @@ def test_the_order_of_the_two_particles_does_not_matter(options):
             ["fabric", "contact_stress", "coordination_number"], spacing=0.5
         ),
         lambda s: s.cg.microstructure(bounds={"left": {"x": (0.0, 2.0)}}),
-        lambda s: s.cg.particle_stress(symmetric=False)[["stress"]],
+        lambda s: s.cg.particle_stress()[["stress"]],
         lambda s: s.cg.force_chains(60.0)[["chain_id", "links", "chain_particles", "chain_stress"]],
     )
     for compute in everything:

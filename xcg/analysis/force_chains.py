@@ -53,7 +53,6 @@ def force_chains(
     algorithm: Algorithm = "branching",
     one_sided: bool = False,
     region: Region | None = None,
-    symmetric: bool = True,
     volume: Volumes = "particle",
     on_error: OnError = "raise",
 ) -> xr.Dataset:
@@ -86,9 +85,8 @@ def force_chains(
     region : Region, optional
         Particles whose centre is elsewhere take no part: `xcg.BoxRegion`, `xcg.Sphere`, at rest,
         moving or following a particle, combined with ``&``, ``|`` and ``~``.
-    symmetric, volume
-        How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes
-        ``symmetric=False``.
+    volume
+        Volume of a particle, see `xcg.particle_stress`.
     on_error : {"raise", "skip"}
         What to do about a step that cannot be read or computed: stop with its error, or leave it
         out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
@@ -142,7 +140,7 @@ def force_chains(
     check("min_length", min_length, whole(2))
     check_choice("algorithm", algorithm, Algorithm)
     check_region(region, ds)
-    stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
+    stress = StressRule.of(ds, "force_chains", volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     analysis = _ForceChains(
         stress=stress,

@@ -14,7 +14,7 @@ from xcg.common.checks import check_choice, is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
-from xcg.compiled.matrices import principal, principal_of_any
+from xcg.compiled.matrices import principal
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description, describe
@@ -49,8 +49,6 @@ class StressRule:
 
     Attributes
     ----------
-    symmetric : bool
-        Whether the symmetric part is taken.
     thickness : float or str or None
         Of discs (m), or the axis whose box extent it is; None for the scene's volumes.
     spheres : tuple of str
@@ -60,13 +58,12 @@ class StressRule:
         Variables of the scene that the stress is made from.
     """
 
-    symmetric: bool
     thickness: float | str | None
     spheres: tuple[str, ...]
     variables: tuple[str, ...]
 
     @classmethod
-    def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
+    def of(cls, ds: xr.Dataset, purpose: str, *, volume: str) -> StressRule:
         """Check that a scene holds what the stress needs, without reading any of it."""
         check_choice("volume", volume, Volumes)
         size = {"particle": "volume", "disc": "diameter"}[volume]
@@ -82,7 +79,7 @@ class StressRule:
         if not {"diameter", "overlap"} <= set(spheres):
             spheres = ()
         variables = dict.fromkeys(("particle_id", *_CONTACTS, size, *spheres))
-        return cls(symmetric, thickness, spheres, tuple(variables))
+        return cls(thickness, spheres, tuple(variables))
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
@@ -111,12 +108,11 @@ class StressRule:
         values = np.empty((len(stress), 3))
         vectors = np.empty((len(stress), 3, 3))
         volumes = self.volumes(frame, lattice, source)
-        axes_of = {True: principal, False: principal_of_any}[bool(self.symmetric)]
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
-            scale_tensors(stress[some], volumes[some], self.symmetric)
-            axes_of(stress[some], values[some], vectors[some])
+            scale_tensors(stress[some], volumes[some])
+            principal(stress[some], values[some], vectors[some])
             blank_rows_of_zeros(stress[some], vectors[some])
 
         for_parts(len(stress), write, contacts.threads)
@@ -139,7 +135,6 @@ def carries(result: Mapping[str, NDArray]) -> NDArray:
 def particle_stress(
     ds: xr.Dataset,
     *,
-    symmetric: bool = True,
     volume: Volumes = "particle",
     on_error: OnError = "raise",
 ) -> xr.Dataset:
@@ -151,11 +146,6 @@ def particle_stress(
     ----------
     ds : xarray.Dataset
         A scene with contacts.
-    symmetric : bool
-        Take the symmetric part of the tensor (default). Friction makes the stress of a single
-        particle asymmetric; with ``symmetric=False``, principal stresses are the real eigenvalues,
-        NaN where two of them are complex, and principal directions are the right eigenvectors, not
-        perpendicular to each other.
     volume : str
         "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times
         the thickness of the layer.
@@ -181,12 +171,12 @@ def particle_stress(
 
     Notes
     -----
-    ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the
-    force on the particle, a the branch from the contact point to its centre (nearest image), V its
-    volume. Where the scene holds overlaps, branches of spheres are ``n (R - overlap/2)``: files
-    hold these with more digits than positions. The first index (`component`) is that of the force,
-    the second (`direction`) that of the branch. Sources: Ejtehadi et al. (2024), where tension is
-    positive; Goldhirsch (2010).
+    ``sigma = 1/V sum_c (f a + a f) / 2``, over the contacts of the particle with others and with
+    walls: f the force on the particle, a the branch from the contact point to its centre (nearest
+    image), V its volume. It is the symmetric part, because friction makes ``f a`` of a single
+    particle asymmetric, and its eigenvalues may then be complex. Where the scene holds overlaps,
+    branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions.
+    Sources: Ejtehadi et al. (2024), where tension is positive; Goldhirsch (2010).
 
     Examples
     --------
@@ -196,7 +186,7 @@ def particle_stress(
     1.91
     """
     call = call_of("particle_stress", locals())
-    rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
+    rule = StressRule.of(ds, "particle_stress", volume=volume)
     return run(ds, _ParticleStress(rule), call=call, on_error=on_error)
 
 

@@ -123,16 +123,15 @@ def add_dyads(row, sign, a, b, first, out):
 
 
 @leaf
-def scale_tensors(tensor, divisor, symmetric):
-    """Divide tensors (n, 3, 3) by numbers (n,), and take their symmetric part if that is asked for, in place."""
+def scale_tensors(tensor, divisor):
+    """Divide the symmetric part of tensors (n, 3, 3) by numbers (n,), in place."""
     for n in range(tensor.shape[0]):
         for i in range(3):
             for j in range(3):
                 tensor[n, i, j] /= divisor[n]
-        if symmetric:
-            for i in range(2):
-                for j in range(i + 1, 3):
-                    tensor[n, i, j] = tensor[n, j, i] = 0.5 * (tensor[n, i, j] + tensor[n, j, i])
+        for i in range(2):
+            for j in range(i + 1, 3):
+                tensor[n, i, j] = tensor[n, j, i] = 0.5 * (tensor[n, i, j] + tensor[n, j, i])
 
 
 @leaf

@@ -1,4 +1,4 @@
-"""Matrices 3x3: eigenvalues and eigenvectors, symmetric or not; the velocity gradient of the best linear fit."""
+"""Symmetric matrices 3x3: eigenvalues and eigenvectors; the velocity gradient of the best linear fit."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,9 @@ from xcg.compiled._jit import inlined, inner, jit, leaf
 from xcg.compiled.arrays import along_active
 from xcg.compiled.simd import TILE
 
-# Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
-_IMAGINARY = 1e-14
 # A matrix is diagonal where squares off the diagonal are below this share of those on it.
 _DIAGONAL = 1e-40
 _MOST_SWEEPS = 12  # a handful are taken
-_MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
 # Above this share of the largest possible determinant the explicit inverse is exact to a few
 # hundred ulp.
 _WELL_CONDITIONED = 1e-3
@@ -49,7 +46,7 @@ FOUND = 27
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
-# --- symmetric: Jacobi's rotations, of one matrix ---
+# --- Jacobi's rotations, of one matrix ---
 
 
 @inlined
@@ -87,7 +84,7 @@ def principal_of_one(xx, xy, xz, yy, yz, zz):
     return (xx, yy, zz), (a, b, c)
 
 
-# --- symmetric: of as many matrices at a time as there are numbers in an instruction ---
+# --- of as many matrices at a time as there are numbers in an instruction ---
 
 
 @inner
@@ -180,160 +177,6 @@ def principal(tensor, values, vectors):
                 values[first + n, k] = matrix[order[k], order[k], n]
                 for i in range(3):
                     vectors[first + n, k, i] = axes[i, order[k], n]
-
-
-# --- not symmetric: one real eigenvalue that is apart from the others, and then those of a 2x2 matrix ---
-
-
-@inner
-def _root_apart(linear, constant):
-    """Find the largest root of ``x^3 + linear x = constant >= 0``: the others are at least as far from it as zero is.
-
-    Newton's method comes down to it from above, where the polynomial is convex.
-    """
-    if -4.0 * linear**3 >= 27.0 * constant**2:  # three real roots
-        root = math.sqrt(max(0.0, -4.0 / 3.0 * linear))
-    else:
-        root = constant ** (1.0 / 3.0) + math.sqrt(max(0.0, -linear))
-    for _ in range(_MOST_STEPS):
-        lower = root - ((root * root + linear) * root - constant) / (3.0 * root * root + linear)
-        if not lower < root:
-            break
-        root = lower
-    return root
-
-
-@inner
-def _null_vector(matrix, shift, vector):
-    """Write the unit vector that a matrix less `shift` x identity maps to zero: the longest product of two rows."""
-    most = 0.0
-    for i in range(2):
-        for j in range(i + 1, 3):
-            ax = matrix[i, 0] - shift * (i == 0)
-            ay = matrix[i, 1] - shift * (i == 1)
-            az = matrix[i, 2]
-            bx = matrix[j, 0]
-            by = matrix[j, 1] - shift * (j == 1)
-            bz = matrix[j, 2] - shift * (j == 2)
-            x = ay * bz - az * by
-            y = az * bx - ax * bz
-            z = ax * by - ay * bx
-            length2 = x * x + y * y + z * z
-            if length2 > most:
-                most = length2
-                vector[0], vector[1], vector[2] = x, y, z
-    if most == 0.0:
-        # zero, or a dyad of vectors at right angles, which maps its own columns to zero
-        vector[0], vector[1], vector[2] = 1.0, 0.0, 0.0
-        for k in range(3):
-            if matrix[0, k] != 0.0 or matrix[1, k] != 0.0 or matrix[2, k] != 0.0:
-                vector[0] = matrix[0, k]
-                vector[1] = matrix[1, k]
-                vector[2] = matrix[2, k]
-        most = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
-    for k in range(3):
-        vector[k] /= math.sqrt(most)
-
-
-@inner
-def _reflect(vector, matrix, reflection, product):
-    """Turn a matrix by the reflection that leads from the first axis to a unit vector, or to its opposite."""
-    vector[0] += math.copysign(1.0, vector[0])
-    factor = 2.0 / (vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
-    for i in range(3):
-        for j in range(3):
-            reflection[i, j] = 1.0 * (i == j) - factor * vector[i] * vector[j]
-    for a, b, out in ((matrix, reflection, product), (reflection, product, matrix)):
-        for i in range(3):
-            for j in range(3):
-                out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@jit
-def principal_of_any(tensor, values, vectors):
-    """Real eigenvalues, largest first, and right eigenvectors of matrices that need not be symmetric.
-
-    A matrix without its mean diagonal has a real eigenvalue that is at least as far from the others
-    as from zero. Its eigenvector is well defined; in axes that begin with it, the rest is a 2x2
-    matrix.
-
-    Parameters
-    ----------
-    tensor : (n, 3, 3)
-        Matrices.
-    values : (n, 3)
-        Eigenvalues, descending, NaN in place of the complex ones; set here.
-    vectors : (n, 3, 3)
-        Unit eigenvectors, one a row, in the same order; set here.
-    """
-    matrix = np.empty((3, 3))
-    reflection = np.empty((3, 3))
-    product = np.empty((3, 3))
-    vector = np.empty(3)
-    for n in range(tensor.shape[0]):
-        size = 0.0
-        for i in range(3):
-            for j in range(3):
-                size = max(size, abs(tensor[n, i, j]))
-        per_size = 1.0 / size if size > 0.0 else 0.0
-        mean = (tensor[n, 0, 0] + tensor[n, 1, 1] + tensor[n, 2, 2]) * per_size / 3.0
-        for i in range(3):
-            for j in range(3):
-                matrix[i, j] = tensor[n, i, j] * per_size - mean * (i == j)
-        (a, b, c), (d, e, f), (g, h, k) = matrix
-        linear = a * e - b * d + a * k - c * g + e * k - f * h
-        determinant = a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
-        apart = math.copysign(_root_apart(linear, abs(determinant)), determinant)
-        _null_vector(matrix, apart, vector)
-        _reflect(vector, matrix, reflection, product)
-        _write_pairs(matrix, reflection, mean, size, values[n], vectors[n])
-
-
-@inner
-def _write_pairs(matrix, reflection, mean, size, values, vectors):
-    """Write eigenvalues and eigenvectors of a matrix whose first axis is an eigenvector, turned back and scaled."""
-    apart = matrix[0, 0]
-    middle = 0.5 * (matrix[1, 1] + matrix[2, 2])
-    half = 0.5 * (matrix[1, 1] - matrix[2, 2])
-    above = matrix[1, 2]
-    below = matrix[2, 1]
-    square = half * half + above * below
-    # the others are middle + root and middle - root, NaN if they are complex
-    root = math.nan
-    if square >= -(_IMAGINARY**2):
-        root = math.sqrt(max(0.0, square))
-    if not apart < middle + root:
-        place = 0
-    elif apart >= middle - root:
-        place = 1
-    else:
-        place = 2
-    sign = 1.0
-    for k in range(3):
-        if k == place:
-            value = apart
-            x = 1.0
-            y = 0.0
-            z = 0.0
-        else:
-            value = middle + sign * root
-            if half * sign > 0.0 or (half == 0.0 and abs(below) >= abs(above)):
-                y, z = half + sign * root, below
-            else:
-                y, z = above, sign * root - half
-            if y == 0.0 and z == 0.0:  # a multiple of the identity
-                y = 0.5 + 0.5 * sign
-                z = 1.0 - y
-            x = matrix[0, 1] * y + matrix[0, 2] * z
-            if x != 0.0:  # else it is at right angles to the first
-                y = (value - apart) * y
-                z = (value - apart) * z
-            sign = -sign
-        length = math.sqrt(x * x + y * y + z * z)
-        values[k] = (value + mean) * size
-        for i in range(3):
-            turned_back = reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z
-            vectors[k, i] = turned_back / length
 
 
 # --- best linear fit: small symmetric systems, rank-aware ------------------------------------------------

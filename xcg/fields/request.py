@@ -143,7 +143,7 @@ class SharedOptions:
         "xz".
     deviatoric : str
         Magnitudes computed from deviators: of "both" stress and rate of shear (default), of the
-        "stress" or the "rate" alone, or "neither".
+        "stress" or the "rate" alone.
     size : str
         Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of
         the scene.

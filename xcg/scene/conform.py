@@ -137,6 +137,8 @@ _ELSEWHERE = {
     "density": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
     "timestep": "it is a fact of the scene, given to xcg.open_scene",
     "dt": "times are those of the scene; timestep= is given to xcg.open_scene",
+    "sampling": "ds.cg.cell_volumes shares solid volume, mass and momentum among cells, exactly",
+    "symmetric": "principal stresses are those of the symmetric part; leave it out",
 }
 
 
@@ -146,10 +148,9 @@ def _likely_argument(word: str, known: Mapping[str, object]) -> str:
         if "index" in known:
             return "; did you mean 'index', the position of a step?"
         return "; select steps before the call, ds.isel(time=-1)"
-    likely = did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
-    if not likely and word in _ELSEWHERE:
+    if word in _ELSEWHERE:
         return f"; {_ELSEWHERE[word]}"
-    return likely
+    return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
 
 
 def require_scene(

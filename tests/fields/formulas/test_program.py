@@ -39,7 +39,7 @@ def assert_same(played, plain):
 
 @pytest.mark.parametrize("options", [
     {}, {"gradient": "paper"}, {"axes": "xz", "at": {"y": 1.0}}, {"axes": "z"}, {"axes": ""},
-    {"shear_dims": "xz", "pressure_dims": "z", "deviatoric": "both"}, {"deviatoric": "neither", "size": "d32"},
+    {"shear_dims": "xz", "pressure_dims": "z", "deviatoric": "both"}, {"deviatoric": "rate", "size": "d32"},
     {"size": "d50", "fluid_viscosity": 1e-3}, {"gradient": "kernel"}, {"by": "species"},
     {"by": "species", "gradient": "kernel", "axes": "yz"}, {"by": "species", "by_pair": True},
     {"by": "species", "width": {1: 0.4, 2: 0.7}, "axes": "xz"},
@@ -198,7 +198,7 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
     rows, needed = {}, {}
     for gradient, deviatoric, temperature, friction, size in product(
         get_args(Gradient),
-        ("stress", "neither"),
+        ("stress", "rate"),
         get_args(Temperature),
         (None, 0.5),
         ("d43", "d32", "d50"),

@@ -14,7 +14,7 @@ from xcg.scene.schema import Powers, powers_of
 
 # choices of the algebra, the default first
 Gradient: TypeAlias = Literal["least_squares", "kernel", "finite_difference", "paper"]
-Deviatoric: TypeAlias = Literal["both", "stress", "rate", "neither"]
+Deviatoric: TypeAlias = Literal["both", "stress", "rate"]
 InertialSize: TypeAlias = Literal["d43", "d32", "d50", "dmax"]
 Temperature: TypeAlias = Literal["unbiased", "biased"]
 Function = Callable[[Any, Any, "Options"], Any]
@@ -44,7 +44,7 @@ class Options:
     shear_axes : tuple of int, optional
         The axes that magnitudes of stress and shear rate are restricted to; the scene's by default.
     deviatoric : str
-        Magnitudes computed from deviators: of "both", "stress", "rate" or "neither".
+        Magnitudes computed from deviators: of "both", "stress" or "rate".
     size : str
         The diameter in the inertial number: "d43", "d32", or "d50", "dmax" of the whole scene.
     diameter : float, optional

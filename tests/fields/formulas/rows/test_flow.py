@@ -157,7 +157,7 @@ def test_directional_temperatures_of_a_layer():
         ),
         ({"shear_dims": "xx"}, "names an axis twice"),
         ({"shear_dims": ""}, "expected axes such as"),
-        ({"deviatoric": True}, "expected one of 'both', 'stress', 'rate', 'neither'"),
+        ({"deviatoric": "neither"}, "expected one of 'both', 'stress', 'rate'"),
         ({"size": "d10"}, "expected one of 'd43', 'd32', 'd50', 'dmax'"),
         ({"fluid_viscosity": 0.0}, r"expected a positive number \(Pa s\)"),
         ({"gradient": "fd"}, "'least_squares', 'kernel', 'finite_difference', 'paper'"),
