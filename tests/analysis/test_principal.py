@@ -86,3 +86,25 @@ def test_crosses_lie_along_the_principal_directions_of_the_plane():
     assert np.isclose(np.tan(angle), (z1 - z0) / (x1 - x0))
     (x0, z0), (x1, z1) = dotted.get_segments()[0]
     assert np.isclose(np.hypot(x1 - x0, z1 - z0), 0.5)
+
+
+@pytest.mark.parametrize("kind", ["any", "of a layer", "two equal", "isotropic", "zero"])
+def test_values_and_axes_rebuild_the_tensor_to_rounding(kind):
+    """As those of LAPACK do; tensors of any size."""
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-8, 8, (200, 1))
+    values[:, 1:] *= {"of a layer": [1.0, 0.0], "zero": 0.0}.get(kind, 1.0)
+    if kind == "two equal":
+        values[:, 1] = values[:, 0]
+    if kind in ("isotropic", "zero"):
+        values = np.repeat(values[:, 2:], 3, axis=1)
+    tensors, _ = _turned(values, 4)
+    p = _field(tensors).cg.principal("stress")
+    size = np.maximum(np.abs(values).max(axis=1), 1e-300)[:, None]
+    by_lapack = np.linalg.eigvalsh(tensors)[:, ::-1]
+    np.testing.assert_allclose(p.stress_principal / size, by_lapack / size, rtol=0, atol=1e-14)
+    axes = p.stress_axes.values
+    rebuilt = np.einsum("nk,nki,nkj->nij", p.stress_principal.values, axes, axes)
+    np.testing.assert_allclose(
+        rebuilt / size[..., None], tensors / size[..., None], rtol=0, atol=2e-14
+    )

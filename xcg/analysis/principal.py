@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from xcg.common import drawing
 from xcg.common.checks import check, extra, whole
 from xcg.common.messages import plain, unknown
+from xcg.compiled.matrices import principal as of_matrices
 from xcg.fields.formulas.registry import OTHER_NAMES
 from xcg.scene.frame import step_at
 from xcg.scene.schema import COMPONENTS
@@ -97,12 +98,27 @@ def _tensor_of(f: xr.Dataset, field: str) -> xr.DataArray:
 
 def _values_and_axes(tensor: NDArray) -> tuple[NDArray, NDArray]:
     """Return eigenvalues (..., 3), largest first, and eigenvectors (..., 3, 3) of the symmetric part."""
-    known = np.isfinite(tensor).all(axis=(-1, -2))
-    whole = np.where(known[..., None, None], tensor, 0.0)
-    values, vectors = np.linalg.eigh((whole + whole.swapaxes(-1, -2)) / 2)
-    values = np.where(known[..., None], values[..., ::-1], np.nan)
-    axes = np.where(known[..., None, None], vectors.swapaxes(-1, -2)[..., ::-1, :], np.nan)
-    return values, axes
+    matrices = np.ascontiguousarray(tensor, "float64").reshape(-1, 3, 3)
+    unknown_at = ~np.isfinite(matrices).all(axis=(1, 2))
+    matrices = np.where(unknown_at[:, None, None], 0.0, matrices)
+    values = np.empty((len(matrices), 3))
+    axes = np.empty(matrices.shape)
+    of_matrices(matrices, values, axes)
+    values[unknown_at] = np.nan
+    axes[unknown_at] = np.nan
+    return values.reshape(tensor.shape[:-1]), axes.reshape(tensor.shape)
+
+
+def _in_plane(tensor: NDArray) -> tuple[NDArray, NDArray]:
+    """Return eigenvalues (..., 2), largest first, and eigenvectors (..., 2, 2) of tensors in a plane: Mohr's circle."""
+    first, second = tensor[..., 0, 0], tensor[..., 1, 1]
+    shear = (tensor[..., 0, 1] + tensor[..., 1, 0]) / 2
+    radius = np.hypot((first - second) / 2, shear)
+    values = ((first + second) / 2)[..., None] + radius[..., None] * [1.0, -1.0]
+    angle = np.arctan2(2 * shear, first - second) / 2
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    across = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    return values, np.stack([along, across], axis=-2)
 
 
 def plot_principal(
@@ -160,7 +176,7 @@ def plot_principal(
         _tensor_of(f, field).sel(of_plane).isel({a: slice(None, None, int(every)) for a in plane})
     )
     tensor = tensor.transpose(*plane, *_TENSOR).compute()
-    values, axes = _values_and_axes(tensor.to_numpy())
+    values, axes = _in_plane(tensor.to_numpy())
     x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")
     largest = np.nanmax(np.abs(values))
     step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
