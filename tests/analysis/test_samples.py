@@ -13,7 +13,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:lacey_index scatters")
 
 MIXING = [
     "lacey_index", "concentration_variance", "random_concentration_variance", "segregated_concentration_variance",
-    "mixing_entropy", "nearest_neighbour_index",
 ]  # fmt: skip
 
 
@@ -38,15 +37,13 @@ BOX = [[0.0, 4.0]] * 3
 
 
 def test_a_checkerboard_is_mixed_better_than_random():
-    """Every cell of eight holds four of each: no variance, full entropy; all six neighbours of another phase."""
+    """Every cell of eight holds four of each: no variance."""
     x = lattice()
     ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
-    m = measured(ds, cell=2.0, neighbours=6)
+    m = measured(ds, cell=2.0)
     assert m["concentration_variance"] == 0.0
-    assert m["mixing_entropy"] == pytest.approx(1.0, rel=1e-14)
     # 8 cells of 64 grains: S_0^2 = 1/4 and S_r^2 = 7/63/4 for each phase, so 1 / (1 - 1/9)
     assert m["lacey_index"] == pytest.approx(9 / 8, rel=1e-14)
-    assert m["nearest_neighbour_index"] == pytest.approx(63 / 32, rel=1e-14)
 
 
 def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
@@ -178,15 +175,12 @@ def test_a_periodic_axis_has_no_segregation_without_bounds():
 def test_separated_halves_have_a_lacey_index_of_zero():
     x = lattice()
     ds = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX, periodic="xyz")
-    m = measured(ds, cell=2.0, neighbours=6)
+    m = measured(ds, cell=2.0)
     assert m["lacey_index"] == pytest.approx(0.0, abs=1e-14)
     assert (
         m["concentration_variance"] == m["segregated_concentration_variance"] == 0.5
     )  # 1/4 of each phase
-    assert m["mixing_entropy"] == pytest.approx(0.0, abs=1e-14)
-    # one of six neighbours is across one of both faces, the periodic one too
-    assert m["nearest_neighbour_index"] == pytest.approx(1 / 6 / (32 / 63), rel=1e-14)
-    open_box = measured(scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX), cell=2.0, neighbours=1)
+    open_box = measured(scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX), cell=2.0)
     assert open_box["lacey_index"] == pytest.approx(0.0, abs=1e-14)
 
 
@@ -200,18 +194,13 @@ def test_the_mean_over_all_arrangements_is_the_random_limit(phase):
         species = np.full(7, 2)
         species[list(chosen)] = 1
         ds = scene(position, species, box=[[0, 4], [0, 1], [0, 1]], diameter=np.linspace(0.5, 1, 7))
-        m = (
-            ds.cg.microstructure(MIXING, by="species", cell=1.0, neighbours=2)
-            .isel(time=0)
-            .sel(phase=phase)
-        )
+        m = ds.cg.microstructure(MIXING, by="species", cell=1.0).isel(time=0).sel(phase=phase)
         found.append([m[name].item() for name in MIXING])
     mean = dict(zip(MIXING, np.mean(found, axis=0), strict=True))
     assert mean["concentration_variance"] == pytest.approx(
         mean["random_concentration_variance"], rel=1e-13
     )
     assert mean["lacey_index"] == pytest.approx(1.0, rel=1e-13)
-    assert mean["nearest_neighbour_index"] == pytest.approx(1.0, rel=1e-13)
 
 
 def test_the_random_limit_by_volume_equals_that_of_large_cells():
@@ -235,10 +224,10 @@ def test_the_random_limit_by_volume_equals_that_of_large_cells():
 def test_indices_equal_their_sums_written_out(weight, dimension):
     ds = xcg.datasets.random_scene(90, seed=5, dimension=dimension, periodic="x", edge=5.0)
     bounds = {"low": {"y": (0.0, 2.4)}, "all": {"y": (0.0, 5.0)}}
-    cell, count = 1.3, 5
+    cell = 1.3
     if dimension == 3:
         bounds = {name: b | {"z": (0.0, 5.0)} for name, b in bounds.items()}
-    options = {"cell": cell, "neighbours": count, "mixing_weight": weight}
+    options = {"cell": cell, "mixing_weight": weight}
     found = ds.cg.microstructure(MIXING, by="species", bounds=bounds, **options).isel(time=0)
     axes = list(range(dimension))
     for region, limits in bounds.items():
@@ -252,18 +241,11 @@ def test_indices_equal_their_sums_written_out(weight, dimension):
         for k in range(len(x)):
             place = tuple(int(x[k, a] / length[a] * max(1, round(length[a] / cell))) for a in axes)
             cells.setdefault(place, []).append(k)
-        near = []
-        for k in range(len(x)):
-            away = x - x[k]
-            away[:, 0] -= 5.0 * np.rint(away[:, 0] / 5.0)
-            q = np.linalg.norm(away, axis=1)
-            q[k] = np.inf
-            near.append((species[np.argsort(q)[:count]] != species[k]).mean())
-        near, total = np.array(near), len(x)
+        total = len(x)
         parts = {"1": [1], "2": [2], "bulk": [1, 2]}
         for phase, members in parts.items():
             m = found.sel(region=region, phase=phase)
-            measured = random = apart = expected = 0.0
+            measured = random = apart = 0.0
             for a in members:
                 p = w[species == a].sum() / w.sum()
                 apart += p * (1 - p)
@@ -277,18 +259,7 @@ def test_indices_equal_their_sums_written_out(weight, dimension):
                 for rows in cells.values():
                     c = w[rows][species[rows] == a].sum() / w[rows].sum()
                     measured += w[rows].sum() / w.sum() * (c - p) ** 2
-                expected += (species == a).sum() * (species != a).sum() / (total - 1)
-            mixed = inner = 0.0
-            for a in (1, 2):
-                p = w[species == a].sum() / w.sum()
-                mixed -= p * np.log(p)
-                for rows in cells.values():
-                    c = w[rows][species[rows] == a].sum() / w[rows].sum()
-                    inner -= w[rows].sum() / w.sum() * (c * np.log(c) if c > 0 else 0.0)
-            want = [
-                (apart - measured) / (apart - random), measured, random, apart, inner / mixed,
-                near[np.isin(species, members)].sum() / expected,
-            ]  # fmt: skip
+            want = [(apart - measured) / (apart - random), measured, random, apart]
             for name, value in zip(MIXING, want, strict=True):
                 assert m[name].item() == pytest.approx(value, rel=1e-12), (name, phase, region)
 
@@ -318,45 +289,14 @@ def test_one_phase_and_wrong_arguments_raise():
     with pytest.warns(xcg.SceneWarning, match="all 64 grains are of one phase"):
         m = ds.cg.microstructure(MIXING, by="species")
     assert np.isnan(m.lacey_index).all()
-    assert np.isnan(m.nearest_neighbour_index).all()
     assert not set(MIXING) & set(ds.cg.microstructure(by="species"))
     with pytest.raises(ValueError, match="say which phases are mixed with by="):
         ds.cg.microstructure("lacey_index")
     for options, message in (
         ({"cell": 0.0}, "cell=0.0"), ({"cell": {"q": 1.0}}, "edges by axis"),
         ({"mixing_weight": "mass"}, "mixing_weight='mass'"),
-        ({"neighbours": 0}, "neighbours=0"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
             ds.cg.microstructure("lacey_index", by="species", **options)
     one = scene([[1.0, 1, 1]], [1], box=BOX).cg.microstructure(MIXING, by="species")
-    assert np.isnan(one.nearest_neighbour_index).all()
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("count", [3, 14])
-def test_neighbours_across_the_edges_of_a_tilted_box(dimension, count):
-    """The nearest image of each other grain, as many as there may be: of a box of 15 grains and of one of 60."""
-    for total in (15, 60):
-        rng = np.random.default_rng(total)
-        vectors = np.array([[4.0, 0.0, 0.0], [1.7, 3.0, 0.0], [-1.1, 1.3, 5.0]])
-        if dimension == 2:
-            vectors[2] = [0.0, 0.0, 5.0]
-        place = rng.random((total, 3)) * ([1, 1, 1] if dimension == 3 else [1, 1, 0])
-        position, species = place @ vectors, rng.integers(1, 3, total)
-        ds = scene(
-            position, species, box=[[0, 4], [0, 3], [0, 5]], lattice=vectors, periodic="xyz"[:dimension],
-            dimension=dimension,
-        )  # fmt: skip
-        found = ds.cg.microstructure("nearest_neighbour_index", by="species", neighbours=count)
-        numbers = np.array(list(itertools.product(range(-4, 5), repeat=dimension)))
-        images = position[:, None] + numbers @ vectors[:dimension]
-        distance = np.linalg.norm(position[:, None, None] - images, axis=-1).min(axis=-1)
-        np.fill_diagonal(distance, np.inf)
-        nearest = np.argsort(distance, axis=1)[:, :count]
-        unlike = (species[nearest] != species[:, None]).mean(axis=1)
-        alike = np.bincount(species)[species]
-        expected = unlike.sum() / ((total - alike) / (total - 1)).sum()
-        assert found.nearest_neighbour_index.sel(phase="bulk").item() == pytest.approx(
-            expected, rel=1e-12
-        )
+    assert np.isnan(one.lacey_index).all()

@@ -21,7 +21,6 @@ from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of, labelled
 
-NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)
 RattlerRule: TypeAlias = Literal["count", "iterative"]
 StrainMeasure: TypeAlias = Literal["logarithmic", "engineering"]
@@ -79,7 +78,6 @@ def microstructure(
     axis: str | None = None,
     cell: float | Mapping[str, float] | None = None,
     mixing_weight: MixingWeight = "number",
-    neighbours: int | None = None,
     on_error: OnError = "raise",
 ) -> xr.Dataset:
     r"""Measure the microstructure of a packing, for each time, and for each region or phase.
@@ -126,10 +124,7 @@ def microstructure(
         holds two grains, one holds all, or all grains are of one phase, ``lacey_index`` is NaN, with
         a warning; another warns where it scatters by more than 0.1 at random (``lacey_noise``).
     mixing_weight : {"number", "volume"}
-        What grains count by in concentrations, their variances and entropy.
-    neighbours : int, optional
-        Nearest neighbours of each grain for ``nearest_neighbour_index``; by default 12, in a
-        one-layer scene 6.
+        What grains count by in concentrations and their variances.
     on_error : {"raise", "skip"}
         What to do about a step that cannot be read or computed: stop with its error, or leave it
         out (NaN, or padding), warn of it, and mark it in the coordinate ``skipped`` (time).
@@ -174,7 +169,7 @@ def microstructure(
     tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`, the same                       [3]_
     cluster_count                      number of clusters, single grains included
     largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
-    percolation                        1 along axes on which a cluster reaches through the box, else 0      [10]_
+    percolation                        1 along axes on which a cluster reaches through the box, else 0      [8]_
     fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
     fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
@@ -193,17 +188,15 @@ def microstructure(
     volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
                                        engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
     lacey_index                        :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
-    lacey_noise                        its standard deviation in a random mixture, about                    [11]_
+    lacey_noise                        its standard deviation in a random mixture, about                    [9]_
                                        :math:`\sqrt{2 / K} / (n - 1)` for K cells of n grains
     grains_per_cell                    :math:`N / K`, over the K cells that are not empty
-    segregation_index                  :math:`(z_a - z_{rest}) / (z_{top} - z_{bottom})`, from centres:     [12]_
+    segregation_index                  :math:`(z_a - z_{rest}) / (z_{top} - z_{bottom})`, from centres:     [10]_
                                        1 on top, -1 at the bottom, 0 mixed;
                                        :math:`2 (z_a - z_{rest}) / H` in a uniform bed
     concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
     random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
     segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
-    mixing_entropy                     :math:`\sum_k W_k \sum_a c_{ka}\ln c_{ka} / (W \sum_a p_a \ln p_a)`  [8]_
-    nearest_neighbour_index            :math:`\sum u_i / \sum ((N - N_a) / (N - 1))`                        [9]_
     inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     =================================  ===================================================================  =========
 
@@ -227,14 +220,10 @@ def microstructure(
     .. [5] Guo, N., Zhao, J. (2013). The signature of shear-induced anisotropy in granular media. Comput. Geotech. 47.
     .. [6] Love-Weber: Bagi, K. (1996). Stress and strain in granular assemblies. Mech. Mater. 22.
     .. [7] Lacey, P. M. C. (1954). Developments in the theory of particle mixing. J. Appl. Chem. 4.
-    .. [8] Schutyser, M. A. I. et al. (2001). Discrete particle simulations predicting mixing behavior of solid
-       substrate particles in a rotating drum fermenter. Biotechnol. Bioeng. 75.
-    .. [9] Godlieb, W., Deen, N. G., Kuipers, J. A. M. (2007). Characterizing solids mixing in DEM simulations. 6th Int.
-       Conf. on Multiphase Flow.
-    .. [10] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
+    .. [8] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
        64.
-    .. [11] From the variance of binomial numbers in the cells, see `xcg.analysis.samples`.
-    .. [12] Staron, L., Phillips, J. C. (2014). Segregation time-scale in bi-disperse granular flows. Phys. Fluids 26.
+    .. [9] From the variance of binomial numbers in the cells, see `xcg.analysis.samples`.
+    .. [10] Staron, L., Phillips, J. C. (2014). Segregation time-scale in bi-disperse granular flows. Phys. Fluids 26.
 
     Examples
     --------
@@ -253,7 +242,6 @@ def microstructure(
     regions = _regions(bounds, scene.setup.plane)
     check("min_contacts", min_contacts, whole(1))
     check("max_connectivity", max_connectivity, whole(1))
-    check("neighbours", neighbours, whole(1), optional=True)
     if cell is not None:
         _check_cell(cell, setup.plane)
     rate = _rate_source(ds, strain_rate)
@@ -281,7 +269,6 @@ def microstructure(
         force_bins=_force_bins(force_bins),
         cell=cell,
         by_volume=mixing_weight == "volume",
-        neighbours=int(neighbours or NEIGHBOURS[setup.dimension]),
         axis=up,
     )
     require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")

@@ -395,14 +395,4 @@ QUANTITIES: dict[str, PackingQuantity] = {
         "variance of the concentration where phases are apart",
         "S_0^2 = p (1 - p)",
     ),
-    "mixing_entropy": _of_phases(
-        "entropy",
-        "entropy of the cells over that of the region",
-        "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a",
-    ),
-    "nearest_neighbour_index": _of_phases(
-        "neighbour_index",
-        "neighbours of another phase over their number where phases are at random",
-        "sum_i u_i / sum_i ((N - N_a) / (N - 1)), u_i the share of another phase",
-    ),
 }

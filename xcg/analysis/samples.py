@@ -1,9 +1,9 @@
 """Microstructure of one step: particles and contacts of each region and group, and their mixing.
 
-Indices of mixing compare concentrations in cells with their limits, nearest neighbours, and
-entropies. All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the
-share of phase a in cell k, p_a that in the region, W_k = sum w_i over the grains of the cell (w_i =
-1, or the volume), W that over the region:
+Indices of mixing compare concentrations in cells with their limits. All of it is of one phase
+beside the rest, or, for the bulk, of all phases. With c_ka the share of phase a in cell k, p_a that
+in the region, W_k = sum w_i over the grains of the cell (w_i = 1, or the volume), W that over the
+region:
 
 - variance ``S^2 = sum_k W_k / W (c_ka - p_a)^2``;
 - segregated: ``S_0^2 = p_a (1 - p_a)``, every cell of one phase;
@@ -26,15 +26,14 @@ rest, the lowest): 1 where the phase lies on top, -1 at the bottom, 0 on average
 its share. Heights weigh by volumes. In a
 uniform bed of height H it is ``2 (z_a - z_rest) / H``.
 
-Sources: Lacey (1954), J. Appl. Chem. 4, 257; neighbours: Godlieb, Deen & Kuipers (2007), 6th Int.
-Conf. on Multiphase Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666; centres:
-Staron & Phillips (2014), Phys. Fluids 26, 033302.
+Sources: Lacey (1954), J. Appl. Chem. 4, 257; centres: Staron & Phillips (2014), Phys. Fluids 26,
+033302.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -45,7 +44,6 @@ from numpy.typing import NDArray
 
 from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.network import Clusters
-from xcg.analysis.pairs import other_rows
 from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.common.messages import SceneError, warn_once
 from xcg.scene.contacts import Contacts
@@ -91,7 +89,6 @@ class Measure(PhaseAnalysis):
     force_bins: NDArray
     cell: float | Mapping[str, float] | None
     by_volume: bool
-    neighbours: int
     axis: str
 
     @property
@@ -154,7 +151,7 @@ class Measure(PhaseAnalysis):
             if "velocity" in frame:
                 drift = lattice.drift(position - frame["position"])
                 images["velocity"] = frame["velocity"] + drift
-            mixture = self._mixture(bounds, lattice, images, inside, phase, source)
+            mixture = self._mixture(bounds, lattice, images, inside, phase)
             members = [inside]
             if self.by is not None:
                 members += [inside & (phase == p) for p in range(self.phase_count)]
@@ -174,13 +171,7 @@ class Measure(PhaseAnalysis):
         return results
 
     def _mixture(
-        self,
-        bounds: Bounds,
-        lattice: Lattice,
-        frame: Frame,
-        inside: NDArray,
-        phase: NDArray,
-        source: str,
+        self, bounds: Bounds, lattice: Lattice, frame: Frame, inside: NDArray, phase: NDArray
     ) -> Mixture | None:
         """Grains of a region by phase, if a quantity needs them.
 
@@ -188,30 +179,14 @@ class Measure(PhaseAnalysis):
         """
         if not any(QUANTITIES[name].of_phases for name in self.names):
             return None
-        position = frame["position"][inside]
         size = frame["diameter"][inside]
-        axes = self.setup.axes
-        x = position[:, axes]
+        x = frame["position"][inside][:, self.setup.axes]
         ends = _ends(bounds, lattice)
         lower, upper = np.array([ends[a] for a in self.setup.plane], float).T
         if len(x):
             lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
             upper = np.where(np.isfinite(upper), upper, x.max(axis=0))
         lengths = np.where(upper > lower, upper - lower, 1.0)
-        whole = np.isclose(lengths, lattice.lengths[axes], rtol=1e-9)
-
-        def images_within(reach: float) -> tuple[NDArray, NDArray]:
-            low = position.min(axis=0)
-            high = position.max(axis=0)
-            margin = np.where(whole, reach, 0.0)
-            low[axes] = np.minimum(low[axes], lower) - margin
-            high[axes] = np.maximum(high[axes], upper) + margin
-            row, shift, _ = lattice.images(position, low, high, source)
-            return row, (position[row] + shift)[:, axes] - lower
-
-        images = None
-        if lattice.vectors is not None:
-            images = images_within
         cell = self.cell or CELL * float(ratio((size**4).sum(), (size**3).sum()))
         if not isinstance(cell, Mapping):
             cell = dict.fromkeys(self.setup.plane, cell)
@@ -223,12 +198,9 @@ class Measure(PhaseAnalysis):
             phase=phase[inside],
             weight=weight,
             lengths=lengths,
-            wraps=whole,
             cell=np.array([cell.get(a, np.inf) for a in self.setup.plane], float),
-            neighbours=self.neighbours,
             height=x[:, self.setup.plane.index(self.axis)],
             volume=frame["volume"][inside],
-            images=images,
         )
 
     def _volume(self, bounds: Bounds, lattice: Lattice) -> float:
@@ -363,31 +335,21 @@ class Mixture:
         What grains count by.
     lengths : array (D,)
         Extent of the region (m).
-    wraps : array (D,)
-        Whether the region is a whole period along an axis.
     cell : array (D,)
         Edges of the cells (m), about; infinite along axes that are not divided.
-    neighbours : int
-        Nearest neighbours that are looked at.
     height : array (n,)
         Places along the axis of segregation (m).
     volume : array (n,)
         Volumes of the grains (m3).
-    images : callable, optional
-        In a box that is tilted: takes a distance, and gives all images that are no further from the
-        region, as rows of the grains and positions; the grains themselves are among them.
     """
 
     position: NDArray
     phase: NDArray
     weight: NDArray
     lengths: NDArray
-    wraps: NDArray
     cell: NDArray
-    neighbours: int
     height: NDArray
     volume: NDArray
-    images: Callable[[float], tuple[NDArray, NDArray]] | None = None
 
     @cached_property
     def cells(self) -> NDArray:
@@ -398,17 +360,11 @@ class Mixture:
             place = place * count + np.clip((x / length * count).astype("int64"), 0, count - 1)
         return np.unique(place, return_inverse=True)[1]
 
-    def members(self, which: int, *, rest: bool = False) -> NDArray:
-        """Return masks (parts, n) of grains in phase `which` - 1, and in the `rest`.
-
-        For 0, they are in each of the phases.
-        """
+    def members(self, which: int) -> NDArray:
+        """Return masks (parts, n) of the grains in phase `which` - 1; for 0, in each of the phases."""
         if which == 0:
             return self.phase == np.unique(self.phase)[:, None]
-        in_phase = self.phase == which - 1
-        if rest:
-            return np.stack([in_phase, ~in_phase])
-        return in_phase[None]
+        return (self.phase == which - 1)[None]
 
     def shares(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return W_k / W (k,), c_ka (parts, k) and p_a (parts,)."""
@@ -537,66 +493,3 @@ class Mixture:
         rest = self.volume - part
         height = self.height - self.height.mean()
         return float((part * height).sum() / part.sum() - (rest * height).sum() / rest.sum())
-
-    def entropy(self, which: int) -> float:
-        """Return the mean entropy of the cells over the region's: 0 apart, 1 alike in all cells."""
-        weight, inside, share = self.shares(self.members(which, rest=True))
-        return float(ratio((weight * _entropy(inside)).sum(), float(_entropy(share))))
-
-    @cached_property
-    def unlike(self) -> NDArray:
-        """Share of the nearest neighbours of each grain that are of another phase; (n,)."""
-        from scipy.spatial import cKDTree
-
-        count = min(self.neighbours, len(self.phase) - 1)
-        if self.images is not None:
-            others = _nearest(self.position, self.lengths, count, self.images)
-        else:
-            tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
-            near = np.asarray(tree.query(self.position, count + 1)[1])
-            others = other_rows(near, np.arange(len(near)))
-        return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
-
-    def neighbour_index(self, which: int) -> float:
-        """Return the number of unlike neighbours over its mean at random: 0 apart, 1 at random."""
-        count = len(self.phase)
-        if count < 2:
-            return np.nan
-        members = self.members(which)
-        number = members.sum(axis=1)
-        expected = float((number * (count - number)).sum()) / (count - 1)
-        return float(ratio(self.unlike[members.any(axis=0)].sum(), expected))
-
-
-def _nearest(
-    position: NDArray,
-    lengths: NDArray,
-    count: int,
-    images: Callable[[float], tuple[NDArray, NDArray]],
-) -> NDArray:
-    """Rows (n, count) of the nearest other grains of each grain, by the nearest of their images."""
-    from scipy.spatial import cKDTree
-
-    itself = np.arange(len(position))[:, None]
-    reach = float((lengths.prod() * count / len(position)) ** (1 / len(lengths)))
-    queried = 2 * count + 2
-    while True:
-        rows, places = images(reach)
-        queried = min(queried, len(rows))
-        distance, near = cKDTree(places).query(position, range(1, queried + 1))
-        grains = rows[near]
-        is_new = grains != itself
-        for k in range(queried):
-            is_new[:, k] &= (grains[:, :k] != grains[:, k, None]).all(axis=1)
-        first = np.argsort(~is_new, axis=1, kind="stable")[:, :count]
-        # images further away than the reach are not in the tree
-        within_reach = np.take_along_axis(np.asarray(distance), first, 1) <= reach
-        if (np.take_along_axis(is_new, first, 1) & within_reach).all():
-            return np.take_along_axis(grains, first, 1)
-        reach *= 2
-        queried *= 2
-
-
-def _entropy(share: NDArray) -> NDArray:
-    """-sum c ln c over the first axis."""
-    return np.asarray(-(share * np.log(np.where(share > 0, share, 1.0))).sum(axis=0))
