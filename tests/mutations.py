@@ -320,6 +320,10 @@ TABLE = [
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums test_fields_equal_the_columns_of_mercury",
     ),
     Mutation(
+        "fields/formulas/averages.py", "biases.append((count - 1) *", "biases.append(count *",
+        "test_bias_of_kinetic_stress_is_that_of_a_variance",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "independent**0.5", "independent",
         "test_an_average_over_steps_has_the_larger_error_and_names_it",
     ),

@@ -322,7 +322,7 @@ def about(row: Field, system: str) -> dict[str, str]:
         "long_name": row.long_name,
         "formula": row.formula,
         "source": row.source,
-        "averages": row.averages,
+        "averages": row.text_of_averages,
     }
     if row.source:  # a variable of the scene: it has any unit, and averages need its weight
         attrs["weight"] = row.weight

@@ -66,7 +66,7 @@ def with_present_names(f: xr.Dataset) -> xr.Dataset:
     """Return a result with its fields, and their errors, under their present names."""
     names = {}
     for old, new in RENAMED.items():
-        for end in ("", "_error", "_error_from"):
+        for end in ("", "_error", "_error_from", "_bias"):
             if old + end in f.variables and new + end not in f.variables:
                 names[old + end] = new + end
     return f.rename(names)

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import ensembles, truths
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
 
@@ -414,7 +415,7 @@ def test_standard_errors_are_not_averaged():
     f = series(3).cg.coarse_grain(["velocity", "density"], **ALL).cg.time_average()
     with pytest.raises(
         ValueError,
-        match=r"no mean of standard errors \(velocity_error, density_error\): call it before",
+        match=r"no mean of errors and biases \(velocity_error, density_error\): call it before",
     ):
         f.cg.profile("z")
 
@@ -476,7 +477,7 @@ def moving_grains(steps=8, count=300, *, drift=0.0, shear=1.0, side=8.0, seed=0)
 
 
 def without_errors(f):
-    return f.drop_vars([name for name in f.data_vars if str(name).endswith("_error")])
+    return f.drop_vars([name for name in f.data_vars if str(name).endswith(("_error", "_bias"))])
 
 
 @pytest.mark.parametrize("by", [None, "species"])
@@ -701,3 +702,96 @@ def test_blocks_that_do_not_fit_raise():
         f.cg.coarsen(x=9)
     with pytest.raises(ValueError, match="coarsen averages fields, and this is a scene"):
         moving_grains(1).cg.coarsen(x=2)
+
+
+# --- bias ------------------------------------------------------------------------------------------------
+
+
+def test_bias_of_kinetic_stress_is_that_of_a_variance():
+    """With grains that stay in place, velocities of n steps leave 1 / n of their variance out."""
+    steps = 16
+    ds = ensembles.ensemble(41, shear=0.0, draws=steps)
+    f = ds.cg.coarse_grain("kinetic_stress", axes="z", width=2.0)
+    mean = f.cg.time_average()
+    u = f.velocity - f.velocity.mean("time")
+    rho = f.density.isel(time=0, drop=True)
+    expected = -rho * (u * u.rename(component="direction")).sum("time") / (steps - 1) / steps
+    np.testing.assert_allclose(
+        mean.kinetic_stress_bias, expected.transpose(*mean.kinetic_stress_bias.dims), rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"),
+    [
+        ("contact_anisotropy", 0.03),
+        ("normal_force_anisotropy", 0.03),
+        ("friction_coefficient", 0.01),
+    ],
+)
+def test_values_without_their_bias_are_true_and_errors_hold_two_thirds(anisotropic, name, largest):
+    """Contacts of known tensors: 30 independent averages of 16 steps at each node."""
+    deviation = anisotropic[name] - truths.known_contacts()[name]
+    left = deviation - anisotropic[f"{name}_bias"]
+    assert float(deviation.mean()) > 0.01
+    assert abs(float(left.mean())) < min(largest, 0.4 * float(deviation.mean()))
+    within = np.abs(left) < anisotropic[f"{name}_error"]
+    assert float(within.mean()) == pytest.approx(0.68, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def anisotropic():
+    ds = truths.contacts(480, 300, 6.0)
+    names = list(truths.known_contacts())
+    f = ds.cg.coarse_grain(names, axes="z", width=1.0, spacing=2.0, for_averages=True)
+    return f.cg.time_average(16, every=16)
+
+
+def test_bias_of_shear_rate_inertial_number_and_pressure_of_a_sheared_gas():
+    ds = truths.gas(160, side=6.0, rate=0.5)
+    names = ["shear_rate", "inertial_number", "pressure"]
+    f = ds.cg.coarse_grain(names, axes="z", width=1.0, spacing=2.0)
+    whole = f.cg.time_average()
+    parts = f.cg.time_average(8, every=8)
+    for name in names:
+        excess = (parts[name] - (whole[name] - whole[f"{name}_bias"])).mean()
+        error = parts[name].std() / parts[name].size ** 0.5
+        assert abs(float(excess - parts[f"{name}_bias"].mean())) < 2.5 * float(error), name
+
+
+def test_bias_takes_eight_blocks_and_fields_that_are_not_linear():
+    f = truths.gas(8, side=6.0).cg.coarse_grain(
+        ["velocity", "density", "shear_rate", "pressure"], axes="z", width=1.0
+    )
+    mean = f.cg.time_average()
+    assert {n for n in mean if n.endswith("_bias")} == {"shear_rate_bias", "pressure_bias"}
+    assert mean.shear_rate_bias.notnull().all()
+    assert mean.shear_rate_bias.attrs["units"] == f.shear_rate.attrs["units"]
+    few = f.isel(time=slice(7)).cg.time_average()
+    assert [n for n in few if n.endswith("_bias")] == []
+    assert few.shear_rate_error.notnull().all()
+    with pytest.raises(ValueError, match="no mean of errors and biases"):
+        mean.cg.profile("z")
+
+
+def test_bias_of_repeated_steps_is_that_of_the_steps():
+    """Blocks are as long as for the error: frames that were written four times are no further samples."""
+    steps = truths.gas(64, side=6.0, rate=0.5)
+    f = steps.cg.coarse_grain(["shear_rate"], axes="z", width=1.0)
+    again = f.isel(time=np.repeat(np.arange(64), 4)).assign_coords(time=np.arange(256.0))
+    once = f.cg.time_average().shear_rate_bias.mean()
+    assert float(again.cg.time_average().shear_rate_bias.mean()) == pytest.approx(
+        float(once), rel=0.3
+    )
+
+
+def test_attributes_say_how_a_field_is_averaged():
+    """Of xarray's mean of the values they warn, as that of a norm of few grains is too large."""
+    names = ["density", "velocity", "friction_coefficient", "heat_flux"]
+    f = series(2).cg.coarse_grain(names, axes="z", for_averages=True)
+    said = {name: f[name].attrs.get("averages", "") for name in names}
+    assert said["density"] == ""
+    assert said["velocity"].startswith("weighted by density (f.cg.time_average()")
+    assert said["friction_coefficient"].startswith("computed anew from averaged sums")
+    assert said["heat_flux"].startswith("means of the values of steps")
+    assert f.cg.time_average().velocity.attrs["averages"] == said["velocity"]

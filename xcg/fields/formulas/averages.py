@@ -39,6 +39,7 @@ from xcg.steps.labels import format_call, provenance
 
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
+MIN_BIAS_BLOCKS = 8
 _SAMPLE = "_sample"
 _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
 
@@ -120,10 +121,13 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     Returns
     -------
     xarray.Dataset
-        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without
-        `time`, or with the mean time of each window. Where the result has errors of one step
-        (``coarse_grain(errors=True)``), the larger of the two, and ``<name>_error_from`` says
-        which: noise of independent steps, or their scatter.
+        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Fields that
+        are no sums and no ratios of two sums, such as pressure, mu, I, anisotropies, order and
+        shear rate, have their bias from the same blocks beside them, ``<name>_bias``: the mean of a
+        norm of few samples is larger than the norm of the mean. Subtract it; there is none for
+        fewer than 8 steps. Without `time`, or with the mean time of each window. Where the result
+        has errors of one step (``coarse_grain(errors=True)``), the larger of the two, and
+        ``<name>_error_from`` says which: noise of independent steps, or their scatter.
 
     Raises
     ------
@@ -161,24 +165,32 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     samples = samples.drop_vars([_noise_of(name) for name in noise])
     samples = _to_sums(samples, "time_average", [_SAMPLE])
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
-    errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
+    errors, biases = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f))
+    in_a_mean = samples.sizes[_SAMPLE]
+    biased: set[str] = set()
+    if in_a_mean >= MIN_BIAS_BLOCKS:
+        options = registry.options_of(f.attrs)
+        biased = {name for name, row in _rows_of(f).items() if row and _has_bias(row, options)}
     beside = {}
     for name in map(str, mean.data_vars):
+        known = mean[name].variable.notnull()
+        units = f[name].attrs.get("units", "1")
         # without coordinates, which are the mean's; an error may be known where the mean is not
-        error = errors[name].variable.where(mean[name].variable.notnull())
-        error.attrs = {
-            "units": f[name].attrs.get("units", "1"),
-            "long_name": f"standard error of {name}",
-        }
+        error = errors[name].variable.where(known)
+        error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         beside[f"{name}_error"] = error
-    in_a_mean = samples.sizes[_SAMPLE]
+        if name in biased:
+            bias = biases[name].variable.where(known)
+            bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
+            beside[f"{name}_bias"] = bias
     mean = mean.assign(beside).assign_attrs(averaged_steps=in_a_mean)
     of_steps = {
         name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
     mean = _with_larger(mean, of_steps, "scatter_of_steps")
     # what was not asked for has no error
-    mean = mean.drop_vars([f"{name}_error" for name in sums_beside], errors="ignore")
+    loose = [f"{name}{end}" for name in sums_beside for end in ENDS]
+    mean = mean.drop_vars(loose, errors="ignore")
     return mean.set_coords(sums_beside)
 
 
@@ -359,23 +371,40 @@ def block_errors(
 
     They come from the first size of blocks beyond which they do not grow, see `time_average`.
     """
+    return jackknife(samples, dim, function)[0]
+
+
+def jackknife(
+    samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return standard errors and biases of a function of the mean over consecutive samples.
+
+    Both come from the blocks of `block_errors`; the bias is ``(n - 1) (<f of all but one> - f)`` of n
+    blocks (Quenouille 1956).
+    """
     levels: list[xr.Dataset] = []
+    biases: list[xr.Dataset] = []
     doubt = []  # relative scatter of each level's error
     while (count := samples.sizes[dim]) >= 2 and (not levels or count >= MIN_BLOCKS):
         # jackknife: for sums the scatter over sqrt(n), for functions of sums right to first order
-        without = (count * samples.mean(dim, skipna=False) - samples) / (count - 1)
-        levels.append(function(without).std(dim, ddof=0, skipna=False) * np.sqrt(count - 1))
+        mean = samples.mean(dim, skipna=False)
+        of_others = function((count * mean - samples) / (count - 1))
+        levels.append(of_others.std(dim, ddof=0, skipna=False) * np.sqrt(count - 1))
+        biases.append((count - 1) * (of_others.mean(dim, skipna=False) - function(mean)))
         doubt.append(1 / np.sqrt(2 * (count - 1)))
         samples = samples.coarsen({dim: 2}, boundary="trim").mean()
     if not levels:
-        return function(samples.mean(dim)) * np.nan
+        unknown = function(samples.mean(dim)) * np.nan
+        return unknown, unknown
     errors = levels[-1]
+    bias = biases[-1]
     for k in reversed(range(len(levels) - 1)):
         flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]
         for m in range(k + 2, len(levels)):
             flat = flat & (levels[m] * (1 - doubt[m]) <= levels[k])
         errors = xr.where(flat, levels[k], errors)
-    return errors
+        bias = xr.where(flat, biases[k], bias)
+    return errors, bias
 
 
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
@@ -390,10 +419,21 @@ def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ..
     return needed
 
 
+ENDS = ("_error", "_bias")  # of the names of what stands beside an average
+
+
+def _has_bias(row: Field, options: Options) -> bool:
+    """Return whether a field of averaged sums has a bias: it is neither linear in them nor a ratio of two."""
+    return not (row.additive or row.weight) or takes_covariance(row, options)
+
+
 def _errors_among(names: Iterable[str]) -> list[str]:
-    """Return the names of the errors of other fields in the list."""
+    """Return the names of the errors and biases of other fields in the list."""
     names = list(names)
-    return [name for name in names if name.endswith("_error") and name[:-6] in names]
+    found = []
+    for end in ENDS:
+        found += [name for name in names if name.endswith(end) and name.removesuffix(end) in names]
+    return found
 
 
 def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
@@ -469,7 +509,7 @@ def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Datase
     errors = _errors_among(rows)
     if errors:
         raise ValueError(
-            f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average, on a "
+            f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on a "
             "result without errors=True"
         )
     anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]

@@ -214,6 +214,18 @@ class Field:
     source: str = ""
 
     @property
+    def text_of_averages(self) -> str:
+        """Return how it is averaged, where the mean of its values is something else; "" for sums."""
+        if self.averages or self.additive:
+            return self.averages
+        rule = "computed anew from averaged sums"
+        if self.weight:
+            rule = f"weighted by {self.weight}"
+        return (
+            f"{rule} (f.cg.time_average(), f.cg.profile()); f.mean() is the mean of single values"
+        )
+
+    @property
     def powers(self) -> Powers:
         """Powers of (length, mass, time) of the unit."""
         return powers_of(self.units)

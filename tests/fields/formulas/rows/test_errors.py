@@ -181,7 +181,7 @@ def test_fields_without_errors_are_named(options, message):
 
 def test_errors_of_averages_are_not_averaged():
     f = ensemble(60, draws=4).cg.coarse_grain("velocity", errors=True, width=1.0, for_averages=True)
-    with pytest.raises(ValueError, match="profile takes no mean of standard errors"):
+    with pytest.raises(ValueError, match="profile takes no mean of errors and biases"):
         f.cg.time_average().cg.profile("z")
 
 
