@@ -233,10 +233,7 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     scene = ds
     if renamed := _renamed(ds):
         scene = ds.swap_dims(renamed)
-    for name, values in scene.variables.items():
-        merged = without_empty_chunks(values)
-        if merged is not values:
-            scene = scene.assign({name: merged})
+    scene = _without_empty_chunks(scene)
     if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
@@ -275,6 +272,15 @@ def _renamed(ds: xr.Dataset) -> dict[str, str]:
     return {
         label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes
     }
+
+
+def _without_empty_chunks(scene: xr.Dataset) -> xr.Dataset:
+    """Return a scene whose chunks of time all have steps."""
+    for name, values in scene.variables.items():
+        merged = without_empty_chunks(values)
+        if merged is not values:
+            scene = scene.assign({name: merged})
+    return scene
 
 
 def without_empty_chunks(values: xr.Variable) -> xr.Variable:
