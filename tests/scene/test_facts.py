@@ -1,7 +1,8 @@
 """The coordinate `setup`, which carries attributes through xarray."""
 
-import json
+from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -20,20 +21,20 @@ ATTRS = {
 
 
 def test_facts_come_back_to_the_last_bit():
-    ds = with_facts(with_setup(xr.Dataset(attrs=ATTRS)).drop_attrs())
+    ds = with_facts(with_setup(xr.Dataset(attrs=ATTRS)).drop_attrs(deep=False))
     assert ds.attrs.keys() == ATTRS.keys()
     for name, value in ATTRS.items():
         np.testing.assert_array_equal(ds.attrs[name], value)
 
 
 def test_other_attributes_are_no_facts():
-    assert json.loads(setup_of({"history": "a call", "engine": "lammps"}).item()) == {}
+    assert setup_of({"history": "a call", "engine": "lammps"}).attrs == {}
 
 
 def test_the_diameter_of_nodes_is_no_fact_of_the_result():
     """It is measured from each scene, so that parts of one kind would seem to differ."""
     for size, kept in (("d43", False), ("d32", False), ("d50", True), ("dmax", True)):
-        facts = json.loads(setup_of({"size": size, "size_diameter": 1.5}).item())
+        facts = setup_of({"size": size, "size_diameter": 1.5}).attrs
         assert ("size_diameter" in facts) == kept
 
 
@@ -42,6 +43,151 @@ def test_a_coordinate_of_the_user_is_named(value):
     ds = xcg.datasets.simple_cubic(3).assign_coords(setup=value)
     with pytest.raises(xcg.SceneError, match=r"'setup' holds .*drop_vars\('setup'\)"):
         ds.cg.coarse_grain("density")
+
+
+@pytest.mark.parametrize("name", sorted(ATTRS))
+def test_each_fact_changes_the_code(name):
+    other = {"periodic": "x", "plane": "xz"}.get(name, 0.5)
+    codes = {setup_of(ATTRS).item(), setup_of(ATTRS | {name: other}).item()}
+    codes.add(setup_of({key: value for key, value in ATTRS.items() if key != name}).item())
+    assert len(codes) == 3
+    assert all(len(code) == 8 for code in codes)
+
+
+def test_codes_do_not_depend_on_types_that_files_change():
+    in_files = ATTRS | {"dimension": np.int32(2), "gravity": [0.0, 0.1, 1e-300], "width": [1 / 3]}
+    assert setup_of(in_files).item() == setup_of(ATTRS).item()
+
+
+def result():
+    ds = xcg.datasets.random_scene(60, seed=1, periodic="xy")
+    return ds.cg.coarse_grain(
+        ["velocity", "inertial_number"], axes="xz", width=1.0, spacing=1.0, for_averages=True
+    )
+
+
+def test_titles_tables_and_reprs_have_no_json_and_the_width():
+    """A title has the code and the width; xarray cuts what is longer than 50 characters."""
+    f = result()
+    scene = xcg.datasets.random_scene(60, seed=1, periodic="xy")
+    mean = f.cg.time_average()
+    pictures = [
+        f.inertial_number.plot,
+        f.velocity.sel(component="x").plot,
+        f.inertial_number.isel(time=0, z=0).plot,
+        mean.inertial_number.plot,
+    ]
+    for draw in pictures:
+        draw()
+        title = plt.gca().get_title()
+        plt.close("all")
+        assert "width = 1.0 [m]" in title
+        assert "{" not in title
+    for ds in (f, scene, mean, f.cg.profile("z")):
+        code = ds.setup.item()
+        tables = [ds.to_dataframe(), ds[next(iter(ds.data_vars))].to_dataframe()]
+        for table in tables:
+            assert set(table["setup"]) == {code}
+            assert "{" not in table.to_string()
+        for shown in (ds, ds[next(iter(ds.data_vars))], ds.setup):
+            assert "{" not in repr(shown)
+            assert '{"' not in shown._repr_html_().replace("&quot;", '"')
+
+
+def test_a_width_is_a_coordinate_with_its_unit_unless_each_phase_has_its_own():
+    f = result()
+    assert f.width.item() == 1.0
+    assert f.width.attrs["units"] == "m"
+    ds = xcg.datasets.random_scene(60, seed=1, periodic="xy")
+    ds["kind"] = ("time", "particle"), np.arange(60)[None] % 2
+    by_kind = ds.cg.coarse_grain("density", axes="z", by="kind", width={0: 1.0, 1: 1.5})
+    assert "width" not in by_kind.coords
+    np.testing.assert_allclose(by_kind.attrs["width"], [1.0, 1.5])
+    assert "width" in ds.cg.coarse_grain("density", axes="z", by="kind", width=1.0).coords
+
+
+def test_facts_survive_operations_of_xarray():
+    f = result()
+    results = [2 * f, f + f, f.mean("x"), f.isel(z=1), f.interp(x=[0.5]), f.rolling(x=2).mean()]
+    results += [np.abs(f), f.coarsen(x=2, boundary="trim").mean(), f.where(f.inertial_number > 0)]
+    for changed in results:
+        back = with_facts(changed.drop_attrs(deep=False))
+        assert back.attrs["width"] == 1.0
+        assert back.attrs["periodic"] == "xy"
+
+
+@pytest.mark.parametrize(
+    "drop",
+    [
+        lambda ds: ds.drop_attrs(),
+        lambda ds: xr.merge([ds[[name]] for name in ds], combine_attrs="drop"),
+    ],
+)
+def test_a_deep_drop_of_all_attributes_is_an_error_with_ways_out(drop):
+    f = result()
+    bare = drop(f)
+    with pytest.raises(xcg.SceneError, match=r"lost its attributes periodic.*drop_vars\('setup'\)"):
+        bare.cg.time_average()
+    bare.attrs = f.attrs
+    expected = f.cg.time_average().inertial_number
+    np.testing.assert_array_equal(bare.cg.time_average().inertial_number, expected)
+    np.testing.assert_array_equal(
+        f.drop_attrs().assign_attrs(f.attrs).drop_vars("setup").cg.time_average().inertial_number,
+        expected,
+    )
+    scene = xcg.datasets.random_scene(60, seed=1, periodic="xy")
+    with pytest.raises(xcg.SceneError, match="lost its attributes periodic"):
+        drop(scene).cg.coarse_grain("density")
+
+
+@pytest.mark.filterwarnings("ignore:In a future version of xarray:FutureWarning")
+def test_a_part_with_the_attributes_of_another_is_refused():
+    """`xr.concat` keeps the attributes of the first part, the part selected is the second."""
+    ds = xcg.datasets.random_scene(60, seed=1)
+    parts = [
+        ds.cg.coarse_grain("density", axes="z", gradient=gradient)
+        for gradient in ("least_squares", "kernel")
+    ]
+    both = xr.concat(parts, "call")
+    both.isel(call=0).cg.time_average()
+    with pytest.raises(xcg.SceneError, match=r"attributes of another\. Select it before joining"):
+        both.isel(call=1).cg.time_average()
+
+
+@pytest.mark.filterwarnings("ignore:In a future version of xarray:FutureWarning")
+def test_files_that_differ_are_refused_when_they_are_opened_as_one(tmp_path, monkeypatch):
+    ds = xcg.datasets.random_scene(60, seed=1)
+    paths = []
+    for k, gradient in enumerate(("least_squares", "kernel", "kernel")):
+        f = ds.cg.coarse_grain("density", axes="z", gradient=gradient)
+        f = f.assign_coords(time=[float(k)])
+        paths.append(xcg.save(f, tmp_path / f"{k}.nc"))
+    monkeypatch.setattr("xcg.scene.facts._SEEN", {})  # as in another process
+    options = {"combine": "nested", "concat_dim": "time", "data_vars": "all"}
+    both = xr.open_mfdataset(paths[:2], **options)
+    with both, pytest.raises(xcg.SceneError, match=r"setup is [0-9a-f]{8} and [0-9a-f]{8}"):
+        both.cg.time_average()
+    with xr.open_mfdataset(paths[1:], **options) as both:
+        assert both.setup.ndim == 0
+        assert both.cg.time_average().density.notnull().all()
+
+
+def test_files_of_earlier_versions_open():
+    """Their coordinate is JSON; averages have the code of the same facts."""
+    with xr.open_dataset(Path(__file__).parents[1] / "data" / "setup_as_json" / "f.nc") as f:
+        assert f.setup.item().startswith("{")
+        means = [f.cg.time_average(), f.drop_attrs().cg.time_average()]
+        joined = xr.concat(
+            [f, with_facts(f).assign_coords(time=[1.0])],
+            "time",
+            coords="different",
+            compat="equals",
+        )
+        means.append(joined.cg.time_average())
+        for mean in means:
+            assert len(mean.setup.item()) == 8
+            assert mean.setup.attrs["width"] == 1.0
+            np.testing.assert_allclose(mean.inertial_number, f.inertial_number[0], rtol=1e-12)
 
 
 def test_saved_results_are_read_with_the_present_names_of_fields(tmp_path):
@@ -83,7 +229,8 @@ def test_facts_stay_in_files(tmp_path, suffix):
         engine = {".nc": {}, ".zarr": {"engine": "zarr", "consolidated": False}}[suffix]
         back = xr.open_dataset(path, chunks={}, **engine)
         assert back.setup.item() == f.setup.item()
-        assert with_facts(back.drop_attrs()).attrs["width"] == 1.0
+        assert with_facts(back.drop_attrs(deep=False)).attrs["width"] == 1.0
+        assert back.width.item() == 1.0
 
 
 def test_a_chunked_scene_computes_nothing_for_its_facts():

@@ -134,7 +134,7 @@ def flow_rate(
     rates = {f"{flow}_flow_rate": _rate(flux, flow, parts[flow], scene) for flow in quantities}
     result = xr.Dataset(rates)
     # the place of the plane, and the options of fields
-    result = result.drop_vars([*COMPONENTS, "direction", SETUP], errors="ignore")
+    result = result.drop_vars([*COMPONENTS, "direction", "width", SETUP], errors="ignore")
     return result.assign_attrs(provenance(ds, call) | _attrs_of(smooth, surface))
 
 

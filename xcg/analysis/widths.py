@@ -165,7 +165,7 @@ def _join_widths(
     """Coarse-grain a prepared scene with each of the widths (m): fields with the dimension width."""
     along = xr.Variable("width", widths, {"long_name": "width of the kernel"})
     # their setups differ in the width, which becomes a dimension
-    fields = [answer(ds, ask(width=width)).drop_vars(SETUP) for width in widths]
+    fields = [answer(ds, ask(width=width)).drop_vars(["width", SETUP]) for width in widths]
     joined = xr.concat(fields, along, join="override")
     joined["width"].attrs["units"] = units_in("m", joined.attrs.get("unit_system", "SI"))
     for name in ("width", "cutoff"):

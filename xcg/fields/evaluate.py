@@ -26,7 +26,7 @@ from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
-from xcg.steps.labels import ABOUT, phases_of
+from xcg.steps.labels import ABOUT, annotated, phases_of
 
 # means of squared fluctuations
 _TEMPERATURES = (
@@ -252,7 +252,11 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     grid = plan.deposit.grid
     length = units_in("m", plan.setup.unit_system)
     facts = {name: scene.attrs[name] for name in ABOUT if name in scene.attrs}
-    coords = {SETUP: setup_of(facts | _choices(plan))}
+    choices = _choices(plan)
+    coords: dict[str, xr.Variable] = {}
+    # titles of plots name coordinates in this order, and xarray cuts them after 50 characters
+    if np.ndim(choices["width"]) == 0:
+        coords["width"] = annotated((), choices["width"], length, "width of the kernel")
     wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
     for name, coord in grid.coords.items():
         attrs: dict[str, Any] = {}
@@ -274,6 +278,7 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     if any(field.paired for field in fields):
         others = [*map(str, plan.deposit.groups), "wall"]
         coords["other_phase"] = xr.Variable("other_phase", others)
+    coords[SETUP] = setup_of(facts | choices)
     return coords
 
 

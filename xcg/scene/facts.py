@@ -1,14 +1,16 @@
 """Facts that hold for a whole scene or result, such as periodic axes or the kernel: how they travel through xarray.
 
 They are attributes. xarray drops attributes when Datasets are built from variables, and takes those
-of the first part when it joins several. So a scalar coordinate, ``setup``, holds the same facts as
-JSON: xarray keeps scalar coordinates with every variable, refuses to merge unequal ones, and joins
-unequal ones to a value for each part.
+of the first part when it joins several. So a scalar coordinate, ``setup``, has the same facts as
+attributes of its own, and a short code of them as its value: xarray keeps scalar coordinates with
+every variable, refuses to merge unequal ones, and joins unequal ones to a value for each part.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -30,6 +32,7 @@ OF_SCENES = (
     "frame_axes",
     "frame_origin",
 )
+_ALWAYS = ("periodic", "dimension", "plane", "unit_system")
 # further attributes of a result that its averages depend on, or that sums of different calls have
 # to share
 OF_RESULTS = (
@@ -72,15 +75,17 @@ def with_present_names(f: xr.Dataset) -> xr.Dataset:
     return f.rename(names)
 
 
+# facts by their codes, of this process: messages about joined parts name what differs
+_SEEN: dict[str, dict[str, Any]] = {}
+
+
 def setup_of(attrs: Mapping[Any, Any]) -> xr.Variable:
     """Return the coordinate `setup` of a Dataset with these attributes."""
-    facts = {name: attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in attrs}
-    if facts.get("size") not in ("d50", "dmax"):
-        facts.pop("size_diameter", None)  # d43 and d32 are those of each node
-    text = json.dumps({name: np.asarray(value).tolist() for name, value in facts.items()})
-    about = {"long_name": "attributes that hold for all steps, as JSON"}
+    facts = _facts_in(attrs)
+    code = _code_of(facts)
+    _SEEN[code] = facts
     # Zarr 3 specifies no text of fixed length
-    return xr.Variable((), text, about, {"dtype": object})
+    return xr.Variable((), code, facts, {"dtype": object})
 
 
 def with_setup(ds: xr.Dataset) -> xr.Dataset:
@@ -89,53 +94,119 @@ def with_setup(ds: xr.Dataset) -> xr.Dataset:
 
 
 def with_facts(ds: xr.Dataset) -> xr.Dataset:
-    """Return the Dataset with the attributes that it lost and its coordinate `setup` holds.
+    """Return the Dataset with the attributes that it lost and its coordinate `setup` has.
 
     Attributes that are there are kept, as users may have changed them. Fields of results get their
-    present names.
+    present names, and text of earlier versions (JSON) in the coordinate becomes a code with
+    attributes.
 
     Raises
     ------
     SceneError
-        If parts with different facts were joined, or the coordinate is something else.
+        If parts with different facts were joined, the coordinate has lost its attributes, too, or is
+        something else.
     """
     if "particle" not in ds.dims:  # scenes may call their variables anything
         ds = with_present_names(ds)
     if SETUP not in ds.coords:
         return ds
-    parts = [
-        _facts_of(text) for text in dict.fromkeys(np.ravel(ds.coords[SETUP].to_numpy()).tolist())
-    ]
+    setup = ds.coords[SETUP]
+    parts = {}
+    for value in dict.fromkeys(np.ravel(setup.to_numpy()).tolist()):
+        facts = _facts_in(setup.attrs)
+        code = value
+        if not _is_code(value):
+            facts = _facts_in(_json_object(value))
+            code = _code_of(facts)
+            ds = ds.assign_coords({SETUP: setup_of(facts)})
+        parts[code] = facts
     if len(parts) > 1:
         raise SceneError(
-            f"parts that differ were joined: {_differences(parts)}. Fields and averages need parts of one kind: take "
-            "the parts one by one, and join their averages"
+            f"parts that differ were joined: {_differences(list(parts))}. Fields and averages need parts of one kind: "
+            "take the parts one by one, and join their averages"
         )
-    lost = {name: value for part in parts for name, value in part.items() if name not in ds.attrs}
-    if not lost:
-        return ds
-    return ds.assign_attrs(lost)
+    for code, facts in parts.items():
+        if _code_of(facts) != code:
+            _require_code(ds, code, facts)
+            return ds
+        _SEEN[code] = facts
+        lost = {name: value for name, value in facts.items() if name not in ds.attrs}
+        if lost:
+            ds = ds.assign_attrs(lost)
+    return ds
 
 
-def _facts_of(text: Any) -> dict[str, Any]:
-    """Return the facts that a value of the coordinate holds."""
+def _facts_in(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the attributes that numbers depend on."""
+    facts = {name: attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in attrs}
+    if facts.get("size") not in ("d50", "dmax"):
+        facts.pop("size_diameter", None)  # d43 and d32 are those of each node
+    return facts
+
+
+def _code_of(facts: Mapping[str, Any]) -> str:
+    """Return eight hexadecimal digits for these facts, the same when a file holds them.
+
+    Files store whole numbers as floats, and lists of one number as the number.
+    """
+    texts = []
+    for name in sorted(facts):
+        values = np.ravel(facts[name])
+        if values.dtype.kind in "biuf":
+            values = values.astype(float)
+        texts.append(f"{name}={values.tolist()}")
+    return hashlib.blake2b("\n".join(texts).encode(), digest_size=4).hexdigest()
+
+
+def _is_code(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{8}", value) is not None
+
+
+def _json_object(text: Any) -> dict[str, Any]:
+    """Return the facts that a coordinate of an earlier version holds as text."""
     try:
         facts = json.loads(text)
     except (TypeError, ValueError):  # of values that are no text, and of other texts
         facts = None
     if not isinstance(facts, dict):
         raise SceneError(
-            f"the coordinate {SETUP!r} holds {plain(text)}, expected the JSON object that xcg writes: leave it out, "
+            f"the coordinate {SETUP!r} holds {plain(text)}, expected the code that xcg writes: leave it out, "
             f"ds.drop_vars({SETUP!r}), or give a coordinate of your own another name"
         )
     return facts
 
 
-def _differences(parts: Sequence[dict[str, Any]]) -> str:
+def _require_code(ds: xr.Dataset, code: str, facts: Mapping[str, Any]) -> None:
+    """Raise SceneError unless the attributes of a Dataset are those of its code.
+
+    `facts` are those of the coordinate, which are not.
+    """
+    if _code_of(_facts_in(ds.attrs)) == code:
+        return
+    if facts:
+        raise SceneError(
+            f"the attributes of the coordinate {SETUP!r} are not those of its code, {code}: parts that differ were "
+            "joined, and this is one of them with the attributes of another. Select it before joining"
+        )
+    lost = [name for name in _ALWAYS if name not in ds.attrs] or ["that its numbers depend on"]
+    raise SceneError(
+        f"the Dataset has lost its attributes {', '.join(lost)}, and so has its coordinate {SETUP!r}, which keeps a "
+        "copy of them: copy them from the original, ds.attrs = original.attrs; or compute with the attributes that "
+        f"it has, ds.drop_vars({SETUP!r})"
+    )
+
+
+def _differences(codes: Sequence[str]) -> str:
     """Return the names of the facts that differ between parts, with two of their values each."""
+    if not all(code in _SEEN for code in codes):
+        return f"their {SETUP} is {' and '.join(codes[:2])}, see the attributes of {SETUP} in each"
     texts = []
     for name in (*OF_SCENES, *OF_RESULTS):
-        values = list(dict.fromkeys(json.dumps(part.get(name)) for part in parts))
+        values = []
+        for code in codes:
+            value = np.asarray(_SEEN[code].get(name)).tolist()
+            values.append(json.dumps(value))
+        values = list(dict.fromkeys(values))
         if len(values) > 1:
             texts.append(f"{name} is {values[0]} and {values[1]}".replace("null", "not given"))
     return "; ".join(texts)
