@@ -93,6 +93,17 @@ def test_fields_of_users_are_requested_by_name():
     assert list(ds.cg.coarse_grain(axes="z")) == before
     with pytest.raises(TypeError):
         xcg.FIELDS["twice"] = xcg.FIELDS["density"]
+    assert xcg.FIELDS["twice"] in xcg.FIELDS.values()
+    assert ", registered 1)" in repr(xcg.FIELDS)
+
+
+def test_the_registry_prints_topics_in_place_of_rows():
+    shown = repr(xcg.FIELDS)
+    counts = [int(number) for number in re.findall(r"[a-z] (\d+)", shown)]
+    assert shown.startswith(f"{sum(counts)} fields (flow ")
+    assert sum(counts) == len(registry.listed())
+    assert "xcg.FIELDS['density']" in shown
+    assert len(shown) < 250
 
 
 def test_a_field_inherits_the_options_of_its_inputs():

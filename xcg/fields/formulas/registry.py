@@ -9,7 +9,7 @@ are about the velocity of the bulk, so that partial fields add up.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType, SimpleNamespace
@@ -33,11 +33,41 @@ from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.scene.facts import RENAMED, SETUP
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
+
+class _Fields(Mapping[str, Field]):
+    """Rows of fields by name, read-only: those of xcg, and those that users registered."""
+
+    def __init__(self, registered: dict[str, Field], rows: dict[str, Field]) -> None:
+        self._rows = ChainMap(registered, rows)
+
+    def __getitem__(self, name: str) -> Field:
+        return self._rows[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __repr__(self) -> str:
+        """Return the number of fields, by topic, and how to see them."""
+        counts = []
+        for topic in TOPICS:
+            count = sum(not name.startswith("_") for name in topic.ROWS)
+            counts.append(f"{topic.__name__.rpartition('.')[2]} {count}")
+        if REGISTERED:
+            counts.append(f"registered {len(REGISTERED)}")
+        return (
+            f"{len(listed())} fields ({', '.join(counts)}): list(xcg.FIELDS) for their names, "
+            "xcg.FIELDS['density'] for one of them"
+        )
+
+
 TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
-FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(REGISTERED, _ROWS))
+FIELDS: Mapping[str, Field] = _Fields(REGISTERED, _ROWS)
 # Fields by the symbols and words that others use for them.
 OTHER_NAMES = RENAMED | {
     "phi": "volume_fraction",
@@ -211,6 +241,7 @@ COORDINATES = (
     "time",
     "step",
     "skipped",
+    "width",
     SETUP,
     *COMPONENTS,
     "phase",
