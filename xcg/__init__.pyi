@@ -4,7 +4,7 @@ from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .analysis.balance import balance
 from .analysis.bond_order import bond_order
-from .analysis.chain_results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from .analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from .analysis.chain_selection import BoxRegion, Region, Sphere, select_chains
 from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
@@ -119,7 +119,6 @@ __all__ = [
     "particle_stress",
     "plot",
     "plot_chains",
-    "plot_lengths",
     "plot_phases",
     "plot_principal",
     "plot_rose",

@@ -199,7 +199,6 @@ class CoarseGrainAccessor:
     chain_table = Method("xcg.analysis.chain_results", CHAINS)
     link_table = Method("xcg.analysis.chain_results", CHAINS)
     plot_chains = Method("xcg.analysis.chain_results", CHAINS)
-    plot_lengths = Method("xcg.analysis.chain_results", CHAINS)
     plot_rose = Method("xcg.analysis.chain_results", CHAINS)
     to_csv = Method("xcg.writers.chains", CHAINS)
     to_vtp = Method("xcg.writers.chains", CHAINS)

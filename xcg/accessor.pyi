@@ -7,7 +7,7 @@ import xarray as xr
 
 from xcg.analysis.balance import balance
 from xcg.analysis.bond_order import bond_order
-from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from xcg.analysis.chain_selection import select_chains
 from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
@@ -120,7 +120,6 @@ class CoarseGrainAccessor:
     chain_table = _Bound(chain_table)
     link_table = _Bound(link_table)
     plot_chains = _Bound(plot_chains)
-    plot_lengths = _Bound(plot_lengths)
     plot_rose = _Bound(plot_rose)
     to_csv = _Bound(to_csv)
     to_vtp = _Bound(to_vtp)

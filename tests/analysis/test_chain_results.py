@@ -39,15 +39,20 @@ def test_pictures_have_figures_of_their_own():
     """They do not paint over the current one."""
     fc = fork().cg.force_chains()
     mine = plt.figure().add_subplot()
-    drawn = [fc.cg.plot_chains(), fc.cg.plot_lengths(), fc.cg.plot_rose(), fc.cg.plot_rose()]
+    drawn = [fc.cg.plot_chains(), fc.cg.plot_rose(), fc.cg.plot_rose()]
     assert not [*mine.collections, *mine.lines, *mine.patches]
-    assert len({ax.figure for ax in [mine, *drawn]}) == 5
-    assert drawn[2].name == "polar"
+    assert len({ax.figure for ax in [mine, *drawn]}) == 4
+    assert drawn[1].name == "polar"
 
 
-def test_plot_lengths():
-    ax = fork().cg.force_chains().cg.plot_lengths()
-    assert ax.lines[-1].get_xydata().tolist() == [[9, 1]]
+def test_one_line_of_xarray_draws_the_lengths_of_chains():
+    """As docs/how_do_i.md draws them."""
+    fc = fork().cg.force_chains()
+    share = fc.length_share.weighted(fc.chain_count).mean("time")
+    (line,) = share.plot.line("o", yscale="log", ax=plt.figure().add_subplot())
+    x, y = line.get_xydata().T
+    assert x[y > 0].tolist() == [9]
+    assert y.sum() == 1.0
 
 
 def test_plot_rose():
@@ -81,7 +86,6 @@ def test_plots_of_no_chains_are_empty():
     fc = fork().cg.force_chains(min_stress=1e9)
     fc.cg.plot_chains()
     fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
-    fc.cg.plot_lengths(ax=plt.figure().add_subplot())
 
 
 def test_the_example_script_runs(tmp_path, capsys):

@@ -364,41 +364,6 @@ def plot_chains(
     return ax
 
 
-def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
-    """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
-
-    Parameters
-    ----------
-    fc : xarray.Dataset
-        A result of `force_chains`.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    SceneError
-        If `fc` is not a result of `force_chains`.
-    """
-    require_chains(fc, "plot_lengths")
-    ax = ax or new_axes()
-    steps = _with_dimension_of_time(fc[["length_share", "chain_count"]]).compute()
-    share = steps["length_share"].transpose("time", "length").to_numpy()
-    count = steps["chain_count"].to_numpy()
-    length = fc["length"].to_numpy()
-    for row in share:
-        ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
-    total = count @ share / max(count.sum(), 1)
-    ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
-    ax.set_yscale("log")
-    set_label(ax.xaxis, "length $c$ [particles]")
-    set_label(ax.yaxis, "share of chains $P(c)$")
-    return ax
-
-
 def plot_rose(
     fc: xr.Dataset,
     *,
