@@ -5,6 +5,7 @@ import os
 import random
 import subprocess
 import sys
+from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 import xcg
 from tests.fuzz.check import damaged, lay, outcome
 from tests.fuzz.targets import ROOT, TARGETS
+from xcg.readers.engine import _OWN, load_engine
 
 EXAMPLES = dict.fromkeys(TARGETS, 12) | {"vtp": 4, "ini": 3, "toml": 6}
 
@@ -33,6 +35,26 @@ def test_damaged_files_open_or_raise_scene_errors(tmp_path_factory, name):
     lay(folder / "now", seeds)
     assert outcome(name, folder / "now") == ("opened", "")
     tried()
+
+
+def test_every_engine_has_a_target(tmp_path):
+    """A new engine has a set of files in `tests/fuzz/targets.py`, which it reads."""
+    loaded = set()
+
+    def recorded(engine):
+        reader = load_engine(engine)
+        loaded.add(reader.name)
+        return reader
+
+    with mock.patch("xcg.readers.arguments.load_engine", recorded):
+        for name, target in TARGETS.items():
+            # jobs read files of other targets
+            if name in ("ini", "toml"):
+                continue
+            (tmp_path / f"{name}_seeds").mkdir()
+            lay(tmp_path / name, target.seeds(tmp_path / f"{name}_seeds"))
+            assert outcome(name, tmp_path / name) == ("opened", "")
+    assert loaded == set(_OWN)
 
 
 # --- found by fuzzing ------------------------------------------------------------------------------------

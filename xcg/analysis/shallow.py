@@ -370,7 +370,8 @@ def _of_depth(
     }
     if "stress" in sums:
         # the kinetic stress of the column is about its mean velocity, that of the flow about u
-        stress = sums["stress"] + _transport(sums) - transport
+        # (without coordinates such as velocity: xarray computes lazy ones to compare them)
+        stress = sums["stress"].reset_coords(drop=True) + _transport(sums) - transport
         normal = _diagonal(stress)
         across = normal.sel(component=axis, drop=True)
         pressure = normal / across.where(across != 0)
@@ -385,7 +386,7 @@ def _of_depth(
 
 def _transport(f: xr.Dataset) -> xr.DataArray:
     """Return the transport of momentum by the mean flow, p p / rho, zero in empty nodes."""
-    p = f["momentum_density"]
+    p = f["momentum_density"].reset_coords(drop=True)
     mass = f["density"]
     return (p * p.rename(component="direction") / mass.where(mass > 0)).fillna(0.0)
 
