@@ -35,6 +35,9 @@ class StepRef:
         Rows of the body as the header counts them (an upper bound for the rows of the frame).
     time : float or None
         Physical time in the file's unit, None where the file does not say.
+    start : str or None
+        What `time` counts from, in seconds, where the file holds dates (ISO 8601) or durations
+        (""); None where it holds numbers.
     step : int
         Number of the time step, from the header or the file's name; negative and rising where
         neither has it, so that particles and contacts are paired in their order.
@@ -101,6 +104,7 @@ class StepRef:
     alone: bool = False
     pieces: tuple[StepRef, ...] = ()
     unknown: tuple[tuple[str, str], ...] = ()
+    start: str | None = None
 
     @property
     def parts(self) -> tuple[StepRef, ...]:

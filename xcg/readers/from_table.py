@@ -14,15 +14,21 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign, names_apart
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines.tabular import Table, check_clock, clock_of, warn_of_unread_clock
-from xcg.readers.names import factor_of
+from xcg.readers.engines.tabular import (
+    Table,
+    check_clock,
+    clock_of,
+    read_clock,
+    warn_of_unread_clock,
+)
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import rows_of, unit_vectors
-from xcg.scene.schema import Frame, periodic_axes
+from xcg.scene.schema import Frame, Setup, periodic_axes
+from xcg.scene.times import seconds_between, without_noise
 
 
 def scene_from_table(
@@ -39,8 +45,8 @@ def scene_from_table(
     particles : pandas.DataFrame, or what makes one
         A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or
         ``position_x``, ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or
-        ``id``, ``species`` or ``type``; ``time`` (s) or ``step`` distinguish steps, whose rows come
-        in any order.
+        ``id``, ``species`` or ``type``; ``time`` (s; also durations or dates, which count from the
+        first, the attribute ``start``) or ``step`` distinguish steps, whose rows come in any order.
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or
         ``contact_force_x``, on i, or ``normal_force_x`` and ``tangential_force_x``,
@@ -82,7 +88,7 @@ def scene_from_table(
             f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
         )
     read_options = _read_options(names, options)
-    table = _table(particles)
+    table, start = _with_seconds(_table(particles), "particles", read_options, options.get("units"))
     refs = {"particles": [_ref_of(table, "particles")]}
     grains = _frames(table, "particles", read_options.of_kind("particles"), contacts=False)
     steps = sorted(grains)
@@ -96,7 +102,10 @@ def scene_from_table(
     if contacts is not None:
         lattices = _lattices(steps, options)
         of_kind = read_options.of_kind("contacts")
-        table = _with_vectors(_table(contacts), grains, of_kind, lattices)
+        units = options.get("units")
+        table, _ = _with_seconds(_table(contacts), "contacts", read_options, units, start)
+        table = _at_steps(table, clock_of(tuple(table.columns), of_kind.names), steps)
+        table = _with_vectors(table, grains, of_kind, lattices)
         refs["contacts"] = [_ref_of(table, "contacts")]
         arrays |= _contacts(table, steps, of_kind)
     _check_arguments(options, arrays)
@@ -109,6 +118,8 @@ def scene_from_table(
     not_read = list_not_read(Table(), refs, read_options)
     if not_read:
         scene = scene.assign_attrs(not_read=not_read)
+    if start:
+        scene = scene.assign_attrs(start=start)
     if nameless:
         scene["particle_id"].attrs |= ROW_NUMBERS
     return scene
@@ -239,6 +250,42 @@ def _table(rows: Any) -> pd.DataFrame:
     return table.rename(columns=str)
 
 
+def _with_seconds(
+    table: pd.DataFrame, what: str, options: ReadOptions, units: Any, since: str | None = None
+) -> tuple[pd.DataFrame, str | None]:
+    """Return a table whose times are numbers, without rounding noise, and what they count from.
+
+    Dates count from `since` where it is given, else from the first.
+    """
+    column = clock_of(tuple(table.columns), options.of_kind(what).names).get("time")
+    if column is None or not len(table):
+        return table, None
+    convert = units is None
+    times, start = read_clock(table[column], column, what, convert=convert)
+    if start and since:
+        times = times + seconds_between(since, start)
+    if start is not None and units is not None:
+        times = times / Setup.make(units=units).scales[2]
+    return table.assign(**{column: times}), start
+
+
+def _at_steps(
+    contacts: pd.DataFrame, clock: Mapping[str, str], steps: Sequence[float]
+) -> pd.DataFrame:
+    """Return contacts whose times are those of the steps of the particles, but for rounding noise."""
+    column = clock.get("time")
+    if column is None or not len(contacts):
+        return contacts
+    times = contacts[column].to_numpy("float64")
+    if not np.isfinite(times).all():
+        return contacts
+    joint = without_noise(np.concatenate([steps, times]))
+    of_step = dict(zip(joint[: len(steps)].tolist(), steps, strict=True))
+    distinct, place = np.unique(joint[len(steps) :], return_inverse=True)
+    known = np.array([of_step.get(time, time) for time in distinct.tolist()])
+    return contacts.assign(**{column: known[place]})
+
+
 def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
     return {name: [frame[name] for frame in frames] for name in frames[0]}
 
@@ -253,8 +300,6 @@ def _frames(
         raise SceneError(f"{what}: the table has no rows")
     clock = clock_of(tuple(data.columns), options.names)
     clocks = {word: _numbers(data, name, what) for word, name in clock.items()}
-    if "time" in clock and "units" not in options.given:
-        clocks["time"] = clocks["time"] * factor_of(clock["time"], "time")
     check_clock(clocks, what)
     runs: list[Any] = [np.arange(len(data))]
     if clocks and len(data):

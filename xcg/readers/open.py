@@ -104,9 +104,9 @@ def open_scene(
         "x", "y", "z", None, "radius"]``, where None skips a column; with files of contacts
         ``{"particles": [...], "contacts": [...]}``.
     times : array (t,), optional
-        Time of each step in the particle files, in their order and in their unit of time. Pieces of
-        one step have the same time. Contacts whose steps are listed as those of the particles get
-        these times, too.
+        Time of each step in the particle files, in their order and in their unit of time; also
+        durations, or dates, which count in s from the first. Pieces of one step have the same time.
+        Contacts whose steps are listed as those of the particles get these times, too.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain in the files' unit of length, in place of the headers'.
     periodic : str or bool, optional
@@ -222,6 +222,10 @@ def open_scene(
 
     What the headers of files said is remembered in the user's cache until the files change
     (``XCG_INDEX_CACHE=0`` turns this off).
+
+    Times of tables may be durations or dates of any type (timedelta64, datetime64, ISO 8601 texts):
+    they become seconds, dates from the first of the particles, which is the attribute ``start``.
+    Times of a table that differ by less than 1e-9 of the largest interval are one.
 
     Without times in the files, `times` or ``timestep``, the coordinate ``time`` is the step number,
     its ``long_name`` says so, and what takes differences of times is refused.

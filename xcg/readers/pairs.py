@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from xcg.common.checks import floats
@@ -21,6 +22,7 @@ from xcg.readers.lazy import Step, read_step
 from xcg.readers.order import order_steps
 from xcg.readers.report import list_not_read, warn_of_columns
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import seconds_between
 from xcg.steps import faults as errors
 
 
@@ -54,6 +56,51 @@ def index_files(
             f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}"
         )
     return indexed
+
+
+def from_first_date(
+    indexed: Mapping[str, list[StepRef]], scale: float
+) -> tuple[dict[str, list[StepRef]], str | None]:
+    """Return steps whose times count from the first date of the particles, and this date.
+
+    `scale`: unit of the times that are numbers (s).
+
+    Raises
+    ------
+    SceneError
+        If some files hold dates, and others numbers.
+    """
+    starts = {ref.start for refs in indexed.values() for ref in refs}
+    if starts == {None}:
+        return dict(indexed), None
+    dates = [ref.start for ref in indexed["particles"] if ref.start]
+    first = None
+    try:
+        first = min(dates, key=pd.Timestamp, default=None)
+    except TypeError:
+        raise SceneError(
+            f"{source_of(indexed['particles'][0])}: some files hold dates with a time zone, and others "
+            "without: write times in one way, or give times="
+        ) from None
+    others = [
+        ref for refs in indexed.values() for ref in refs if ref.time is not None and not ref.start
+    ]
+    if dates and others:
+        raise SceneError(
+            f"{source_of(others[0])} holds numbers as times, and other files hold dates: write times in "
+            "one way, or give times="
+        )
+    shifted: dict[str, list[StepRef]] = {}
+    for kind, refs in indexed.items():
+        shifted[kind] = []
+        for ref in refs:
+            if ref.start is not None and ref.time is not None:
+                seconds = ref.time
+                if first and ref.start:
+                    seconds += seconds_between(first, ref.start)
+                ref = replace(ref, time=seconds / scale)
+            shifted[kind].append(ref)
+    return shifted, first
 
 
 _FITS: Mapping[str, Callable[[Any], bool]] = {  # what engines of users may get wrong in a StepRef

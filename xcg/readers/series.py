@@ -16,7 +16,7 @@ from xcg.readers.arguments import Arguments
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
-from xcg.readers.pairs import index_files, origin_of, pair_steps
+from xcg.readers.pairs import from_first_date, index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
 from xcg.readers.report import check_plane, report_missing_ids
 from xcg.scene.box import domain_of
@@ -27,6 +27,7 @@ from xcg.scene.frame import measure_frames, measured_variables
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, periodic_axes
+from xcg.scene.times import times_given
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS
 
@@ -53,6 +54,8 @@ class Listing:
         Steps of the scene, each with its contacts.
     left_out : dict
         Causes of faults that were tolerated, by their place.
+    start : str or None
+        Date from which times count (ISO 8601), where files or arguments hold dates.
     once : Once
         Warnings about steps, each given once.
     """
@@ -63,6 +66,7 @@ class Listing:
     refs: Mapping[str, list[StepRef]]
     steps: Sequence[Step]
     left_out: dict[Any, str]
+    start: str | None = None
     once: Once = field(default_factory=Once)
 
     @property
@@ -104,20 +108,27 @@ def list_series(arguments: Arguments) -> Listing:
         refs = index_files(
             reader, files, options, [what for what, given in may_differ.items() if given is None]
         )
+        time_unit = 1.0
+        if arguments.units is not None:
+            time_unit = Setup.make(units=arguments.units).scales[2]
+        refs, start = from_first_date(refs, time_unit)
+        times = arguments.times
+        if times is not None:
+            times, start = times_given(times, "times=", time_unit)
         missing = arguments.missing
         if left_out and missing == "empty":
             _check_contacts_are_known(left_out, files)
         if left_out and missing == "raise":
             missing = "skip"
         named_alone = all([str(paths)] == files[kind] for kind, paths in arguments.paths.items())
-        steps = pair_steps(reader, options, refs, arguments.times, missing, together=named_alone)
+        steps = pair_steps(reader, options, refs, times, missing, together=named_alone)
     if arguments.wall_columns:
         steps = [_with_wall_columns(step, reader, options) for step in steps]
     if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
         steps = [
             replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)
         ]
-    return Listing(reader, options, files, refs, steps, left_out)
+    return Listing(reader, options, files, refs, steps, left_out, start)
 
 
 def _with_wall_columns(step: Step, reader: Engine, options: ReadOptions) -> Step:
@@ -363,6 +374,8 @@ def with_origin(
     attrs = origin_of(listing.reader, listing.files, listing.options, listing.steps)
     if arguments.units is None and listing.units_are_assumed:
         attrs["assumed_units"] = "SI"
+    if listing.start:
+        attrs["start"] = listing.start
     if listing.left_out:
         attrs["skipped_files"] = "\n".join(listing.skipped)
     if arguments.wall_columns:

@@ -33,6 +33,7 @@ from xcg.scene.schema import (
     units_in,
     variable,
 )
+from xcg.scene.times import times_given
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
@@ -295,7 +296,9 @@ def scene_from_arrays(
     if step is not None:
         numbers = _one_for_each("step", np.atleast_1d(step), total)
     times = None
+    start = None
     if time is not None:
+        time, start = times_given(time, "time=", setup.scales[2])
         seconds = np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
         times = _one_for_each("time", seconds, total)
     rising = numbers if times is None else times
@@ -312,7 +315,10 @@ def scene_from_arrays(
             check_motion(particles[0], particles[1], float(times[1] - times[0]), lattices[0])
     measured = measure_frames(particles)
     arrays = _stacked(particles, "particle_id") | _stacked(contacts, "contact_i")
-    return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
+    scene = to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
+    if start:
+        scene = scene.assign_attrs(start=start)
+    return scene
 
 
 def _sources(total: int) -> list[str]:

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign
@@ -31,6 +31,7 @@ from xcg.readers.files.text import first_lines
 from xcg.readers.names import CLOCK_SLOTS, columns_by_name, factor_of, resembling_clock
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
+from xcg.scene.times import read_times, without_noise
 
 _POSITION = ("position_x", "position_y")
 _ENDS = ("contact_i", "contact_j")
@@ -57,13 +58,13 @@ class Table(Columnar):
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
-        clock = {name: target for name, target in options.names.items() if target in CLOCK_SLOTS}
+        given = dict(options.names)
         kind = "contacts" if contacts else "particles"
         in_order = enumerate(options.columns.get(kind, ()))
         names = [name or f"column {k}" for k, name in in_order]
         convert = "units" not in options.given
-        scan = partial(_steps, given=clock, in_order=names, convert=convert)
-        key = f"table {clock} {names} {convert}"
+        scan = partial(_steps, given=given, in_order=names, convert=convert)
+        key = f"table {given} {names} {convert}"
         refs = index_steps(paths, key, scan, options.extra.get("timestep"))
         if refs:
             warn_of_unread_clock(refs[0], options)
@@ -140,8 +141,9 @@ def _steps(
     table = scan(path, lambda names: clock_of(names, given))
     columns = clock_of(table.columns, given)
     clock = {slot: table.clock[name] for slot, name in columns.items()}
-    if convert and "time" in clock:
-        clock["time"] = clock["time"] * factor_of(columns["time"], "time")
+    start = None
+    if "time" in clock:
+        clock["time"], start = read_clock(clock["time"], columns["time"], path, convert=convert)
     for first, stop in runs_of(clock, table.rows, path):
         offset, length = table.place(first, stop)
         ref = StepRef(
@@ -154,10 +156,28 @@ def _steps(
             kind=table.kind,
         )
         if "time" in clock:
-            ref = replace(ref, time=float(clock["time"][first]))
+            ref = replace(ref, time=float(clock["time"][first]), start=start)
         if "step" in clock:
             ref = replace(ref, step=int(clock["step"][first]))
         yield ref
+
+
+def read_clock(
+    values: ArrayLike, column: str, source: str, *, convert: bool
+) -> tuple[NDArray, str | None]:
+    """Return the times of a column without rounding noise, and what they count from; see `read_times`.
+
+    `convert`: whether numbers are converted to s by the unit in the name of the column.
+    """
+    try:
+        times, start = read_times(values, f"{source}: column {column!r}")
+    except SceneError as error:
+        raise SceneError(f"{error}; if it holds no times, names={{{column!r}: None}}") from None
+    if convert and start is None:
+        times = times * factor_of(column, "time")
+    if np.isfinite(times).all():
+        times = without_noise(times)
+    return times, start
 
 
 def check_clock(clock: Mapping[str, NDArray], path: str) -> None:

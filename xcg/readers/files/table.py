@@ -38,6 +38,9 @@ _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
 _QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold several together
+_BLANKS_OF_CELLS = re.compile(rb"(?<=[^\s,;]) +(?=[^\s,;])")
+_BLANKS_OF_DATES = re.compile(rb"(?<=\d{4}[-/]\d\d[-/]\d\d) +(?=\d\d:\d\d)")
+_DATE = re.compile(rb"[\"']?\d{4}[-/]\d\d[-/]\d\d(?!\d)")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -292,7 +295,7 @@ class TableIndex:
     rows : int
         Number of rows.
     clock : mapping
-        Columns of times and numbers of steps.
+        Columns of times and numbers of steps; texts or objects where these are no numbers.
     starts : array (rows + 1,), optional
         Byte where each row begins, and where the last one ends; unknown of Parquet.
     kind : str
@@ -327,12 +330,14 @@ def scan_csv(
     Raises
     ------
     SceneError
-        If the first line names no columns, or one of them twice, or a time is not a number.
+        If the first line names no columns, or one of them twice.
     """
     with scanned(path) as scanner:
         if in_order:
             _comments(scanner)
             first = scanner.sample(PIECE).partition(b"\n")[0] + b"\n"
+            separator = _separator_of(first.decode("utf-8-sig", "replace"))
+            first = b"".join(_joined_words([first], separator, len(in_order)))
         else:
             first = _header_line(scanner)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
@@ -356,11 +361,21 @@ def scan_csv(
                 f"{why}{way_out}"
             )
         found = [np.array([scanner.offset])]
-        pieces = _pieces(scanner, found)
+        pieces = _joined_words(_pieces(scanner, found), separator, len(names))
         wanted = sorted(set(clock_of(names).values()))
         clock: Columns = {}
         if wanted:
-            clock = parse_table(pieces, names, wanted, None, path, separator=separator)
+            row = next(pieces, b"")
+            pieces = chain([row], pieces)
+            values = dict(zip(names, _words(row.lstrip(), separator), strict=False))
+            numeric = [name for name in wanted if not _is_date(values.get(name, b""))]
+            if len(numeric) < len(wanted):
+                body = b"".join(pieces)
+                pieces = iter([body])
+                texts = [name for name in wanted if name not in numeric]
+                clock |= _texts(body, names, texts, separator, path)
+            if numeric:
+                clock |= parse_table(pieces, names, numeric, None, path, separator=separator)
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
     end_of_line = 2 if first.endswith(b"\r\n") else 1
@@ -379,8 +394,8 @@ def _header_line(scanner: Scanner) -> bytes:
     """
     comments = _comments(scanner)
     below = scanner.sample(_LONGEST_ROW)
-    first = _cells(below.partition(b"\n")[0])
-    if below.strip() and not all(math.isfinite(_number(cell)) for cell in first):
+    first = _cells(_BLANKS_OF_DATES.sub(b"_", below.partition(b"\n")[0]))
+    if below.strip() and not all(map(_is_value, first)):
         header = scanner.line()
         _comments(scanner)
         return header
@@ -427,13 +442,14 @@ def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
     with scanned(path) as scanner:
         header = _header_line(scanner).decode("utf-8-sig", "replace").lstrip("#").strip()
         separator, names = split_header(header)
-        row = scanner.line().decode("utf-8", "replace").strip()
-        return names, row.split(None if separator == " " else separator)
+        row = b"".join(_joined_words([scanner.line()], separator, len(names)))
+        words = row.decode("utf-8", "replace").strip()
+        return names, words.split(None if separator == " " else separator)
 
 
 def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     """Return what stands between the names of columns in a line, and the names."""
-    separator = next((mark for mark in _SEPARATORS if mark in line), " ")
+    separator = _separator_of(line)
     if separator == " ":
         words = [word.decode() for word in _QUOTED.findall(line.encode())]
     else:
@@ -441,6 +457,67 @@ def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
         del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
+
+
+def _separator_of(line: str) -> str:
+    """Return what stands between the values of a line."""
+    return next((mark for mark in _SEPARATORS if mark in line), " ")
+
+
+def _words(text: bytes, separator: str) -> list[bytes]:
+    """Return the values of the first line of a text, where blanks are separators, too."""
+    return text.partition(b"\n")[0].replace(separator.encode(), b" ").split()
+
+
+def _is_date(word: bytes) -> bool:
+    """Return whether a word may be a date or a duration: it holds digits and is no number."""
+    is_number = not math.isnan(_number(word)) or _DECIMAL_COMMA.fullmatch(word.decode("latin-1"))
+    return not is_number and any(byte in b"0123456789" for byte in word)
+
+
+def _is_value(cell: bytes) -> bool:
+    """Return whether a cell is a finite number or a date."""
+    return math.isfinite(_number(cell)) or _DATE.match(cell) is not None
+
+
+def _joined_words(pieces: Iterable[bytes], separator: str, columns: int) -> Iterator[bytes]:
+    """Yield the pieces of a table with underscores in place of blanks within cells, such as dates.
+
+    Only where the first row has more words than columns. Of tables with blanks between columns, the
+    blanks between dates and the time of the day count.
+    """
+    blanks = _BLANKS_OF_CELLS
+    if separator.isspace():
+        blanks = _BLANKS_OF_DATES
+    begun: bytes | None = None
+    for piece in pieces:
+        if begun is None:
+            if len(_words(piece.lstrip(), separator)) <= columns:
+                yield piece
+                yield from pieces
+                return
+            begun = b""
+        end = piece.rfind(b"\n") + 1
+        yield blanks.sub(lambda match: b"_" * len(match[0]), begun + piece[:end])
+        begun = piece[end:]
+    if begun:
+        yield blanks.sub(lambda match: b"_" * len(match[0]), begun)
+
+
+def _texts(
+    body: bytes, columns: Sequence[str], wanted: Sequence[str], separator: str, path: str
+) -> Columns:
+    """Return columns of dates or durations as texts."""
+    places = [columns.index(name) for name in wanted]
+    rows = []
+    for row, line in enumerate(_lines(body, separator)):
+        words = line.split()
+        if len(words) != len(columns):
+            fault = _fault(line, columns, (), last=False)
+            raise SceneError(f"{path}: row {row} {fault}")
+        rows.append([words[place].decode("utf-8", "replace").strip("\"'") for place in places])
+    values = np.array(rows, object).reshape(len(rows), len(wanted))
+    return dict(zip(wanted, values.T, strict=True))
 
 
 def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
@@ -464,10 +541,11 @@ def _counted(pieces: Iterable[bytes], sign: str, found: list[int]) -> Iterator[b
 
 def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> Columns:
     """Read columns of one step."""
+    body = _joined_words(body_of(ref), ref.kind, len(ref.columns))
     if ref.kind.isspace():
-        return read_table(ref, wanted, ref.rows, options)
+        return read_table(ref, wanted, ref.rows, options, body)
     separators = list[int]()
-    body = _counted(body_of(ref), ref.kind, separators)
+    body = _counted(body, ref.kind, separators)
     table = read_table(ref, wanted, ref.rows, options, body, ref.kind)
     # as many values as columns, but more separators: cells are empty, and values may stand in other
     # columns
@@ -515,7 +593,7 @@ def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str
             raise SceneError(
                 f"{path}: {table.num_rows} rows, but its metadata promise {rows}; the file is damaged"
             )
-        return TableIndex(names, rows, {name: _numbers(table, name, path) for name in wanted})
+        return TableIndex(names, rows, {name: _clock(table, name, path) for name in wanted})
 
 
 def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
@@ -535,6 +613,14 @@ def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> d
                 f"{source_of(ref)}: {table.num_rows} rows, but its metadata promise {ref.rows}; the file is damaged"
             )
         return {name: _numbers(table, name, source_of(ref)) for name in wanted}
+
+
+def _clock(table: Any, name: str, source: str) -> Any:
+    """Return a column of times or steps; dates, durations and texts as pandas has them."""
+    column = table.column(name).to_pandas()
+    if column.dtype.kind in "iufb":
+        return _numbers(table, name, source)
+    return column
 
 
 def _numbers(table: Any, name: str, source: str) -> NDArray:
