@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import beta
 
 from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
 from xcg.common.messages import SceneError, warn_once
@@ -19,6 +18,7 @@ from xcg.scene.description import Description
 from xcg.scene.frame import require_times
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
+from xcg.scene.superquadrics import superquadric_integrals
 from xcg.steps.analysis import FrameAnalysis, Step, run
 
 
@@ -170,7 +170,7 @@ def derive_superquadric(
     variables = {name: ds[name].drop_attrs(deep=False) for name in required}
     a, b, c = (variables[name] for name in axes)
     n1, n2 = (variables.get(power, power) for power in powers)
-    volume, square_x, square_z = _moments(n1, n2)
+    volume, square_x, square_z = superquadric_integrals(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}
     if keeps_mass:
@@ -200,17 +200,6 @@ def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
     """Return components x, y and z as one vector."""
     return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(
         *parts[0].dims, "component"
-    )
-
-
-def _moments(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
-    """Volume over abc, and the integrals of x^2 over a^3bc and of z^2 over abc^3, of superquadrics."""
-    e1 = 2.0 / n1
-    e2 = 2.0 / n2
-    return (
-        2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2),
-        0.5 * e1 * e2 * beta(1.5 * e2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1),
-        2 * e1 * e2 * beta(e2 / 2, e2 / 2 + 1) * beta(1.5 * e1, e1 + 1),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common import memory
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_once
 from xcg.readers.assigned import (
     CONTACT_VECTORS,
     PARTICLE_VECTORS,
@@ -45,6 +45,7 @@ _SIZES = (
     ("diameter", "radius", 2.0),
     *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS),
 )
+_OF_SPHERES = 1e-2  # relative difference of volumes
 _ROUNDED = 1e-4  # dumps of LAMMPS have six digits
 
 
@@ -215,6 +216,22 @@ class Columnar(Engine):
             names.append("contact_normal")
         return names
 
+    def explained(self, ref: StepRef, options: ReadOptions, lengths: Sequence[str]) -> list[str]:
+        """Return unread columns that follow from others: radii of the volumes, or distances of the positions."""
+        read = self.particle_columns(ref, options)
+        places = [read[f"position_{axis}"] for axis in axes_of(read, "position")]
+        if "volume" not in read or not lengths:
+            return []
+        table = self.read_columns(ref, [read["volume"], *places, *lengths], ref.rows, options)
+        radius = np.cbrt(0.75 / np.pi * table[read["volume"]])
+        squares = [table[column] ** 2 for column in places]
+        known = [radius, 2 * radius, np.sqrt(sum(squares)), np.sqrt(sum(squares[:2]))]
+        return [
+            column
+            for column in lengths
+            if any(np.allclose(table[column], values, _OF_SPHERES) for values in known)
+        ]
+
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
         """Return the slot of each column that is read."""
         columns_of = self.contact_columns if contacts else self.particle_columns
@@ -233,7 +250,7 @@ class Columnar(Engine):
         for slot in ("position", "unwrapped_position", "image", "velocity", "angular_velocity"):
             if axes_of(values, slot) and slot not in frame:
                 frame[slot] = _stacked(values, slot)
-        unify_sizes(frame, ref)
+        unify_sizes(frame, ref, options)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
         for name, array in frame.items():
@@ -298,8 +315,14 @@ def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
     return {slot: column for slot, column in filled.items() if not slot.startswith(tuple(unused))}
 
 
-def unify_sizes(frame: Frame, ref: StepRef) -> None:
-    """Replace radii by diameters, and whole axes by half-axes. Raise SceneError if both are there and disagree."""
+def unify_sizes(frame: Frame, ref: StepRef, options: ReadOptions) -> None:
+    """Replace radii by diameters, and whole axes by half-axes; drop volumes that are not those of spheres.
+
+    Raises
+    ------
+    SceneError
+        If both are there and disagree.
+    """
     for name, other, factor in _SIZES:
         if other not in frame:
             continue
@@ -314,6 +337,33 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
                 f"{source_of(ref)}: {name} {frame[name][row]:.6g} of row {row} is not {factor:g} times {other} "
                 f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
             )
+    if {"diameter", "volume"} <= set(frame) and "half_axis_x" not in frame:
+        _check_volumes(frame, ref, options)
+
+
+def _check_volumes(frame: Frame, ref: StepRef, options: ReadOptions) -> None:
+    """Drop volumes that differ from those of spheres of the same diameters, with a warning, and keep those of masses.
+
+    They are of Voronoi cells, or areas. What the caller maps, or says about the shape, counts.
+    """
+    if "shape" in options.given or "volume" in options.names.values():
+        return
+    of_spheres = np.pi / 6 * frame["diameter"] ** 3
+    same = np.isclose(frame["volume"], of_spheres, _OF_SPHERES, 0, equal_nan=True)
+    if same.all():
+        return
+    if {"mass", "density"} <= set(frame):
+        of_masses = frame["mass"] / frame["density"]
+        if np.isclose(frame["volume"], of_masses, _OF_SPHERES, 0, equal_nan=True).all():
+            return
+    row = int(np.argmin(same))
+    warn_once(
+        "volumes",
+        f"{source_of(ref)}: the volume {frame['volume'][row]:.6g} of row {row} is not that of a sphere of its diameter "
+        f"{frame['diameter'][row]:.6g} ({of_spheres[row]:.6g}), as of Voronoi cells or discs: spheres are taken; map "
+        "the column, names={'volume': 'volume'}, if it is the volume of the grain, or drop it by None",
+    )
+    del frame["volume"]
 
 
 def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: StepRef) -> None:

@@ -326,6 +326,12 @@ class Engine(ABC):
         """Length of the period along some axes from the contacts of a step, where files lack it."""
         return {}
 
+    def explained(
+        self, ref: StepRef, options: ReadOptions, lengths: Sequence[str]
+    ) -> Sequence[str]:
+        """Return unread columns of lengths that follow from others; none by default."""
+        return ()
+
     def columns_read(
         self, ref: StepRef, options: ReadOptions, *, contacts: bool
     ) -> dict[str, str] | None:

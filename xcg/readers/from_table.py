@@ -244,9 +244,13 @@ def _with_vectors(
 
 def _table(rows: Any) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
+    if not isinstance(rows, pd.DataFrame) and hasattr(rows, "to_pandas"):
+        rows = rows.to_pandas()  # of pyarrow
     table = pd.DataFrame(rows)
     if any(table.index.names):
         table = table.reset_index()
+    if table.columns.nlevels > 1:  # ("position", "x") is position_x, and ("radius", "") radius
+        table.columns = ["_".join(filter(None, map(str, levels))) for levels in table.columns]
     return table.rename(columns=str)
 
 

@@ -139,12 +139,12 @@ PARTICLES: Mapping[str, Names] = {
     "diameter": Names(
         "diameter, diameters, diam, dia, particle diameter",
         "diam* dia d dp size",
-        "radius volume half_axis whole_axis",
+        "radius half_axis whole_axis",
     ),
     "radius": Names(
         "radius, radii, rad, particle radius",
         "radi* rad r rp",
-        "diameter volume half_axis whole_axis",
+        "diameter half_axis whole_axis",
     ),
     "density": Names(
         "density, rho, ρ, particle density, material density, rho p", "dens* rho rhop", "mass"

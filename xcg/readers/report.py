@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 from xcg.common.messages import SceneError, printable, warn_user
@@ -218,6 +218,14 @@ def warn_of_columns(
     """Warn of what is not understood in the header of a step: its columns, and other words."""
     report = Report.of(engine, ref, options, contacts=contacts, known=known)
     if report is not None:
+        if "volume" in report.read.values() and not contacts:
+            sizes = [
+                name for name, meant in report.likely().items() if meant in ("radius", "diameter")
+            ]
+            explained = engine.explained(ref, options, sizes)
+            report = replace(
+                report, unread=tuple(name for name in report.unread if name not in explained)
+            )
         report.warn()
         if "units" not in options.given:
             report.warn_of_unknown_units()

@@ -15,7 +15,7 @@ from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import without_repeats
 from xcg.scene.rows import rows_of, unit_vectors
-from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variable
+from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, Setup, powers_of, variable
 from xcg.scene.spheres import (
     SAME_BRANCH,
     SphereContacts,
@@ -23,6 +23,7 @@ from xcg.scene.spheres import (
     nearest_branches,
     warn_of_coincident,
 )
+from xcg.scene.superquadrics import superquadric_integrals
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
@@ -315,6 +316,23 @@ def _diameter_of(volume: NDArray, setup: Setup) -> NDArray:
     return np.cbrt(6 / np.pi * volume)
 
 
+_SUPERQUADRIC = {"exponent_1", "exponent_2", *(f"half_axis_{axis}" for axis in COMPONENTS)}
+
+
+def _volume_from_shape(frame: Frame, setup: Setup) -> NDArray | None:
+    """Return the volume of grains that follows from their axes, diameters, or masses; None if it does not."""
+    if set(frame) >= _SUPERQUADRIC:  # the diameter is that of a sphere around it
+        volume, _, _ = superquadric_integrals(frame["exponent_1"], frame["exponent_2"])
+        for axis in COMPONENTS:
+            volume = volume * frame[f"half_axis_{axis}"]
+        return np.asarray(volume)
+    if "diameter" in frame:
+        return _volume_of(frame["diameter"], setup)
+    if {"mass", "density"} <= set(frame):
+        return frame["mass"] / frame["density"]
+    return None
+
+
 def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     count = len(frame["position"])
     if setup.diameter is not None and not {"diameter", "volume"} & set(frame):
@@ -322,10 +340,9 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
     if setup.mass is not None and "mass" not in frame:
         frame["mass"] = np.full(count, float(setup.mass))
     if "volume" not in frame:
-        if "diameter" in frame:
-            frame["volume"] = _volume_of(frame["diameter"], setup)
-        elif {"mass", "density"} <= set(frame):
-            frame["volume"] = frame["mass"] / frame["density"]
+        volume = _volume_from_shape(frame, setup)
+        if volume is not None:
+            frame["volume"] = volume
     if "diameter" not in frame and "volume" in frame:
         frame["diameter"] = _diameter_of(frame["volume"], setup)
     if "density" not in frame and "mass" not in frame and setup.density is not None:

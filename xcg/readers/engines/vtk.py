@@ -233,9 +233,12 @@ class Vtk(Engine):
                         "three components; drop them by names={'...': None}"
                     )
                 frame.setdefault(vector, np.stack([*parts.values()], axis=1))
+        inertia = frame.get("moment_of_inertia", np.empty(0))
+        if inertia.ndim > 1 and "moment_of_inertia" not in options.names.values():
+            del frame["moment_of_inertia"]  # a tensor, or its principal values
         if "image" in frame and frame["image"].ndim == 1 and "image" not in options.names.values():
             del frame["image"]  # a number named "i" is something else
-        unify_sizes(frame, ref)
+        unify_sizes(frame, ref, options)
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from xcg.common.messages import SceneError
 
@@ -45,8 +45,31 @@ def opened(path: str) -> Iterator[h5py.File]:
         ) from None
 
 
+class RecordField:
+    """One field of a dataset of records, as a dataset of its own."""
+
+    def __init__(self, records: h5py.Dataset, field: str) -> None:
+        self._records = records
+        self._field = field
+        kind = records.dtype[field]
+        self.shape = (*records.shape, *kind.shape)
+        self.ndim = len(self.shape)
+        self.dtype = kind.base
+        self.nbytes = records.nbytes
+        self.name = f"{records.name}/{field}"
+        self.id = records.id
+        self.attrs = records.attrs
+
+    def __getitem__(self, selection: Any) -> Any:
+        """Read some of the values."""
+        of_rows = selection if isinstance(selection, tuple) else (selection,)
+        count = self._records.ndim
+        values = self._records.fields(self._field)[of_rows[:count]]
+        return values[(..., *of_rows[count:])]
+
+
 def dataset(file: h5py.File, path: str) -> h5py.Dataset:
-    """Return a dataset of numbers.
+    """Return a dataset of numbers, or a field of records, such as ``/table/x``.
 
     Raises
     ------
@@ -57,7 +80,11 @@ def dataset(file: h5py.File, path: str) -> h5py.Dataset:
     import h5py
 
     data = file.get(path)
-    if not isinstance(data, h5py.Dataset):
+    place, _, field = path.rpartition("/")
+    records = file.get(place) if place and data is None else None
+    if isinstance(records, h5py.Dataset) and field in (records.dtype.names or ()):
+        data = RecordField(records, field)
+    elif not isinstance(data, h5py.Dataset):
         parent = path
         while parent and parent not in file:
             parent = parent.rpartition("/")[0]
@@ -65,7 +92,14 @@ def dataset(file: h5py.File, path: str) -> h5py.Dataset:
         members = "no others"
         if isinstance(file[parent], h5py.Group) and len(file[parent]):
             members = ", ".join(list(file[parent])[:_SHOWN])
+        elif isinstance(file[parent], h5py.Dataset) and file[parent].dtype.names:
+            members = f"records with the fields {', '.join(file[parent].dtype.names)}"
         raise SceneError(f"{file.filename}: no dataset {path!r}; {parent!r} holds {members}")
+    if data.dtype.names:
+        raise SceneError(
+            f"{file.filename}: {path!r} holds records; name one of their fields in mapping=, such as "
+            f"{path + '/' + data.dtype.names[0]!r} ({', '.join(data.dtype.names)})"
+        )
     if data.dtype.kind not in "fiub":
         raise SceneError(f"{file.filename}: {path!r} holds {data.dtype}, expected numbers")
     stored = data.id.get_storage_size()

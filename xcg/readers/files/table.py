@@ -37,6 +37,8 @@ _LEFT = 1024  # words of a block that are read by Python at a time
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
+_MOST_TEXT = 1000  # lines in which the names of columns are looked for, below a text
+_FEWEST_NAMES = 3
 _QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold several together
 _BLANKS_OF_CELLS = re.compile(rb"(?<=[^\s,;]) +(?=[^\s,;])")
 _BLANKS_OF_DATES = re.compile(rb"(?<=\d{4}[-/]\d\d[-/]\d\d) +(?=\d\d:\d\d)")
@@ -360,6 +362,7 @@ def scan_csv(
                 f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found "
                 f"{why}{way_out}"
             )
+        _refuse_block(path, first, scanner.sample(PIECE))
         found = [np.array([scanner.offset])]
         pieces = _joined_words(_pieces(scanner, found), separator, len(names))
         wanted = sorted(set(clock_of(names).values()))
@@ -401,6 +404,35 @@ def _header_line(scanner: Scanner) -> bytes:
         return header
     names = [line for line in comments if len(_cells(line)) == len(first)]
     return (names or comments or [scanner.line()])[-1]
+
+
+def _refuse_block(path: str, first: bytes, below: bytes) -> None:
+    """Raise SceneError where the first line begins a block of text, and a line below names the columns."""
+    lines = [first, *below.split(b"\n")[:_MOST_TEXT]]
+    rows = [_cells(line) for line in lines]
+    texts = [sum(math.isnan(_number(cell)) for cell in row) for row in rows]
+    if len(lines) < 2 or texts[1] < len(rows[1]) or not b"".join(rows[1]):
+        return  # a row of numbers follows, or nothing
+    for k in range(1, len(rows) - 1):
+        names_all = len(rows[k]) == texts[k] >= _FEWEST_NAMES
+        if names_all and len(rows[k + 1]) == len(rows[k]) and not texts[k + 1]:
+            named = b", ".join(rows[k]).decode("utf-8", "replace")
+            shown = first.decode("utf-8", "replace").strip()[:40]
+            raise SceneError(
+                f"{path}: line {k + 1} names the columns ({named[:80]}), below a text that begins with {shown!r}; "
+                f"write '#' before the lines above, or read it by xcg.scene_from_table(pandas.read_csv({path!r}, "
+                f"skiprows={k}, nrows={_rows_below(rows, texts, k)})), one step at a time"
+            )
+
+
+def _rows_below(rows: Sequence[Sequence[bytes]], texts: Sequence[int], names: int) -> int:
+    """Count the rows of numbers below a line of names."""
+    count = 0
+    for row, text in zip(rows[names + 1 :], texts[names + 1 :], strict=True):
+        if text or len(row) != len(rows[names]):
+            break
+        count += 1
+    return count
 
 
 def _comments(scanner: Scanner) -> list[bytes]:

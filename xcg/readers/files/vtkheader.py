@@ -18,6 +18,7 @@ from xcg.readers.files.vtkdata import DataError, VtkEncoding, parse_text, read_b
 from xcg.scene.schema import Frame
 
 MOST_COMPONENTS = 100
+LINE = 3  # of VTK's types of cells
 LAST_LINE = 4  # of VTK's types of cells: vertices and lines come first, then those of an extent
 OF_CELLS = " (of cells)"  # follows the names of arrays that belong to no single point
 TIMES = ("timevalue", "time")  # names of the time among the arrays of a file, in lower case

@@ -21,6 +21,8 @@ from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
 from xcg.readers.files.vtkdata import COMPRESSORS, VtkEncoding
 from xcg.readers.files.vtkheader import (
+    LAST_LINE,
+    LINE,
     MOST_COMPONENTS,
     TIMES,
     TYPES,
@@ -212,7 +214,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         )
     form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
     file = _File(path, form, body, size, encoding)
-    of_lines = lines and len(parts) == 1 and _has_lines(parts[0], path)
+    of_lines = lines and len(parts) == 1 and _has_lines(file, parts[0])
     pieces = [_piece(file, part, of_lines=of_lines) for part in parts]
     meshes = [_mesh_of(file, part) for part in parts]
     header = Header(
@@ -260,7 +262,8 @@ def _piece(file: _File, xml: _Xml, *, of_lines: bool) -> Piece:
     """Describe the points of a piece, or its lines."""
     of_cells = [_array(element, file, xml) for element in xml.arrays("CellData")]
     if of_lines:
-        return Piece(_count(file.path, xml, "Lines"), tuple(of_cells))
+        rows = _count(file.path, xml, "Lines") or _count(file.path, xml, "Cells")
+        return Piece(rows, tuple(of_cells))
     rows = _count(file.path, xml, "Points")
     tags = [*xml.arrays("Points"), *xml.arrays("PointData")]
     arrays = [_array(element, file, xml) for element in tags]
@@ -321,11 +324,16 @@ def _count(path: str, piece: _Xml, what: str) -> int:
     return _whole(counts.get(f"NumberOf{what}"), f"NumberOf{what}", path)
 
 
-def _has_lines(piece: _Xml, path: str) -> bool:
+def _has_lines(file: _File, piece: _Xml) -> bool:
     """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
     if not piece.arrays("CellData"):
         return False
-    return are_lines(path, [kind for kind in _CELLS if _count(path, piece, kind)])
+    kinds = [kind for kind in _CELLS if _count(file.path, piece, kind)]
+    tags = piece.arrays("Cells", "types")
+    if kinds == ["Cells"] and tags:  # of an unstructured grid
+        types = _values(file, _array(tags[0], file, piece), _count(file.path, piece, "Cells"))
+        return bool((types == LAST_LINE).all() or (types == LINE).all())
+    return are_lines(file.path, kinds)
 
 
 def _numbers(text: bytes) -> tuple[float, ...]:
