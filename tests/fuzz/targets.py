@@ -19,7 +19,7 @@ from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
 
 import xcg
 from tests import ROOT, dumps, real_data
-from tests.fuzz import names
+from tests.fuzz import names, unsaid
 from tests.fuzz.mutators import mutate
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.readers.engines.test_mfix import (
@@ -545,6 +545,7 @@ TARGETS = {
     "edem": Target(_edem, _use_edem),
     "text": Target(_text, _use_text),
     "names": Target(names.seeds, names.use, damage=names.damage),
+    "unsaid": Target(unsaid.seeds, unsaid.use, damage=unsaid.damage),
     "vtu": Target(_vtu, _use_vtu),
     "legacy_vtk": Target(_legacy, _use_each("*.vtk")),
     "parallel_vtk": Target(_parallel, _use_parallel),

@@ -86,7 +86,7 @@ def test_a_count_beyond_the_file_raises(tmp_path):
 
 
 def test_a_step_beyond_int64_raises(tmp_path):
-    assert "expected a number" in refused(
+    assert "expected a whole number" in refused(
         "lammps", tmp_path, p_dump=(b"TIMESTEP\n0", b"TIMESTEP\n" + b"9" * 30)
     )
 

@@ -10,7 +10,9 @@ from functools import lru_cache
 from xcg.scene.schema import Powers
 
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*)[\])]\s*$", re.DOTALL)
-_SUFFIX = re.compile(r"^(.+?)_([A-Za-zµμ][\w^/-]*)$")  # x_mm, vx_mm_s
+_SUFFIX = re.compile(  # x_mm, vx_mm_s, rho_kg_m3
+    r"^(.+?)_([A-Za-zµμ][A-Za-z0-9µμ^/-]*(?:_(?:s|min|h|c?m[23]))?)$"
+)
 _FACTOR = re.compile(r"([A-Za-zµμ°]+)(-?\d)?")
 _PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 _WITH_PREFIX: dict[str, tuple[float, Powers]] = {

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common import memory
-from xcg.common.messages import SceneError, warn_once
+from xcg.common.messages import SceneError
 from xcg.readers.assigned import (
     CONTACT_VECTORS,
     PARTICLE_VECTORS,
@@ -30,9 +30,11 @@ from xcg.readers.names import (
     CONTACT_SLOTS,
     PARTICLE_SLOTS,
     Slots,
+    canonical,
     components,
     factor_of,
     slots_for,
+    vector_of,
     words_of,
 )
 from xcg.readers.report import warn_of_lost_motion, warn_of_missing_height
@@ -45,7 +47,8 @@ _SIZES = (
     ("diameter", "radius", 2.0),
     *((f"half_axis_{axis}", f"whole_axis_{axis}", 0.5) for axis in COMPONENTS),
 )
-_OF_SPHERES = 1e-2  # relative difference of volumes
+_EXPLAINED = 1e-2  # relative difference of lengths that one follows from the other
+_SHORT = 3  # letters of a name whose last one may be an axis
 _ROUNDED = 1e-4  # dumps of LAMMPS have six digits
 
 
@@ -127,7 +130,7 @@ class Columnar(Engine):
         present = {axis for slot in ("position", "scaled") for axis in axes_of(filled, slot)}
         for axis in COMPONENTS:
             # in a plane, nothing is along the third axis
-            if axis not in present and (len(present) < 2 or self._tells_of(axis, filled, ref)):
+            if axis not in present and (len(present) < 2 or _tells_of(axis, filled, ref, options)):
                 raise lacks(ref, f"{axis} of the position", f"position_{axis}")
         for axis in sorted(present):
             moving = [filled[f"velocity_{other}"] for other in axes_of(filled, "velocity")]
@@ -147,14 +150,6 @@ class Columnar(Engine):
             unwanted = (*unwanted, "angular_velocity")
         read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
         return read | own_variables(ref, options, "particle")
-
-    @staticmethod
-    def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef) -> bool:
-        """Return whether columns show that positions have a component along an axis."""
-        unread = [column for column in ref.columns if column not in filled.values()]
-        return axis != "z" and (
-            f"velocity_{axis}" in filled or any(axis in words_of(column) for column in unread)
-        )
 
     def contact_slots(self, ref: StepRef, options: ReadOptions) -> Slots:
         """Return the columns that are taken for variables of contacts, where they depend on the file."""
@@ -181,7 +176,7 @@ class Columnar(Engine):
             unused.append("contact_force")  # it is something else
         for slot in unused:
             axes[slot] = []
-        in_plane = _plane_of_contacts(axes, ref, filled)
+        in_plane = _plane_of_contacts(axes, filled, ref, options)
         for slot, present in axes.items():
             if 0 < len(present) < 3 and present != in_plane:
                 raise _lacks_an_axis(ref, slot, present)
@@ -229,7 +224,7 @@ class Columnar(Engine):
         return [
             column
             for column in lengths
-            if any(np.allclose(table[column], values, _OF_SPHERES) for values in known)
+            if any(np.allclose(table[column], values, _EXPLAINED) for values in known)
         ]
 
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
@@ -250,7 +245,7 @@ class Columnar(Engine):
         for slot in ("position", "unwrapped_position", "image", "velocity", "angular_velocity"):
             if axes_of(values, slot) and slot not in frame:
                 frame[slot] = _stacked(values, slot)
-        unify_sizes(frame, ref, options)
+        unify_sizes(frame, ref)
         if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
             frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
         for name, array in frame.items():
@@ -315,8 +310,8 @@ def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
     return {slot: column for slot, column in filled.items() if not slot.startswith(tuple(unused))}
 
 
-def unify_sizes(frame: Frame, ref: StepRef, options: ReadOptions) -> None:
-    """Replace radii by diameters, and whole axes by half-axes; drop volumes that are not those of spheres.
+def unify_sizes(frame: Frame, ref: StepRef) -> None:
+    """Replace radii by diameters, and whole axes by half-axes.
 
     Raises
     ------
@@ -337,33 +332,6 @@ def unify_sizes(frame: Frame, ref: StepRef, options: ReadOptions) -> None:
                 f"{source_of(ref)}: {name} {frame[name][row]:.6g} of row {row} is not {factor:g} times {other} "
                 f"{values[row] / factor:.6g}; drop one of the two, names={{'column': None}}"
             )
-    if {"diameter", "volume"} <= set(frame) and "half_axis_x" not in frame:
-        _check_volumes(frame, ref, options)
-
-
-def _check_volumes(frame: Frame, ref: StepRef, options: ReadOptions) -> None:
-    """Drop volumes that differ from those of spheres of the same diameters, with a warning, and keep those of masses.
-
-    They are of Voronoi cells, or areas. What the caller maps, or says about the shape, counts.
-    """
-    if "shape" in options.given or "volume" in options.names.values():
-        return
-    of_spheres = np.pi / 6 * frame["diameter"] ** 3
-    same = np.isclose(frame["volume"], of_spheres, _OF_SPHERES, 0, equal_nan=True)
-    if same.all():
-        return
-    if {"mass", "density"} <= set(frame):
-        of_masses = frame["mass"] / frame["density"]
-        if np.isclose(frame["volume"], of_masses, _OF_SPHERES, 0, equal_nan=True).all():
-            return
-    row = int(np.argmin(same))
-    warn_once(
-        "volumes",
-        f"{source_of(ref)}: the volume {frame['volume'][row]:.6g} of row {row} is not that of a sphere of its diameter "
-        f"{frame['diameter'][row]:.6g} ({of_spheres[row]:.6g}), as of Voronoi cells or discs: spheres are taken; map "
-        "the column, names={'volume': 'volume'}, if it is the volume of the grain, or drop it by None",
-    )
-    del frame["volume"]
 
 
 def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: StepRef) -> None:
@@ -403,14 +371,35 @@ def _columns_of(columns: Mapping[str, str], slot: str) -> tuple[str, ...]:
     return tuple(columns[name] for name in slots)
 
 
+def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef, options: ReadOptions) -> bool:
+    """Return whether columns show that positions have a component along x or y; z may be left out."""
+    has_velocity = f"velocity_{axis}" in filled
+    return axis != "z" and (has_velocity or axis in _axes_of_unread(filled, ref, options))
+
+
+def _axes_of_unread(filled: Mapping[str, str], ref: StepRef, options: ReadOptions) -> set[str]:
+    """Return the axes that names of unread columns hold, such as z in "fz" and "my z"."""
+    axes = set()
+    for column in ref.columns:
+        if column not in filled.values() and column not in options.names:
+            letters = canonical(column)
+            axes.update(words_of(column), letters[-1:] if len(letters) <= _SHORT else "")
+    return axes & {*COMPONENTS}
+
+
 def _plane_of_contacts(
-    axes: Mapping[str, Sequence[str]], ref: StepRef, filled: Mapping[str, str]
+    axes: Mapping[str, Sequence[str]],
+    filled: Mapping[str, str],
+    ref: StepRef,
+    options: ReadOptions,
 ) -> list[str]:
     """Return the two axes of contacts in a plane: no column has a third; else an empty list."""
     present = {axis for listed in axes.values() for axis in listed}
-    unread = [column for column in ref.columns if column not in filled.values()]
     others = {*COMPONENTS} - present
-    if len(present) != 2 or any(others & {*words_of(column)} for column in unread):
+    mapped = {vector_of(slot) for slot in options.names.values() if slot}
+    if len(present) != 2 or mapped & {*CONTACT_VECTORS}:
+        return []
+    if others & _axes_of_unread(filled, ref, options):
         return []
     return [axis for axis in COMPONENTS if axis in present]
 

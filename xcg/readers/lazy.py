@@ -361,8 +361,7 @@ def read_particle_chunk(
         _check_unchanged(ref)
         frame = source.opened.take(ref, types)
         if frame is None:
-            with source.once.active():
-                raw = read_step(source.engine, source.options, ref)
+            raw = read_step(source.engine, source.options, ref)
             frame = source.complete(raw, ref, {name: values[t] for name, values in boxes.items()})
         _require(frame, list(types), ref)
         return frame

@@ -102,7 +102,7 @@ PARTICLES: Mapping[str, Names] = {
     "particle_id": Names(
         "particle id, track id, id, particle, particle number, particle no, label, tag, atom id, "
         "grain id, grain, global id, particle identifier, id p",
-        "id ids idx uid pid gid label* tag* number no nr index serial identifier key",
+        "id =ids idx uid pid gid label* tag* number num no nr index serial identifier key",
     ),
     "species": Names(
         "species, type, species id, type id, particle type, particle species, mat id, material, "
@@ -128,7 +128,7 @@ PARTICLES: Mapping[str, Names] = {
         "velocity ?, v?, vel ?, velo ?, ? velocity, ? vel, velocities ?, linear velocity ?, "
         "lin vel ?, lin vel vec ?, translational velocity ?, particle velocity ?, "
         "particle ? velocity",
-        "vel velo veloc* linvel* speed u v xdot ydot zdot dxdt dydt dzdt momenta",
+        "vel* linvel* transvel* speed* u v xdot ydot zdot momentum momenta =ux =uy =uz =dxdt =dydt =dzdt",
     ),
     "angular_velocity": Names(
         "angular velocity ?, omega ?, ang vel ?, ang vel vec ?, ? angular velocity, "
@@ -418,7 +418,9 @@ def resembles(column: str, names: Names) -> bool:
     hints = names.hints.split()
     stems = tuple(hint[:-1] for hint in hints if hint.endswith("*"))
     words = words_of(column)
-    if "=" + canonical(column) in hints:
+    unit = unit_of(column)
+    whole = {canonical(column), canonical(unit.stem) if unit is not None else ""}
+    if any("=" + name in hints for name in whole):
         return True
     return any(word in hints or (stems and word.startswith(stems)) for word in words)
 

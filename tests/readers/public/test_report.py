@@ -257,24 +257,6 @@ def test_semi_axes_of_ovito_are_half_axes(tmp_path):
     assert [ds[f"half_axis_{axis}"].values.item() for axis in "xyz"] == [0.5, 1, 2]
 
 
-@pytest.mark.parametrize("size", ["radius", "diameter"])
-def test_sizes_count_before_volumes_of_cells(tmp_path, size):
-    text = f"id,x,y,z,{size},volume\n1,0,0,0,2,1\n2,9,0,0,2,2\n"
-    path = dumps.write(tmp_path / "p.csv", text)
-    with pytest.warns(
-        xcg.SceneWarning, match="volume 1 of row 0 is not that of a sphere"
-    ) as caught:
-        ds = xcg.open_scene(path, density=1.0).compute()
-    assert len(caught) == 1
-    np.testing.assert_allclose(ds.volume, np.pi / 6 * ds.diameter**3)
-    with pytest.warns(xcg.SceneWarning, match=r"volumes are .* times those of spheres"):
-        ds = xcg.open_scene(path, density=1.0, names={"volume": "volume"})
-    np.testing.assert_array_equal(ds.volume, [[1, 2]])
-    with warnings.catch_warnings(action="error"):
-        ds = xcg.open_scene(path, density=1.0, names={"volume": None})
-        np.testing.assert_allclose(ds.volume, np.pi / 6 * ds.diameter**3)
-
-
 @pytest.mark.parametrize(
     ("column", "value", "likely"),
     [("r", 0.5, "radius"), ("Diameter (contact) [m]", 0.5, "diameter"), ("d", 0.5, "diameter")],

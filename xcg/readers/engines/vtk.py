@@ -238,7 +238,7 @@ class Vtk(Engine):
             del frame["moment_of_inertia"]  # a tensor, or its principal values
         if "image" in frame and frame["image"].ndim == 1 and "image" not in options.names.values():
             del frame["image"]  # a number named "i" is something else
-        unify_sizes(frame, ref, options)
+        unify_sizes(frame, ref)
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
