@@ -45,8 +45,11 @@ class Row:
         Mean of the field over its mean truth; the value itself where the truth is zero.
     deviation : float
         (value - truth) over the truth, or over the scale where that is zero.
+    unbiased : float
+        As `value`, of an average less its bias; NaN where it has none.
     within : float
-        Share of the nodes whose value is within two of its errors; NaN where it has none.
+        Share of the nodes whose value, less its bias, is within two of its errors; NaN where it has
+        none.
     said : str
         "warning", "NaN" (at most nodes), or nothing.
     """
@@ -58,8 +61,18 @@ class Row:
     way: str
     value: float
     deviation: float
+    unbiased: float
     within: float
     said: str
+
+    @property
+    def error(self) -> float:
+        """Deviation of the value, less its bias where that is known, relative to the truth or the scale."""
+        if np.isnan(self.unbiased):
+            return self.deviation
+        if self.truth.scale is not None:
+            return self.unbiased / self.truth.scale
+        return self.unbiased - 1.0
 
 
 def compare(
@@ -70,13 +83,22 @@ def compare(
     assert values is not None
     true = xr.zeros_like(values) + truth.at(f)
     known = values.notnull()
-    true_known = true.where(known)
-    size = truth.scale or 1.0
-    value = float(values.mean())
-    deviation = value / size
-    if truth.scale is None:
-        value = float((values * true_known).sum() / (true_known**2).sum())
-        deviation = value - 1.0
+
+    def mean_of(of: xr.DataArray) -> float:
+        """Return the mean over the nodes, over that of the truth where it is not zero."""
+        if truth.scale is not None:
+            return float(of.mean())
+        return float((of * true).sum() / (true.where(known) ** 2).sum())
+
+    value = mean_of(values)
+    deviation = value - 1.0
+    if truth.scale is not None:
+        deviation = value / truth.scale
+    bias = truth.of(f, "_bias")
+    unbiased = np.nan
+    if bias is not None:
+        values = values - bias
+        unbiased = mean_of(values)
     error = truth.of(f, "_error")
     within = np.nan
     if error is not None and bool(error.notnull().any()):
@@ -89,7 +111,7 @@ def compare(
         said = "warning"
     elif float(known.mean()) < 0.5:
         said = "NaN"
-    return Row(system, truth, mesh, width, way, value, deviation, within, said)
+    return Row(system, truth, mesh, width, way, value, deviation, unbiased, within, said)
 
 
 def measure(
@@ -128,6 +150,8 @@ def _number(row: Row) -> str:
         text = "NaN"
     elif abs(row.deviation) > CLOSE:
         text = f"**{text}**"
+    if abs(row.unbiased - row.value) > 0.005:
+        text += f", {row.unbiased:.2f}"
     if np.isfinite(row.within):
         text += f" ({100 * row.within:.0f} %)"
     if row.said == "warning":
@@ -139,7 +163,7 @@ def _from_width(rows: Sequence[Row]) -> str:
     """Return the longest range of widths at which a field is close to its truth."""
     runs: list[list[float]] = [[]]
     for row in rows:
-        if abs(row.deviation) <= CLOSE:
+        if abs(row.error) <= CLOSE:
             runs[-1].append(row.width)
         else:
             runs.append([])
@@ -219,7 +243,7 @@ def draw(rows: Sequence[Row]) -> None:
                 if row.way != way:
                     continue
                 column = columns.index((row.mesh, row.width))
-                table[k, column] = abs(row.deviation)
+                table[k, column] = abs(row.error)
                 if row.said == "warning":
                     ax.plot(column, k, "k.", ms=3)
         image = ax.imshow(
@@ -265,7 +289,7 @@ def main() -> None:
         for row in rows:
             print(
                 f"{row.system} | {row.truth.label} | {row.mesh} | {row.width:g} | {row.way} | {row.value:.4g} | "
-                f"{100 * row.deviation:+.1f} % | {row.within:.2f} | {row.said}"
+                f"{100 * row.deviation:+.1f} % | {row.unbiased:.4g} | {row.within:.2f} | {row.said}"
             )
     for way in WAYS:
         print(f"\n{way}\n{table_of_values(rows, way)}")

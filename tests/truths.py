@@ -202,7 +202,7 @@ def _packings(
     return diameter, side, [_relax(place, diameter, side) for place in places]
 
 
-def packing(count: int = 400, phi: float = 0.7, steps: int = 4, dimension: int = 3) -> xr.Dataset:
+def packing(count: int = 300, phi: float = 0.7, steps: int = 8, dimension: int = 3) -> xr.Dataset:
     """Isotropic packings at rest: soft spheres (discs) of two sizes, relaxed from random places."""
     diameter, side, relaxed = _packings(count, phi, steps, dimension)
     rows: dict[str, list[NDArray]] = {}
@@ -228,7 +228,7 @@ def packing(count: int = 400, phi: float = 0.7, steps: int = 4, dimension: int =
 
 
 def of_packing(
-    count: int = 400, phi: float = 0.7, steps: int = 4, dimension: int = 3
+    count: int = 300, phi: float = 0.7, steps: int = 8, dimension: int = 3
 ) -> dict[str, float]:
     """Return the mean pressure and coordination number of a packing, straight from its contacts."""
     _, side, relaxed = _packings(count, phi, steps, dimension)

@@ -44,7 +44,7 @@ def test_fields_that_come_by_default_are_named_once():
     ("fields", "options"),
     [
         (["velocity", "granular_temperature"], {}),
-        (["pressure", "stress", "shear_rate"], {}),
+        (["pressure", "stress", "shear_rate_tensor"], {}),
     ],
 )
 def test_fields_without_a_floor_are_silent(fields, options):
@@ -70,6 +70,14 @@ def test_functions_that_measure_noise_give_no_advice():
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "single steps show")
         ds.cg.width_sweep(["1 d43", "1.5 d43"], ["friction_coefficient"], axes="z")
+
+
+def test_the_floor_of_a_shear_rate_is_relative_to_the_fluctuations():
+    ds = truths.gas(2)
+    (text,) = said(ds, ["shear_rate", "granular_temperature"], width=1.5)
+    floor = float(re.search(r"shear_rate of about ([\d.]+) sqrt\(T\) / d43", text)[1])
+    f = ds.cg.coarse_grain("shear_rate", width=1.5)  # T = d43 = 1
+    assert floor == pytest.approx(float(f.shear_rate.mean()), rel=0.15)
 
 
 def test_explain_shows_the_floors():

@@ -17,7 +17,7 @@ from xcg.scene.description import Description
 # Shares of the usual value of a field above which its floor is a reason for a warning: of fields
 # that were asked for by name, and of those that come by default.
 _NAMED = 0.2
-_BY_DEFAULT = 0.5
+_BY_DEFAULT = 1.0
 
 
 def advise(scene: Description, plan: Plan, *, named: bool) -> None:
@@ -43,7 +43,7 @@ def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
     large = [name for name, (floor, usual) in floors.items() if floor > share * usual]
     if not large:
         return ""
-    values = ", ".join(f"{name} of about {floors[name][0]:.2g}" for name in large)
+    values = ", ".join(f"{name} of about {_number(plan, name, floors[name][0])}" for name in large)
     return (
         f"single steps show {values} where the true value is 0, as a node sees only about {support.text()}: take the "
         f"time_average of the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
@@ -64,8 +64,15 @@ def text_of_floors(scene: Description, plan: Plan) -> str | None:
     floors = floors_of(plan, support)
     if not floors:
         return None
-    values = ", ".join(f"{name} {floor:.2g}" for name, (floor, _) in floors.items())
+    values = ", ".join(
+        f"{name} {_number(plan, name, floor)}" for name, (floor, _) in floors.items()
+    )
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
+
+
+def _number(plan: Plan, name: str, floor: float) -> str:
+    """Return a floor with its unit."""
+    return f"{floor:.2g} {registry.row(name, plan.options).floor_units}".rstrip()
 
 
 def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:

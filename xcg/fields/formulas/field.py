@@ -183,6 +183,8 @@ class Field:
         norm or an eigenvalue, see `xcg.fields.formulas.floors`.
     usual : float
         Value that the floor is compared with.
+    floor_units : str
+        Unit of both, where they are no plain numbers, such as "sqrt(T) / d43".
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -208,6 +210,7 @@ class Field:
     averages: str = ""
     floor: Callable[[Support], float] | None = None
     usual: float = 0.0
+    floor_units: str = ""
     default: bool = True
     option: str = ""
     paired: bool = False

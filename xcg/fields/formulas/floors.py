@@ -67,6 +67,11 @@ def order(support: Support) -> float:
     return min(1.0, size * _deviator(support.grains, d))
 
 
+def shear_rate(support: Support) -> float:
+    """Return |dev Gamma| of independent velocities without shear, in sqrt(T) / d43."""
+    return support.slope
+
+
 def inertial_number(support: Support) -> float:
     """Return I of a gas, p = phi rho_p T, or of dense grains that fluctuate as in shear at I = 0.1, without shear."""
     if support.is_dense:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import matrices
+from xcg.fields.formulas import floors
 from xcg.fields.formulas.algebra import (
     at_least_zero,
     deviator,
@@ -329,6 +330,9 @@ ROWS: dict[str, Field] = {
         formula="|dev Gamma| = sqrt(2 dev Gamma : dev Gamma)",
         compute=lambda f, s, o: rate_magnitude(rate_of_magnitude(f, o)),
         fields=("shear_rate_tensor",),
+        floor=floors.shear_rate,
+        usual=1.0,
+        floor_units="sqrt(T) / d43",
     ),
     "kinetic_stress": Field(
         rank=2,

@@ -1,0 +1,74 @@
+"""The table of truths: fast parts of it, and that its warnings are due."""
+
+import pytest
+
+from docs import truth
+from tests.truths import systems
+
+FLOORED = ("friction_coefficient", "inertial_number", "shear_rate", "anisotropy", "order")
+
+
+def rows_of(name, mesh, *widths):
+    (system,) = systems([name])
+    return list(truth.measure(system, [mesh], widths))
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Rows of some systems: profiles, and a volume at a wide width."""
+    return [
+        *rows_of("elastic gas", "profile", 1.0),
+        *rows_of("uniform shear", "profile", 1.0),
+        *rows_of("contacts", "profile", 1.0),
+        *rows_of("rods", "volume", 0.75),
+        *rows_of("rigid rotation", "volume", 1.5),
+        *rows_of("static column", "profile", 1.0),
+        *rows_of("Couette flow", "profile", 0.75),
+    ]
+
+
+def test_sums_and_their_ratios_are_true(rows):
+    names = ("volume_fraction", "pressure", "granular_temperature", "contact_stress", "vorticity")
+    checked = [row for row in rows if row.truth.name in names]
+    assert len(checked) > 15
+    for row in checked:
+        assert abs(row.error) < truth.CLOSE, row
+
+
+def test_averages_less_their_bias_are_within_two_errors(rows):
+    checked = [row for row in rows if row.way == "average" and row.unbiased == row.unbiased]
+    assert len(checked) >= 8
+    for row in checked:
+        assert abs(row.unbiased - row.value) < 0.5
+        if row.truth.scale is None:  # a norm whose truth is zero is never less
+            assert row.within > 0.75, row
+
+
+def test_values_of_single_steps_far_from_the_truth_are_warned_of(rows):
+    for row in rows:
+        is_floored = any(name in row.truth.name for name in FLOORED)
+        if row.way == "one step" and is_floored and abs(row.deviation) > 0.25:
+            assert row.said == "warning", row
+
+
+def test_fields_without_a_floor_are_silent(rows):
+    silent = [row for row in rows if not any(name in row.truth.name for name in FLOORED)]
+    assert {row.said for row in silent} == {""}
+
+
+def test_ranges_of_widths():
+    def run(*deviations):
+        (system,) = systems(["rods"])
+        (about,) = system.truths
+        return truth._from_width(
+            [
+                truth.Row("", about, "volume", width, "one step", 1 + d, d, float("nan"), 1.0, "")
+                for width, d in zip(truth.WIDTHS, deviations, strict=True)
+            ]
+        )
+
+    assert run(0, 0, 0, 0, 0, 0) == "all"
+    assert run(1, 1, 1, 1, 1, 1) == "none"
+    assert run(1, 0, 1, 0, 0, 0) == "from 1.5"
+    assert run(0, 0, 0, 1, 1, 1) == "to 1"
+    assert run(1, 0, 0, 1, 1, 1) == "0.75 to 1"
