@@ -150,6 +150,16 @@ def test_particles_without_neighbours_are_nan():
     np.testing.assert_array_equal(np.isnan(order.q6[0]), [False, False, True])
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_step_without_any_neighbour_is_nan_in_silence(dimension):
+    ds = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [3, 0, 0]], diameter=[1.0, 1.0], density=1.0, dimension=dimension
+    )
+    order = ds.cg.bond_order(r_max=2.0).drop_vars("particle_id")
+    assert all(order[name].isnull().all() for name in order.data_vars)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -46,6 +46,20 @@ def test_a_checkerboard_is_mixed_better_than_random():
     assert m["lacey_index"] == pytest.approx(9 / 8, rel=1e-14)
 
 
+def test_few_large_grains_by_volume_have_no_index_and_a_warning():
+    """One of eight grains holds most of the volume: at random its phase varies more than apart."""
+    x = np.random.default_rng(0).uniform(0, 4, (8, 3))
+    x[1] = x[0] + 0.01
+    ds = scene(x, 1 + (np.arange(8) == 0), np.where(np.arange(8) == 0, 1.0, 0.3), box=BOX)
+    options = {"by": "species", "cell": 1.0, "mixing_weight": "volume"}
+    m = ds.cg.microstructure(MIXING[2:], **options)
+    assert (m.random_concentration_variance > m.segregated_concentration_variance).all()
+    with pytest.warns(xcg.SceneWarning, match="lacey_index is NaN: by volume a random mixture"):
+        index = ds.cg.microstructure("lacey_index", **options).lacey_index
+    assert index.isnull().all()
+    assert ds.cg.microstructure("lacey_index", by="species", cell=1.0).lacey_index.notnull().all()
+
+
 def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
     x = lattice()
     ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")

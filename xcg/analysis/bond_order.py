@@ -170,7 +170,9 @@ class BondOrder(FrameAnalysis):
             )
             means = np.full(sums.shape, np.nan, complex)
             np.divide(sums, numbers, out=means, where=numbers > 0)
-            whole = sums.sum(axis=1) / (len(row) or np.nan)
+            whole = np.full(len(sums), np.nan, complex)
+            if len(row):
+                whole = sums.sum(axis=1) / len(row)
             results[f"{letter}{n}"] = _length(means)
             results[f"global_{letter}{n}"] = _length(whole)
             if letter == "psi":

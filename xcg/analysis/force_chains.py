@@ -77,7 +77,8 @@ def force_chains(
         Least number of particles of a chain, 2 or more.
     algorithm : str
         "branching" (default), or "peters2005": chains without branches, from the particle of
-        largest stress both ways, each time through the contact nearest to the direction of travel.
+        largest stress both ways, each time through the contact whose branch is closest to the
+        direction of the major stress of the particle reached last, turned onward.
     one_sided : bool
         Go on from a particle only where the branch points along its direction, turned onward (both
         ways from the seed). Chains then depend on the order of the ids. By default both ways count,

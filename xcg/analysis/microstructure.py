@@ -121,8 +121,9 @@ def microstructure(
         Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells
         fill the region; by default 3 d43 of the region's grains. By axis, other axes are not
         divided: ``{"z": 0.01}`` samples layers, for an index of segregation over height. If no cell
-        holds two grains, one holds all, or all grains are of one phase, ``lacey_index`` is NaN, with
-        a warning; another warns where it scatters by more than 0.1 at random (``lacey_noise``).
+        holds two grains, one holds all, or all grains are of one phase, or a random mixture varies as
+        much as separate phases (by volume, where few large grains hold most of it), ``lacey_index``
+        is NaN, with a warning; another warns where it scatters by more than 0.1 at random (``lacey_noise``).
     mixing_weight : {"number", "volume"}
         What grains count by in concentrations and their variances.
     on_error : {"raise", "skip"}

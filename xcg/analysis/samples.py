@@ -404,7 +404,8 @@ class Mixture:
         """Return Lacey's index.
 
         NaN, with a warning, if all grains are of one phase, or no cell holds two grains, or one cell
-        holds all of them, so that all arrangements are alike.
+        holds all of them, so that all arrangements are alike, or if S_r^2 >= S_0^2, as is possible by
+        volume.
         """
         count = len(self.phase)
         apart = self.segregated_variance(which)
@@ -426,6 +427,15 @@ class Mixture:
             problem = f"no cell {self._edges()} holds more than one of the {count} grains"
             warn_once("cells below a grain", f"lacey_index is NaN: {problem}; {self._way_out()}")
             return math.nan
+        random = self.random_variance(which)
+        if 0 < apart <= random:
+            warn_once(
+                "few grains by volume",
+                f"lacey_index is NaN: by volume a random mixture has the variance {random:.2g}, and "
+                f"separate phases no more than {apart:.2g}, as few large grains hold most of the "
+                "volume; pass mixing_weight='number', or take larger cells",
+            )
+            return math.nan
         noise = self.noise(which)
         if noise > NOISY:
             warn_once(
@@ -433,7 +443,7 @@ class Mixture:
                 f"lacey_index scatters by {noise:.2g} in a random mixture, as cells {self._edges()} hold "
                 f"{self.grains_per_cell(which):.2g} grains on average (lacey_noise); {self._way_out()}",
             )
-        return float(ratio(apart - self.variance(which), apart - self.random_variance(which)))
+        return float(ratio(apart - self.variance(which), apart - random))
 
     def noise(self, which: int) -> float:
         """Return the standard deviation of Lacey's index in a random mixture, of first order.

@@ -53,7 +53,8 @@ def structure_factor(
     bins : int
         Number of bins of equal width between 0 and `k_max`.
     samples : int, optional
-        Most wave vectors of a bin; they are drawn at random, the same in each run. None takes all.
+        Most wave vectors of a bin, one of each k and -k; they are drawn at random, the same in each
+        run. None takes all.
     vectors : array (waves, dimension), optional
         Whole numbers (h, k, l) of reciprocal lattice vectors, in place of `k_max`.
     by : str, optional
@@ -69,7 +70,8 @@ def structure_factor(
     -------
     xarray.Dataset
         ``structure_factor`` (time, phase, other_phase, k), and ``wave_count`` (time, k), the number
-        of wave vectors in each bin; NaN in bins without any. With `vectors`, ``structure_factor``
+        of wave vectors in each bin, one of each k and -k, which have the same S; NaN in bins without
+        any. With `vectors`, ``structure_factor``
         (time, phase, other_phase, wave) and ``wave_vector`` (time, wave, component), in m-1. NaN
         for phases without particles.
 
@@ -148,7 +150,11 @@ class StructureFactor(PhaseAnalysis):
     def rows(self, scene: Description) -> dict[str, Variable]:
         """Return S(k), and wave vectors or their number."""
         along = "k"
-        rows = {"wave_count": Variable(("k",), "1", "number of wave vectors", "int64")}
+        rows = {
+            "wave_count": Variable(
+                ("k",), "1", "number of wave vectors, one of each k and -k", "int64"
+            )
+        }
         if self.vectors is not None:
             along = "wave"
             rows = {"wave_vector": Variable(("wave", "component"), "m^-1", "wave vector")}

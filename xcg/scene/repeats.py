@@ -22,7 +22,7 @@ _SAME_POINT = 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 # Rows from both sides are one contact where their forces differ from opposite ones by no more than
 # this share of the larger, or of a hundredth of the mean force of such rows, and their points by
-# this share of the smaller radius.
+# this share of the smaller distance from the centre: the lever arm, which bodies of any shape have.
 _OPPOSITE = 0.25
 _SMALL_FORCE = 0.01
 _ONE_PLACE = 0.15
@@ -37,8 +37,8 @@ def without_repeats(
 
     Copies, (i, j, f) twice or from both sides as (j, i, -f), are one contact where forces agree to
     1e-4, and points to 1e-4 of the distance from the centre. Rows from both sides whose forces are
-    opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller
-    radius apart, are one contact unless `sides` is "separate": with the mean of both forces,
+    opposite to a quarter of the larger, and whose points are no more than 0.15 of their smaller
+    distance from the centre apart, are one contact unless `sides` is "separate": with the mean of both forces,
     points, normals and overlaps for "mean", or as the row that comes first for "first". Other
     variables come from the first row. A warning states how many, and how far they differ, where
     forces do by more than 1e-4. Other contacts of one pair, which differ in force or place, all
