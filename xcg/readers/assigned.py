@@ -18,10 +18,9 @@ from xcg.readers.names import (
     CONTACT_ARRAYS,
     CONTACT_SLOTS,
     CONTACTS,
-    PARTICLE_SLOTS,
     PARTICLES,
-    Names,
     Slots,
+    aliases_of,
     canonical,
     columns_by_name,
     resembles,
@@ -202,7 +201,7 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
 def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     """Make the error of a file that lacks a column, with the mapping that names it."""
     table = CONTACTS if slot in CONTACT_SLOTS else PARTICLES
-    known = {alias for variable in table for alias in _aliases(variable, table)}
+    known = {*chain(*map(aliases_of, table.values()))}
     variable_name = vector_of(slot)
     axis = slot[-1] if variable_name != slot else ""
     free = [column for column in ref.columns if canonical(column) not in known]
@@ -227,17 +226,6 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
         )
         msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
     return SceneError(msg)
-
-
-def _aliases(variable_name: str, table: Mapping[str, Names]) -> list[str]:
-    """Return the canonical names of the columns of a variable."""
-    slots = CONTACT_SLOTS if table is CONTACTS else PARTICLE_SLOTS
-    return [
-        alias
-        for slot, names in slots.items()
-        if vector_of(slot) == variable_name
-        for alias in names
-    ]
 
 
 def magnitudes_among(columns: Iterable[str], names: Mapping[str, str | None]) -> dict[str, str]:

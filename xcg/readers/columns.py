@@ -379,7 +379,7 @@ def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef, options: ReadO
 
 def _axes_of_unread(filled: Mapping[str, str], ref: StepRef, options: ReadOptions) -> set[str]:
     """Return the axes that names of unread columns hold, such as z in "fz" and "my z"."""
-    axes = set()
+    axes: set[str] = set()
     for column in ref.columns:
         if column not in filled.values() and column not in options.names:
             letters = canonical(column)

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers.assigned import assign, names_apart
+from xcg.readers.assigned import assign, magnitudes_among, names_apart
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import (
     Table,
@@ -21,6 +21,7 @@ from xcg.readers.engines.tabular import (
     read_clock,
     warn_of_unread_clock,
 )
+from xcg.readers.names import columns_by_name
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
@@ -52,9 +53,9 @@ def scene_from_table(
         ``contact_force_x``, on i, or ``normal_force_x`` and ``tangential_force_x``,
         ``contact_point_x``, ``overlap``, and ``time`` or ``step``. In a step without rows nothing
         touches; a warning lists such steps, unless the table has no rows at all. Magnitudes
-        ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists
-        them, have the direction n of the centres, from j to i: the force on i is ``normal_force n +
-        tangential_force (z x n)``.
+        ``normal_force`` (``fn``) have the direction n of the centres, from j to i, and, of discs in
+        the plane of x and y, as PeGS2 lists them, ``tangential_force`` (``ft``) that of z x n: the
+        force on i is ``normal_force n + tangential_force (z x n)``.
     names : mapping, optional
         From other columns to these names; None drops a column. ``{"particles": {...}, "contacts":
         {...}}`` gives those of each table.
@@ -196,14 +197,21 @@ def _with_vectors(
     """Replace magnitudes of forces along and across the lines of centres by vectors; other tables stay as they are.
 
     The line of centres leads to the nearest image in the lattice of the step.
+
+    Raises
+    ------
+    SceneError
+        If there are tangential forces, and centres are not in a plane of x and y.
     """
-    magnitudes = ("normal_force", "tangential_force")
-    table = contacts.rename(
-        columns={column: name for column, name in options.names.items() if name in magnitudes}
-    )
+    magnitudes = magnitudes_among(contacts.columns, options.names)
+    normal = magnitudes.get("normal_force")
+    tangential = magnitudes.get("tangential_force")
+    table = contacts
     slots = {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}
     ends = assign(_ref_of(table, "contacts"), slots, options)
-    if "normal_force" not in table or len(ends) < 2:
+    free = [column for column in table.columns if column not in options.names]
+    vectors = columns_by_name(free, Table.CONTACT_SLOTS).keys() | {*options.names.values()}
+    if normal is None or len(ends) < 2 or vectors & {"contact_force_x", "normal_force_x"}:
         return contacts
     walls = _numbers(table, ends["contact_j"], "contacts") < 0
     if walls.any():
@@ -232,14 +240,23 @@ def _with_vectors(
         sorted_ids = ids[order].astype(int)
         i = order[rows_of(sorted_ids, ids_i[rows].astype(int))]
         j = order[rows_of(sorted_ids, ids_j[rows].astype(int))]
-        apart[rows, :2] = lattices[key].shortest(position[i] - position[j])[:, :2]
-    x, y, _ = unit_vectors(apart).T
-    along = _numbers(table, "normal_force", "contacts")
+        apart[rows] = lattices[key].shortest(position[i] - position[j])
+    x, y, z = unit_vectors(apart).T
+    along = _numbers(table, normal, "contacts")
     across = np.zeros(len(table))
-    if "tangential_force" in table:
-        across = _numbers(table, "tangential_force", "contacts")
-    forces = {"contact_force_x": along * x - across * y, "contact_force_y": along * y + across * x}
-    return table.drop(columns=[*magnitudes], errors="ignore").assign(**forces, contact_force_z=0.0)
+    if tangential is not None:
+        across = _numbers(table, tangential, "contacts")
+    if across.any() and z.any():
+        raise SceneError(
+            f"contacts: {tangential!r} is a magnitude, whose direction is known only of discs in the plane of x and y; "
+            f"give its components, or drop it by names={{{tangential!r}: None}}"
+        )
+    forces = {
+        "contact_force_x": along * x - across * y,
+        "contact_force_y": along * y + across * x,
+        "contact_force_z": along * z,
+    }
+    return table.drop(columns=[*magnitudes.values()]).assign(**forces)
 
 
 def _table(rows: Any) -> pd.DataFrame:

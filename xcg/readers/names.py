@@ -12,7 +12,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import chain
 from typing import TypeAlias
 
@@ -107,7 +107,7 @@ PARTICLES: Mapping[str, Names] = {
     "species": Names(
         "species, type, species id, type id, particle type, particle species, mat id, material, "
         "material id, phase, phase id, particle phase id",
-        "species type types kind material* mat phase",
+        "species type types =ptype kind material* mat phase",
     ),
     "position": Names(
         "position ?, ?, pos ?, ? position, ? pos, points ?, coordinate ?, coordinates ?, coord ?, "
@@ -128,7 +128,8 @@ PARTICLES: Mapping[str, Names] = {
         "velocity ?, v?, vel ?, velo ?, ? velocity, ? vel, velocities ?, linear velocity ?, "
         "lin vel ?, lin vel vec ?, translational velocity ?, particle velocity ?, "
         "particle ? velocity",
-        "vel* linvel* transvel* speed* u v xdot ydot zdot momentum momenta =ux =uy =uz =dxdt =dydt =dzdt",
+        "vel* linvel* transvel* geschw* vitesse* speed* u v xdot ydot zdot momentum momenta =ux =uy "
+        "=uz =dxdt =dydt =dzdt",
     ),
     "angular_velocity": Names(
         "angular velocity ?, omega ?, ang vel ?, ang vel vec ?, ? angular velocity, "
@@ -138,7 +139,7 @@ PARTICLES: Mapping[str, Names] = {
     ),
     "diameter": Names(
         "diameter, diameters, diam, dia, particle diameter",
-        "diam* dia d dp size",
+        "diam* dia d dp size durchm*",
         "radius half_axis whole_axis",
     ),
     "radius": Names(
@@ -388,7 +389,7 @@ def _columns_by_name(
 # --- names that resemble a variable ----------------------------------------------------------------
 
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
-_OF_LAMMPS = re.compile(r"^[vcf]_(?=\w\w)")  # variables, computes and fixes
+_OF_LAMMPS = re.compile(r"^(?:[vcfdi]|[di]2)_(?=\w\w)")  # variables, computes, fixes, properties
 _TOLD_BY_UNITS = {"density", "velocity"}  # units of nothing else
 _OF_PARAVIEW = {
     "pointid", "cellid", "celltype", "blockname", "blocknumber", "vtkoriginalpointids",
@@ -413,6 +414,15 @@ def words_of(column: str) -> list[str]:
     return [word.casefold() for word in _WORD.findall(_OF_LAMMPS.sub("", name))]
 
 
+@cache
+def aliases_of(names: Names) -> frozenset[str]:
+    """Return the canonical names of the columns of a variable."""
+    aliases = (
+        components("", *names.listed) if names.is_vector else {"": map(canonical, names.listed)}
+    )
+    return frozenset(chain(*aliases.values()))
+
+
 def resembles(column: str, names: Names) -> bool:
     """Return whether the name of a column has a word of the hints of a variable."""
     hints = names.hints.split()
@@ -421,6 +431,8 @@ def resembles(column: str, names: Names) -> bool:
     unit = unit_of(column)
     whole = {canonical(column), canonical(unit.stem) if unit is not None else ""}
     if any("=" + name in hints for name in whole):
+        return True
+    if _OF_LAMMPS.match(column) and canonical(_OF_LAMMPS.sub("", column)) in aliases_of(names):
         return True
     return any(word in hints or (stems and word.startswith(stems)) for word in words)
 

@@ -31,9 +31,9 @@ from xcg.scene.schema import COMPONENTS
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 _AXIS = re.compile(
-    r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[xyzXYZ]$|(?<=[\[_:])[123](?=\]?$)"
+    r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[xyzXYZ]$|(?<=[\[_:])[123ijk](?=\]?$)"
 )
-_BY_NUMBER = dict(zip("123", COMPONENTS, strict=True))
+_BY_NUMBER = dict(zip("123ijk", 2 * COMPONENTS, strict=True))
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,8 @@ class Report:
         listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
         example = ""
         for column, meant in reversed(likely.items()):
-            axis = _AXIS.search(column)
+            unit = unit_of(column)
+            axis = _AXIS.search(unit.stem if unit is not None else column)
             if self.whole_vectors or f"{meant}_x" not in ALL_SLOTS:
                 example = f", for example names={{{column!r}: {meant!r}}}"
             elif axis:

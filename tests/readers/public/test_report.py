@@ -99,6 +99,28 @@ def test_magnitudes_of_forces_name_the_way_that_reads_them(tmp_path, grains, col
             xcg.open_scene(grains, path, density=1.0, **options)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("columns", ["fn ft", "normal_force tangential_force", "a b"])
+def test_magnitudes_in_tables_follow_the_centres(columns):
+    normal, tangential = columns.split()
+    grains = pd.DataFrame({"id": [1, 2], "x": [0.6, 0.0], "y": [0.8, 0.0], "z": 0.0, "radius": 0.5})
+    names = {"a": "normal_force", "b": "tangential_force"} if columns == "a b" else {}
+    contacts = pd.DataFrame({"id1": [1], "id2": [2], normal: [10.0], tangential: [5.0]})
+    ds = xcg.scene_from_table(grains, contacts, density=1.0, names=names)
+    np.testing.assert_allclose(ds.contact_force[0, 0], [6 - 4, 8 + 3, 0], atol=1e-14)
+    grains = grains.assign(y=[0.0, 0.0], z=[0.8, 0.0])
+    with pytest.raises(xcg.SceneError, match=f"'{tangential}' is a magnitude"):
+        xcg.scene_from_table(grains, contacts, density=1.0, names=names)
+    alone = contacts.drop(columns=tangential)
+    ds = xcg.scene_from_table(
+        grains, alone, density=1.0, names={k: v for k, v in names.items() if k == "a"}
+    )
+    np.testing.assert_allclose(ds.contact_force[0, 0], [6, 0, 8], atol=1e-14)
+    whole = contacts.assign(fx=1.0, fy=2.0, fz=3.0).rename(columns={normal: "fn", tangential: "ft"})
+    ds = xcg.scene_from_table(grains, whole, density=1.0)
+    np.testing.assert_allclose(ds.contact_force[0, 0], [1, 2, 3])
+
+
 def test_magnitudes_beside_a_vector_are_not_needed(tmp_path, grains):
     text = "id1,id2,fx,fy,fz,force,fn\n1,2,0,0,-7,7,7\n"
     path = dumps.write(tmp_path / "c.csv", text)
@@ -333,10 +355,12 @@ def test_names_are_given_apart_for_grains_and_contacts(tmp_path):
 )
 @pytest.mark.filterwarnings("error")
 def test_tables_of_any_plane_are_read(tmp_path, columns, plane):
-    path = dumps.write(
-        tmp_path / "g.csv", f"id,{columns},radius\n1,0,0,.5\n2,.98,0,.5\n3,0,.98,.5\n"
-    )
+    text = f"id,{columns},radius\n1,0,0,.5\n2,.98,0,.5\n3,0,.98,.5\n"
+    path = dumps.write(tmp_path / "g.csv", text)
     a, b = plane
+    if " " not in columns:
+        by_blanks = dumps.write(tmp_path / "g.txt", text.replace(",", " "))
+        assert xcg.open_scene(by_blanks, density=1.0).attrs["plane"] == plane
     contacts = dumps.write(tmp_path / "c.csv", f"id1,id2,f{a},f{b}\n1,2,-7,0\n1,3,0,-5\n")
     for options in ({}, {"dimension": 2}):
         ds = xcg.open_scene(path, contacts, density=1.0, **options)

@@ -33,7 +33,7 @@ from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
 from xcg.scene.times import read_times, without_noise
 
-_POSITION = ("position_x", "position_y")
+_POSITION = ("position_x", "position_y", "position_z")
 _ENDS = ("contact_i", "contact_j")
 # also with a decimal comma, which is an error by name when it is read
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
@@ -91,7 +91,7 @@ class Table(Columnar):
 
 
 def _has_header(path: str) -> bool:
-    """Return whether a text names a position, or both ends of contacts, above a row of numbers."""
+    """Return whether a text names two axes of a position, or both ends of contacts, above a row of numbers."""
     if not first_lines(path):
         return False
     try:
@@ -104,7 +104,7 @@ def _has_header(path: str) -> bool:
     ref = StepRef(path, 0, columns=names)
     for slots, needed in ((Table.PARTICLE_SLOTS, _POSITION), (Table.CONTACT_SLOTS, _ENDS)):
         columns = assign(ref, {slot: slots[slot] for slot in needed}, ReadOptions()).values()
-        if len(columns) == 2 and all(_NUMBER.fullmatch(row[name]) for name in columns):
+        if len(columns) >= 2 and all(_NUMBER.fullmatch(row[name]) for name in columns):
             return True
     return False
 

@@ -522,6 +522,7 @@ def _joined_words(pieces: Iterable[bytes], separator: str, columns: int) -> Iter
     if separator.isspace():
         blanks = _BLANKS_OF_DATES
     begun: bytes | None = None
+    pieces = iter(pieces)  # what is left is passed on
     for piece in pieces:
         if begun is None:
             if len(_words(piece.lstrip(), separator)) <= columns:
