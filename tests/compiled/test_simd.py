@@ -82,27 +82,6 @@ def test_instructions_on_arrays_equal_their_python_functions(instruction, dtype,
     assert changed == (instruction is not simd.prefetch)
 
 
-@pytest.mark.parametrize("store", [simd.store_number, simd.store_nontemporal])
-def test_numbers_are_loaded_and_stored_by_address(store):
-    rng = np.random.default_rng(8)
-    load, write, fence = (
-        compiled(simd.load_number, 2),
-        compiled(store, 3),
-        compiled(simd.store_fence, 0),
-    )
-    memory = numbers(rng, 40, "float64")
-    at = np.uint64(memory.ctypes.data)
-    for index in rng.permutation(40).astype("uint64"):
-        assert_same_bits(load(at, index), memory[index])
-        assert_same_bits(simd.load_number.py_func(at, index), memory[index])
-        for put in (write, store.py_func):
-            value = scalar(rng)
-            put(at, index, value)
-            fence()
-            simd.store_fence.py_func()
-            assert memory[index] == value
-
-
 @pytest.mark.parametrize("compresses", sorted({False, cells._COMPRESSES}))
 @pytest.mark.parametrize("real", ["float64", "float32", None])
 def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresses):
@@ -151,13 +130,12 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
 def test_transpose8x8_transposes_eight_rows():
     rng = np.random.default_rng(9)
     memory, call = numbers(rng, 200, "float64"), compiled(simd.transpose8x8, 6)
-    at = np.uint64(memory.ctypes.data)
     for _ in range(20):
         by_compiler = np.zeros((12, simd.TILE))
         by_python = by_compiler.copy()
         apart, first = rng.integers(8, 20), rng.integers(0, 50)
         row, column = rng.integers(0, 5), rng.integers(0, simd.TILE - 7)
-        call(at, first, apart, by_compiler, row, column)
-        simd.transpose8x8.py_func(at, first, apart, by_python, row, column)
+        call(memory, first, apart, by_compiler, row, column)
+        simd.transpose8x8.py_func(memory, first, apart, by_python, row, column)
         assert_same_bits(by_compiler, by_python)
         assert_same_bits(by_python[row : row + 8, column + 3], memory[first + 3 * apart :][:8])

@@ -6,12 +6,10 @@ does, and runs where nothing is compiled (``NUMBA_DISABLE_JIT=1``, to step throu
 debugger); the function in front of it, of the same name with an underscore, writes the instructions
 that compiled code has in its place. Both give the same bits.
 
-Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never addresses or what
-`prefetch` is asked for: places must lie within the array, and addresses belong to arrays that still
-exist.
+Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never what `prefetch` is
+asked for: places must lie within the array.
 """
 
-import ctypes
 from collections.abc import Callable
 from typing import Any
 
@@ -205,90 +203,14 @@ def prefetch(array, row):
     """Ask for the start of a row of an array, which need not be there, so that it is in cache when it is read."""
 
 
-# --- memory that is named by its address -----------------------------------------------------------------
-
-
-def _pointer(context, builder, address, index):
-    first = builder.inttoptr(address, ir.DoubleType().as_pointer())
-    return builder.gep(first, [index])
-
-
-def _number(address: int, index: int) -> ctypes.c_double:
-    return ctypes.c_double.from_address(int(address) + ctypes.sizeof(ctypes.c_double) * int(index))
-
-
-def _load_number(typingctx, address, index):
-    def generate(context, builder, signature, args):
-        return builder.load(_pointer(context, builder, *args))
-
-    return types.float64(types.uint64, types.uint64), generate
-
-
-@compiled_as(_load_number)
-def load_number(address, index):
-    """Read the float64 that is `index` numbers from an address."""
-    return _number(address, index).value
-
-
-def _store_number(typingctx, address, index, value):
-    def generate(context, builder, signature, args):
-        builder.store(args[2], _pointer(context, builder, *args[:2]))
-        return context.get_dummy_value()
-
-    return types.void(types.uint64, types.uint64, types.float64), generate
-
-
-@compiled_as(_store_number)
-def store_number(address, index, value):
-    """Write a float64 to the place that is `index` numbers from an address."""
-    _number(address, index).value = value
-
-
-def _store_nontemporal(typingctx, address, index, value):
-    def generate(context, builder, signature, args):
-        whole = ir.IntType(64)  # of vectors the address would have to be aligned
-        pointer = builder.bitcast(_pointer(context, builder, *args[:2]), whole.as_pointer())
-        store = builder.store(builder.bitcast(args[2], whole), pointer)
-        store.set_metadata(
-            "nontemporal", builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)])
-        )
-        return context.get_dummy_value()
-
-    return types.void(types.uint64, types.uint64, types.float64), generate
-
-
-@compiled_as(_store_nontemporal)
-def store_nontemporal(address, index, value):
-    """Write a float64 to the place that is `index` numbers from an address, past the caches.
-
-    What is written in order, without gaps, goes to memory line by line, and nothing is read for it
-    before.
-    """
-    _number(address, index).value = value
-
-
-def _store_fence(typingctx):
-    def generate(context, builder, signature, args):
-        builder.fence("seq_cst")
-        return context.get_dummy_value()
-
-    return types.void(), generate
-
-
-@compiled_as(_store_fence)
-def store_fence():
-    """Wait until all that was written past the caches is in memory, for other threads to see."""
-
-
-def _transpose8x8(typingctx, address, first, apart, rows, row, at):
+def _transpose8x8(typingctx, numbers, first, apart, rows, row, at):
     def generate(context, builder, signature, args):
         place, _ = typed(context, builder, signature, args)
         vectors = []
         for k in range(EIGHT):
             index = builder.add(place(1), builder.mul(place(2), ir.Constant(ir.IntType(64), k)))
-            pointer = _pointer(context, builder, args[0], index)
-            eight = ir.VectorType(ir.DoubleType(), EIGHT).as_pointer()
-            vectors.append(builder.load(builder.bitcast(pointer, eight), align=8))
+            source, align = pointer_to(context, builder, signature.args[0], args[0], [index], EIGHT)
+            vectors.append(builder.load(source, align=align))
         half = EIGHT // 2
         merge = [
             ir.Constant(
@@ -311,13 +233,13 @@ def _transpose8x8(typingctx, address, first, apart, rows, row, at):
         return context.get_dummy_value()
 
     return types.void(
-        types.uint64, types.uint64, types.uint64, rows, types.uint64, types.uint64
+        numbers, types.uint64, types.uint64, rows, types.uint64, types.uint64
     ), generate
 
 
 @compiled_as(_transpose8x8)
-def transpose8x8(address, first, apart, rows, row, at):
-    """``rows[row + c, at + k] = m[first + k * apart + c]`` for k, c = 0, ... 7, m the numbers from an address on."""
+def transpose8x8(numbers, first, apart, rows, row, at):
+    """``rows[row + c, at + k] = numbers[first + k * apart + c]`` for k, c = 0, ... 7."""
     for k in range(EIGHT):
         for c in range(EIGHT):
-            rows[row + c, at + k] = _number(address, first + k * apart + c).value
+            rows[row + c, at + k] = numbers[first + k * apart + c]

@@ -22,6 +22,8 @@ from xcg.fields.formulas.field import Options
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.step import Layout
 
+PADDED = 8  # least length of a tuple of arrays; others are 4, 16, ... times as long
+
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -39,8 +41,9 @@ class Program:
         Rows of these components.
     widths : dict
         How many numbers of each field, which it computes, are stored for a place.
-    stores : array (stores, 3)
-        Its field's number, as in `widths`; its first component; how many there are.
+    stores : array (stores, 4)
+        Its field's number, as in `widths`; its first component; how many numbers the field holds for
+        a place; how many there are.
     """
 
     steps: NDArray
@@ -57,11 +60,6 @@ class Program:
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written
         line by line.
-
-        Raises
-        ------
-        ValueError
-            If an array is not as the loop expects it, which reads and writes by address.
         """
         arrays, layouts = _arrays_of(sums)
         sources = self._sources(layouts)
@@ -78,23 +76,20 @@ class Program:
             (rows[source.array] + source.column, constants + factors.index(source.factor))
             for source in sources
         ]
-        nodes = len(place)
-        records = [
-            (loops.address_of(array, nodes, width, "moments"), width, row)
-            for array, width, row in zip(arrays, widths, rows, strict=False)
-        ]
-        tile = np.empty((loops.TILE + EIGHT) * max(widths))
+        columns = np.column_stack([widths, rows[: len(arrays)]])
         if order is not None:
             place = place[order]
         loops.run(
             self.steps,
-            np.array(records, "uint64"),
+            _padded([_flat(array) for array in arrays]),
+            columns.astype("uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
-            self._fields(out, places=1 + int(place.max(initial=0))),
+            _padded([_flat(out[name]) for name in self.widths]),
+            self.stores,
             self.target,
             place,
             order,
-            tile.ctypes.data,
+            np.empty((loops.TILE + EIGHT) * max(widths)),
             scratch,
         )
 
@@ -112,16 +107,6 @@ class Program:
             sources.append(_Source(first_array + group, int(columns.min()) + column, factor))
         return sources
 
-    def _fields(self, out: Mapping[str, NDArray], places: int) -> NDArray:
-        """Return address, width and components of each store (stores, 3), for the loop."""
-        fields = [
-            (loops.address_of(out[name], places, width, name), width)
-            for name, width in self.widths.items()
-        ]
-        field, first, components = self.stores.astype("uint64").T
-        address, width = np.array(fields, "uint64")[field].T
-        return np.stack([address + loops.BYTES * first, width, components], axis=1)
-
 
 class _Source(NamedTuple):
     """An input of a program: a column of an array of sums, times a factor."""
@@ -129,6 +114,23 @@ class _Source(NamedTuple):
     array: int
     column: int
     factor: float
+
+
+def _flat(numbers: NDArray) -> NDArray:
+    """Return an array as one row of numbers; a view, as what the loop writes to a copy would be lost."""
+    if not numbers.flags.c_contiguous:
+        raise ValueError(
+            f"expected numbers one after the other, not with strides {numbers.strides}"
+        )
+    return numbers.reshape(-1)
+
+
+def _padded(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
+    """Fill up a tuple of arrays to one of few lengths, for each of which the loop is compiled."""
+    length = PADDED
+    while length < len(arrays):
+        length *= 4
+    return (*arrays, *(np.empty(0) for _ in range(length - len(arrays))))
 
 
 def _arrays_of(sums: BlockSums) -> tuple[list[NDArray], dict[str, tuple[int, Layout]]]:
@@ -290,8 +292,10 @@ def _table_of_stores(
     for name, first, components in stored:
         widths[name] = max(widths.get(name, 0), first + components)
     names = list(widths)
-    stores = [(names.index(name), first, components) for name, first, components in stored]
-    return widths, np.array(stores)
+    stores = [
+        (names.index(name), first, widths[name], components) for name, first, components in stored
+    ]
+    return widths, np.array(stores, "uint64")
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:
