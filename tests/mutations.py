@@ -472,6 +472,10 @@ TABLE = [
     ),
     # --- structure and rheology ---
     Mutation(
+        "analysis/microstructure.py", "np.linalg.solve(vectors, np.where", "np.multiply(vectors, np.where",
+        "test_the_strain_rate_of_a_sheared_box_is_that_of_its_lattice",
+    ),
+    Mutation(
         "compiled/radial_distribution.py", "whose[low] > whose[high]", "whose[low] < whose[low]",
         "test_pairs_are_those_of_brute_force",
     ),

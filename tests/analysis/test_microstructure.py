@@ -19,6 +19,54 @@ def one(m, name):
     return m[name].isel(time=0).values
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_factors_between_microstructure_and_fields(dimension):
+    rng = np.random.default_rng(1)
+    rate, edge, count = 0.3, 8.0, 250
+    position = rng.uniform(0, edge, (count, 3))
+    layer = {}
+    if dimension == 2:
+        position[:, 2] = 0.5
+        layer = {"dimension": 2, "plane": "xy", "thickness": 1.0}
+    velocity = rate * position[:, [1]] * [1.0, 0.0, 0.0]
+    box = [[0, edge], [0, edge], [0, edge if dimension == 3 else 1.0]]
+    ds = xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=np.ones(count), density=1.0, box=box,
+        periodic="xyz"[:dimension], lattice={"xy": 0.0}, shear_rate={"xy": rate}, **layer,
+    ).cg.find_contacts(k_n=100.0)  # fmt: skip
+    names = ["pressure", "shear_stress", "friction_coefficient", "shear_rate", "inertial_number", "contact_fabric",
+             "fabric", "contact_anisotropy", "volume_fraction", "coordination_number"]  # fmt: skip
+    f = ds.cg.coarse_grain(names, axes="").isel(time=0)
+    quantities = ["mean_stress", "deviator_stress", "stress_ratio", "strain_rate", "inertial_number_d50", "fabric",
+                  "fabric_anisotropy"]  # fmt: skip
+    m = ds.cg.microstructure(quantities).isel(time=0)
+    of_stress = {2: 2.0, 3: 3**0.5}[dimension]
+    of_rate = {2: 1.0, 3: 3**-0.5}[dimension]
+    of_fabric = 1 / float(f.volume_fraction * f.coordination_number)
+    for quantity, field, factor in (
+        ("mean_stress", "pressure", 1.0),
+        ("deviator_stress", "shear_stress", of_stress),
+        ("stress_ratio", "friction_coefficient", of_stress),
+        ("strain_rate", "shear_rate", of_rate),
+        ("inertial_number_d50", "inertial_number", of_rate),
+        ("fabric", "contact_fabric", 1.0),
+        ("fabric", "fabric", of_fabric),
+        ("fabric_anisotropy", "contact_anisotropy", 1.0),
+    ):
+        np.testing.assert_allclose(
+            m[quantity], factor * f[field], rtol=1e-9, atol=1e-12, err_msg=field
+        )
+    for name in ("mean_stress", "deviator_stress", "stress_ratio", "inertial_number_d50"):
+        assert "contact stress" in m[name].attrs["long_name"]
+
+
+def test_the_strain_rate_of_a_sheared_box_is_that_of_its_lattice():
+    """Velocities of its grains have noise, which a fit takes for strain."""
+    ds = xcg.datasets.open("suspension")
+    m = ds.cg.microstructure("strain_rate").compute()
+    np.testing.assert_allclose(m.strain_rate, 1 / np.sqrt(3), rtol=1e-9)
+
+
 # --- closed forms ----------------------------------------------------------------------------------------
 
 

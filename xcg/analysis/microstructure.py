@@ -108,10 +108,10 @@ def microstructure(
     force_bins : array, optional
         Edges of the bins of f / <f>; by default ten a decade from 1e-4 to 100.
     strain_rate : str, float or DataArray, optional
-        Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by
-        finite differences in time), or "velocity" (from the affine flow that fits the velocities of
-        each group best). By default "box" where the scene has one that is not tilted and several
-        steps, else "velocity".
+        Deviatoric strain rate (s-1): a number, one a time, "box" (the rate at which the lattice of a
+        sheared box changes, else from the strain of the box by finite differences in time), or
+        "velocity" (from the affine flow that fits the velocities of each group best). By default
+        "box" where the box shears, or is not tilted and has several steps, else "velocity".
     strain : str
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
@@ -208,6 +208,23 @@ def microstructure(
 
     In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the
     shear rate over :math:`\sqrt 3` (in a plane: the shear rate).
+
+    Stresses here are those of contacts, and norms are those of soil mechanics, as in [2]_. Fields of
+    `coarse_grain` have other norms. Where no stress is kinetic, the contact stress is symmetric and
+    grains are alike, quantities are these factors times the field:
+
+    ====================  ================================  ==============  ===========
+    quantity              field of `coarse_grain`           3D              2D
+    ====================  ================================  ==============  ===========
+    mean_stress           pressure                          1               1
+    deviator_stress       shear_stress                      :math:`\sqrt 3`  2
+    stress_ratio          friction_coefficient              :math:`\sqrt 3`  2
+    strain_rate           shear_rate                        :math:`1 / \sqrt 3`  1
+    inertial_number_d50   inertial_number                   :math:`1 / \sqrt 3`  1
+    fabric                contact_fabric                    1               1
+    fabric                fabric                            :math:`1 / (\phi Z)`  :math:`1 / (\phi Z)`
+    fabric_anisotropy     contact_anisotropy                1               1
+    ====================  ================================  ==============  ===========
 
     References
     ----------
@@ -322,19 +339,22 @@ def _rate_source(ds: xr.Dataset, rate: str | float | xr.DataArray | None) -> str
     """Return the source of the strain rate: "box", "velocity", or the rate itself."""
     if rate is None:
         deforms = "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1
-        if deforms and times_are_known(ds):
+        if "lattice_velocity" in ds or (deforms and times_are_known(ds)):
             return "box"
         return "velocity"
     if isinstance(rate, str):
         if rate not in get_args(RateSource):
             raise ValueError(f"strain_rate={rate!r}: expected a rate (s-1), 'box' or 'velocity'")
+        if rate == "box" and "lattice_velocity" in ds:
+            return rate
         if rate == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
             raise ValueError(
                 "strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'"
             )
         if rate == "box" and "lattice" in ds:
             raise ValueError(
-                "strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'"
+                "strain_rate='box': how fast this tilted box shears is not known; give shear_rate= when the scene is "
+                "opened, or take 'velocity'"
             )
         return rate
     if isinstance(rate, xr.DataArray):
@@ -402,6 +422,22 @@ def _is(rate: str | xr.DataArray, source: str) -> bool:
     return isinstance(rate, str) and rate == source
 
 
+def _rate_of_lattice(ds: xr.Dataset, plane: str) -> xr.DataArray:
+    """Return the deviatoric strain rate of the flow that moves the vectors of a lattice as they move."""
+    rows = ["xyz".index(a) for a in plane]
+    vectors = ds["lattice"].to_numpy()[..., rows, :][..., rows]
+    velocities = ds["lattice_velocity"].to_numpy()[..., rows, :][..., rows]
+    is_period = np.isfinite(vectors)
+    vectors = np.where(is_period, vectors, np.eye(len(rows)))
+    gradient = np.linalg.solve(vectors, np.where(is_period, velocities, 0.0))
+    rate = (gradient + gradient.swapaxes(-1, -2)) / 2
+    trace = np.trace(rate, axis1=-2, axis2=-1)[..., None, None]
+    deviator = rate - trace / len(rows) * np.eye(len(rows))
+    factor = {2: 2, 3: 2 / 3}[len(rows)]
+    values = np.sqrt(factor * (deviator**2).sum(axis=(-2, -1)))
+    return xr.DataArray(values, dims=ds["lattice"].dims[:-2])
+
+
 def _with_series(
     ds: xr.Dataset,
     result: xr.Dataset,
@@ -426,7 +462,9 @@ def _with_series(
             if strain == "engineering":
                 values = 1 - xr.ufuncs.exp(logarithm)
             result[name] = labelled(values, "1", STRAIN[name]).assign_attrs(measure=strain)
-        if _is(rate, "box"):
+        if _is(rate, "box") and "lattice_velocity" in ds:
+            rate = _rate_of_lattice(ds, setup.plane)
+        elif _is(rate, "box"):
             require_times(ds, "the strain rate of the box")
             if stretch.chunks:  # finite differences reach over chunks; a box is six numbers a step
                 stretch = stretch.chunk(time=-1)
@@ -443,7 +481,11 @@ def _with_series(
         root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
         number = xr.ufuncs.fabs(result["strain_rate"]) * result[INERTIAL[name]] * root
         size = INERTIAL[name]
-        number = labelled(number.transpose(*pressure.dims), "1", f"inertial number with {size}")
+        number = labelled(
+            number.transpose(*pressure.dims),
+            "1",
+            f"inertial number with {size}, of the contact stress",
+        )
         formula = f"strain_rate {size} sqrt(particle_density / mean_stress)"
         result[name] = number.assign_attrs(formula=formula)
     return result[list(names)]

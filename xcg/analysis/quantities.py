@@ -308,17 +308,17 @@ QUANTITIES: dict[str, PackingQuantity] = {
         needs=FORCES,
     ),
     "mean_stress": PackingQuantity(
-        "mean stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES
+        "mean contact stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES
     ),
     "deviator_stress": PackingQuantity(
-        "deviator stress",
+        "deviator of the contact stress",
         "q = sqrt(3/2 s:s), s = dev sym sigma (2D: sqrt(2 s:s))",
         _deviator_stress,
         units="Pa",
         needs=FORCES,
     ),
     "stress_ratio": PackingQuantity(
-        "stress ratio",
+        "ratio of the contact stress",
         "eta = q / p'",
         lambda s: ratio(_deviator_stress(s), _mean_stress(s)),
         needs=FORCES,
