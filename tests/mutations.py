@@ -472,6 +472,18 @@ TABLE = [
     ),
     # --- structure and rheology ---
     Mutation(
+        "scene/box.py", "share.max() > _LARGE_SHARE", "share.max() > 2 * _LARGE_SHARE",
+        "test_grains_that_may_have_crossed_half_a_period_are_named",
+    ),
+    Mutation(
+        "analysis/contact_history.py", "losses[1:].sum() / max", "0 * losses[1:].sum() / max",
+        "test_steps_too_far_apart_for_contacts_are_named",
+    ),
+    Mutation(
+        "analysis/fit_law.py", "(2 * freedom) ** -0.5", "freedom ** -0.5",
+        "test_fits_of_few_points_say_how_uncertain_their_errors_are",
+    ),
+    Mutation(
         "analysis/microstructure.py", "np.linalg.solve(vectors, np.where", "np.multiply(vectors, np.where",
         "test_the_strain_rate_of_a_sheared_box_is_that_of_its_lattice",
     ),

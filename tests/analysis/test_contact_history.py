@@ -63,6 +63,7 @@ def test_a_contact_stays_where_a_particle_crosses_the_edge():
     np.testing.assert_allclose(h.contact_turned[:, 0], 0, atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:contact_history. 100% of the contacts are lost")
 def test_another_image_is_another_contact():
     """A sphere leaves its neighbour at one side, and touches it at the other."""
     h = _pair([0.9, 1.6], box={"x": (0, 2.5)}, periodic="x").cg.contact_history()
@@ -195,6 +196,7 @@ def _elastic_gas(particles, fraction, contact_time, duration, seed):
     return _scene(recorded, time=time, box=dict.fromkeys("xyz", (0, length)), periodic="xyz")
 
 
+@pytest.mark.filterwarnings("ignore:contact_history. 51% of the contacts are lost")
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_elastic_gas_collides_at_the_rate_of_kinetic_theory(seed):
     """Spheres that are not quite hard: their contacts are shorter and rarer than those of hard ones.
@@ -235,3 +237,19 @@ def test_an_elastic_gas_collides_at_the_rate_of_kinetic_theory(seed):
     assert abs(float(h.contact_count.sum()) * float(ds.time[1]) - expected * lifetime) < (
         3 * np.sqrt(expected) * lifetime
     )
+
+
+@pytest.mark.parametrize("interval", [1, 5])
+def test_steps_too_far_apart_for_contacts_are_named(interval):
+    """A row of ten contacts, of which one in five is open at each step; five steps apart all have changed."""
+    place = np.zeros((16, 20, 3))
+    place[:, :, 0] = 10.0 * (np.arange(20) // 2)
+    for t, k in np.ndindex(16, 10):
+        place[t, 2 * k + 1, 0] += 0.9 if (t // 5 + k) % 2 else 1.2
+    ds = _scene(place, np.arange(16.0), 1.0).isel(time=slice(None, None, interval))
+    contacts = ds.cg.find_contacts()
+    if interval == 1:
+        contacts.cg.contact_history([1])
+        return
+    with pytest.warns(xcg.SceneWarning, match="100% of the contacts are lost"):
+        contacts.cg.contact_history([1])

@@ -8,6 +8,9 @@ import xarray as xr
 
 import xcg
 
+# walks with steps of 0.3 and 0.6 in boxes of 6 to 8
+pytestmark = pytest.mark.filterwarnings("ignore:.*particles move by up to 0.2")
+
 
 def walks(steps=8, count=30, edge=4.0, seed=0, **options):
     """Random walks in a periodic box, wrapped, and without the edges."""
@@ -74,6 +77,7 @@ def test_errors_equal_those_of_repeated_walks():
         assert float(ratio.max()) < 1.5, name
 
 
+@pytest.mark.filterwarnings("ignore:.*particles move by up to 0.48")
 def test_grains_that_come_back_count_as_new():
     ds, way = walks(6, 12)
     here = np.ones((6, 12), bool)
@@ -143,3 +147,28 @@ def test_layers_frozen_grains_and_lazy_scenes():
 def test_wrong_input_raises(change, options, error, message):
     with pytest.raises(error, match=re.escape(message)):
         change(walks()[0]).cg.mean_squared_displacement(**options)
+
+
+@pytest.mark.parametrize(("jump", "fires"), [(0.1, False), (0.45, True)])
+def test_grains_that_may_have_crossed_half_a_period_are_named(jump, fires):
+    """The same check for velocities, displacements and their mean square."""
+    place = np.random.default_rng(0).uniform(0, 1, (30, 3))
+    moved = place + np.array([jump, 0.0, 0.0])
+    ds = xcg.scene_from_arrays(
+        [place, moved % 1.0], diameter=np.full((2, 30), 0.1), density=1.0, time=[0.0, 1.0],
+        box=[[0, 1]] * 3, periodic="xyz",
+    )  # fmt: skip
+    calls = {
+        "velocities": lambda: ds.cg.derive_velocity(),
+        "displacements": lambda: ds.cg.displacement("displacement", axes="", width=0.3),
+        "mean square": lambda: ds.cg.mean_squared_displacement([1]),
+    }
+    for name, call in calls.items():
+        if not fires:
+            call()
+            continue
+        results = "velocities" if name == "velocities" else "displacements"
+        with pytest.warns(xcg.SceneWarning, match=rf"by up to 0.45 .* along 'x' .*; {results} of"):
+            call()
+    followed = ds.assign(image=ds.position.astype(int) * 0)
+    followed.cg.mean_squared_displacement([1])

@@ -110,6 +110,19 @@ def test_parameters_are_within_two_errors_in_95_of_100_draws(law, weighted):
         assert np.mean(chi_squared) == pytest.approx(freedom, abs=3 * np.sqrt(2 * freedom / draws))
 
 
+@pytest.mark.parametrize("points", [4, 5])
+def test_fits_of_few_points_say_how_uncertain_their_errors_are(points):
+    x = np.linspace(0.01, 0.1, points)
+    y = 0.3 + 0.9 * x + 0.01 * np.random.default_rng(2).normal(size=points)
+    f = _result("mu_of_I_line", x, y)
+    if points == 5:
+        xcg.fit_law(f, "mu_of_I_line")
+        return
+    text = "4 points for 2 parameters leave 2 degrees of freedom.* uncertain by 50%.* Fit 5 points"
+    with pytest.warns(xcg.SceneWarning, match=text):
+        xcg.fit_law(f, "mu_of_I_line")
+
+
 def test_errors_of_x_count_by_the_slope_of_the_law():
     """A line y = a + b x with errors of x alone has those of y = b s_x."""
     x, y = _exact("mu_of_I_line")
@@ -121,6 +134,7 @@ def test_errors_of_x_count_by_the_slope_of_the_law():
     np.testing.assert_allclose(fit.covariance, np.linalg.inv(matrix.T @ matrix), rtol=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:fit_law. 3 points for 2 parameters")
 @pytest.mark.parametrize("points", [3, 8])
 def test_a_line_where_the_points_hold_no_more_says_so(points):
     x = np.linspace(0.001, 0.02, points)

@@ -25,6 +25,8 @@ from xcg.steps.mapping import each_step
 
 # intervals that are longer than the median by more than this share are gaps
 _GAP = 0.01
+# share of contacts lost from step to step above which a warning is given
+_LOST = 0.5
 
 _ROWS = {
     "contact_age": Variable(("contact",), "s", "time since the first step of the contact"),
@@ -74,7 +76,8 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     Warns
     -----
     SceneWarning
-        If steps are missing in the series: contacts that break and form again in a gap are not seen.
+        If steps are missing in the series: contacts that break and form again in a gap are not seen;
+        or more than half of the contacts are lost from one step to the next.
 
     Notes
     -----
@@ -141,6 +144,7 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
             if lag <= t:
                 survivors[t - lag, k] = (now.first <= t - lag).sum()
         before = now
+    _warn_of_losses(arrays["losses"], arrays["contact_count"], interval)
     call = call_of("contact_history", {"lags": chosen})
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
@@ -162,6 +166,19 @@ def _warn_of_gaps(times: NDArray, interval: float) -> None:
                 f"contact_history: {len(gaps)} intervals are longer than the others ({interval:g} "
                 f"s), the first from {first:g} to {last:g} s; contacts that break and form again "
                 "there are not seen, and persistence leaves these intervals out"
+            )
+        )
+
+
+def _warn_of_losses(losses: NDArray, count: NDArray, interval: float) -> None:
+    """Warn if most contacts are lost from one step to the next."""
+    share = losses[1:].sum() / max(1, count[:-1].sum())
+    if share > _LOST:
+        warn_user(
+            SceneWarning(
+                f"contact_history: {share:.0%} of the contacts are lost from one step to the next: they last "
+                f"{1 / share:.2g} intervals ({interval:g} s) or less, and those that begin and end between two "
+                "steps are not seen. Write steps more often"
             )
         )
 

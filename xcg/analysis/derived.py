@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
-from xcg.common.messages import SceneError, warn_once
+from xcg.common.messages import SceneError
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import Description
@@ -206,9 +206,6 @@ def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
 # --- velocities from positions ---------------------------------------------------------------------------
 
 
-_LARGE_SHARE = 0.25  # of a period
-
-
 @takes_scene
 def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     """Add velocities from positions by differences in time; lazy where the scene is.
@@ -298,14 +295,7 @@ class _Velocity(FrameAnalysis):
             stays = np.flatnonzero(row >= 0)
             motion = BoxMotion.between(lattice, other_lattice)
             moved = motion.relative(frame, other_frame, stays, row[stays])
-            share = np.abs(moved).max(axis=0, initial=0.0) / lattice.period
-            if "image" not in frame and share.max() > _LARGE_SHARE:  # it may be another image
-                warn_once(
-                    "velocities across a period",
-                    f"{source}: particles move by up to {share.max():.2f} of the period along "
-                    f"'{COMPONENTS[share.argmax()]}' from one step to the next; velocities of those that move by half "
-                    "a period or more are wrong. Write steps more often",
-                )
+            motion.warn_of_jumps(moved, frame, lattice, source, "velocities")
             moved += motion.shift + position[stays] @ motion.gradient.T
             apart = float(other_frame["time"] - frame["time"])
             total[stays] += np.sign(apart) * moved

@@ -80,6 +80,12 @@ def mean_squared_displacement(
     ValueError
         If a lag or the range of the fit does not fit the series.
 
+    Warns
+    -----
+    SceneWarning
+        If a particle moves by more than a quarter of a period from one step to the next, and the
+        scene has no ``image``.
+
     Notes
     -----
     ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside
@@ -250,6 +256,7 @@ def _ways(
             rows = rows[stay]
             motion = BoxMotion.between(old_lattice, lattice)
             moved = motion.relative(old_frame, frame, stay, rows)
+            motion.warn_of_jumps(moved, old_frame, old_lattice, old_source, "displacements")
             if remove_drift and len(moved):
                 moved -= moved.mean(axis=0)
             place[rows] = old.place[stay] + moved

@@ -128,6 +128,12 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         If there are not enough frames for `lag`, a field is not one of displacements, or an
         argument is wrong.
 
+    Warns
+    -----
+    SceneWarning
+        When it is computed, if a particle moves by more than a quarter of a period between the two
+        frames, and the scene has no ``image``.
+
     Notes
     -----
     ``u = sum m_i u_i Psi / rho`` and its gradient H are fitted as velocity and its gradient are; F
@@ -322,7 +328,9 @@ class _Displacements(FrameAnalysis):
         stays = np.flatnonzero(rows >= 0)
         motion = BoxMotion.between(lattice, later_lattice)
         of_both = {name: values[stays] for name, values in frame.items() if np.ndim(values)}
-        of_both["velocity"] = motion.relative(frame, later_frame, stays, rows[stays])
+        moved = motion.relative(frame, later_frame, stays, rows[stays])
+        motion.warn_of_jumps(moved, frame, lattice, source, "displacements")
+        of_both["velocity"] = moved
         of_both["interval"] = np.full(len(stays), later_frame["time"] - frame["time"])
         fields = replace(self.fields, threads=self.threads).frame(of_both, lattice, source)
         return fields | {

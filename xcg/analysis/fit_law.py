@@ -23,6 +23,7 @@ from xcg.steps.labels import call_of, provenance
 
 # rounds of the effective variance: each takes the slope of the law from the fit before
 _ROUNDS = 4
+_FREEDOM = 3  # degrees of freedom below which a warning is given
 
 
 def fit_law(
@@ -74,8 +75,8 @@ def fit_law(
     Warns
     -----
     SceneWarning
-        If ``mu_of_I`` falls back to a line, points without a standard error are left out, or
-        standard errors are infinite.
+        If ``mu_of_I`` falls back to a line, points without a standard error are left out, standard
+        errors are infinite, or fewer than three degrees of freedom are left.
 
     Notes
     -----
@@ -146,6 +147,15 @@ def fit_law(
             SceneWarning(
                 "fit_law: standard errors are infinite: the points do not determine all parameters, "
                 "or lie on the law without scatter"
+            )
+        )
+    freedom = len(points.x) - len(fit.names)
+    if freedom < _FREEDOM:
+        warn_user(
+            SceneWarning(
+                f"fit_law: {len(points.x)} points for {len(fit.names)} parameters leave {freedom} degrees of "
+                f"freedom: the fit is hardly tested, and standard errors from its scatter are uncertain by "
+                f"{(2 * freedom) ** -0.5:.0%}. Fit {_FREEDOM + len(fit.names)} points or more"
             )
         )
     data = _parameters(fit, row, len(points.x), f.attrs.get("unit_system", "SI"))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common import drawing
 from xcg.common.checks import NOT_NEGATIVE, POSITIVE, check, whole
+from xcg.common.messages import SceneWarning, warn_user
 from xcg.fields.coarse_grain import Asked, answer, prepare
 from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
@@ -323,6 +324,11 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
         If an argument is wrong, or a field without an error of a single frame (a density, contact
         stress) is asked for in a scene of one frame.
 
+    Warns
+    -----
+    SceneWarning
+        If the error is least at an end of the widths that are compared.
+
     Notes
     -----
     A narrow kernel sees few particles, a wide one smears gradients. The error of the average over n
@@ -336,7 +342,7 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     Examples
     --------
     >>> import xcg
-    >>> found = choose_width(xcg.datasets.open("plane_shear"), "velocity", axes="z")
+    >>> found = choose_width(xcg.datasets.open("plane_shear"), "velocity", axes="z", frames=1)
     >>> sorted(found.sizes)
     ['width']
     """
@@ -471,6 +477,14 @@ def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[st
     fewest = int(np.lexsort((worst, needed))[0])
     ends = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}
     text = f"width with the least error{ends.get(best, '')}"
+    if best in ends:
+        wider = "narrower" if best == 0 else "wider"
+        warn_user(
+            SceneWarning(
+                f"choose_width: the error of {', '.join(names)} is least, {worst[best]:.2g}, at "
+                f"{fine[best]:.3g}{ends[best]}; a {wider} one may be better: extend widths= to that side"
+            )
+        )
     leading = int(totals[:, best].argmax())
     bias = biases[leading, best]
     noise = noises[leading, best] / math.sqrt(frames)

@@ -50,9 +50,21 @@ def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
     )
 
 
+def _without_friction(scene: Description, plan: Plan, named: bool) -> str:
+    """Return a warning if a redundancy counts sliding contacts as sticking; "" if it does not."""
+    if "redundancy_number" not in plan.asked or plan.options.sliding:
+        return ""
+    return (
+        "redundancy_number without friction= counts sliding contacts as sticking: where all slide it is "
+        f"{scene.setup.dimension} times too large. Pass friction=, the coefficient between the grains (0 without, "
+        "a large one where none slides)"
+    )
+
+
 # what a warning is about, and a function of scene, plan and whether fields were named
 _ADVICE = {
     "few grains": _few_grains,
+    "redundancy without friction": _without_friction,
 }
 
 

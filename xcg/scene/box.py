@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError, warn_once, warn_user
 from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame
@@ -18,6 +18,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
 _TILT_FORMS = "the vectors a, b, c as an array (3, 3), one such array a step, or tilts such as {'xy': 0.01} (m)"
 _SHEARS = tuple(i + j for i in COMPONENTS for j in COMPONENTS if i != j)
+_LARGE_SHARE = 0.25  # of a period that grains move by between steps, from which a warning is given
 _FAST = 0.25  # change of the tilt from step to step, in periods, from which it is hardly known: a half is two rates
 
 
@@ -241,6 +242,24 @@ class BoxMotion:
         turned = same_vectors(before, after, np.flatnonzero(wraps))
         gradient = (np.linalg.pinv(before) @ (turned @ after - before)).T
         return cls(gradient, moved - gradient @ lower, later, turned)
+
+    def warn_of_jumps(
+        self, moved: NDArray, frame: Frame, lattice: Lattice, source: str, results: str
+    ) -> None:
+        """Warn of relative displacements (n, 3) so large that the nearest image may be another one.
+
+        `results` is what would be wrong, such as "velocities".
+        """
+        if "image" in frame:
+            return
+        share = np.abs(moved).max(axis=0, initial=0.0) / lattice.period
+        if share.max() > _LARGE_SHARE:
+            warn_once(
+                f"{results} across a period",
+                f"{source}: particles move by up to {share.max():.2f} of the period along "
+                f"'{COMPONENTS[share.argmax()]}' between two steps; {results} of those that move by half a period "
+                "or more are wrong. Write steps more often, or with images (ix iy iz, or xu yu zu)",
+            )
 
     def relative(self, first: Frame, later: Frame, here: NDArray, there: NDArray) -> NDArray:
         """Return the displacements (n, 3) of grains, less that of the box where they were.
