@@ -90,8 +90,7 @@ CALLS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "width_sweep": lambda ds: ds.cg.width_sweep([0.5, 0.8], "density", axes="z"),
     "slice_temperature": lambda ds: ds.cg.slice_temperature(),
     "cell_volumes": lambda ds: ds.cg.cell_volumes(1.0, **PHASES),
-    # without the heights of free surfaces, sums that xarray takes in another order where they are lazy
-    "depth_average": lambda ds: ds.cg.depth_average(width=0.5).drop_vars("thickness"),
+    "depth_average": lambda ds: ds.cg.depth_average(width=0.5),
     "flow_rate": lambda ds: ds.cg.flow_rate(PLANE, width=0.5),
     "wall_stress": lambda ds: ds.cg.wall_stress(FLOOR, 0.5, within=0.5),
     "find_contacts": lambda ds: _stress(ds.cg.find_contacts(k_n=2.0)),

@@ -342,7 +342,8 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     Examples
     --------
     >>> import xcg
-    >>> found = choose_width(xcg.datasets.open("plane_shear"), "velocity", axes="z", frames=1)
+    >>> flow = xcg.datasets.open("plane_shear")
+    >>> found = choose_width(flow, "velocity", axes="z", widths=[0.15, 0.3, 0.5])
     >>> sorted(found.sizes)
     ['width']
     """
