@@ -13,6 +13,9 @@ from xcg.analysis.quantities import QUANTITIES
 from xcg.fields.formulas import registry
 from xcg.scene.schema import BOX, VARIABLES, powers_of, units_in, units_of
 
+# of grains at random, the widest kernel has the least error
+pytestmark = pytest.mark.filterwarnings("ignore:choose_width. the error of velocity is least")
+
 
 @pytest.fixture(scope="module")
 def scene():
