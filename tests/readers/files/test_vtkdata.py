@@ -56,6 +56,42 @@ def test_foreign_characters_raise(piece):
             decoded(text[:at] + piece + text[at + len(piece) :], 4)
 
 
+# --- text ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("between", [" ", "\n", "\t", "\r\n", " \n \v\f", "   "])
+def test_ascii_has_the_numbers_of_python_whatever_stands_between(between):
+    rng = np.random.default_rng(1)
+    words = [
+        repr(x) for x in (rng.normal(size=9000) * 10.0 ** rng.integers(-300, 300, 9000)).tolist()
+    ]
+    words += ["7", "+1.", "-.5", "1E5", "4.9e-324", "9007199254740993", "1e-400"]
+    text = (between + between.join(words) + between).encode()
+    values = vtkdata.parse_text(text, "Float64", len(words))
+    np.testing.assert_array_equal(values, [float(word) for word in words])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"1 2", "2 numbers, not 3"),
+        (b"1 2 3\n4", "4 numbers, not 3"),
+        (b"", "0 numbers, not 3"),
+        (b"1 x 3", "something else than finite numbers"),
+        (b"1 nan 3", "something else than finite numbers"),
+        (b"1 1_0 3", "something else than finite numbers"),
+    ],
+)
+def test_ascii_that_is_not_as_promised_raises(text, message):
+    with pytest.raises(vtkdata.DataError, match=message):
+        vtkdata.parse_text(text, "Float64", 3)
+
+
+def test_ascii_of_single_precision_is_rounded_to_it():
+    (value,) = vtkdata.parse_text(b"0.1", "Float32", 1)
+    assert value == np.float64(np.float32(0.1))
+
+
 # --- zlib ------------------------------------------------------------------------------------------------
 
 

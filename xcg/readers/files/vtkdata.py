@@ -18,11 +18,14 @@ import pybase64
 from isal import isal_zlib
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
+from xcg.readers.files.table import parse_table
 from xcg.readers.files.text import errors
 
 _LZ4 = "vtkLZ4DataCompressor"
 # Bytes that one compressed byte can stand for, at most.
 COMPRESSORS = {"vtkZLibDataCompressor": 1032, _LZ4: 256, "vtkLZMADataCompressor": 1 << 14}
+_ONE_A_LINE = bytes.maketrans(b" \t\r\v\f", b"\n" * 5)
 
 Data: TypeAlias = bytes | memoryview
 Take: TypeAlias = Callable[[int, int], Data]  # some bytes of a block: from, count
@@ -56,14 +59,15 @@ class DataError(ValueError):
 
 
 def parse_text(text: bytes, kind: str, count: int) -> NDArray:
-    """Parse numbers written in the XML itself."""
-    tokens = text.split()
-    if len(tokens) != count:
-        raise DataError(f"it holds {len(tokens)} numbers, not {count}")
+    """Parse numbers written in the XML itself, or in the text of a legacy file."""
     try:
-        values = np.array(tokens, "S").astype("float64")
-    except ValueError:
-        raise DataError("it holds something else than numbers") from None
+        columns = parse_table(text.translate(_ONE_A_LINE), ["number"], ["number"], count, "")
+    except SceneError:
+        present = len(text.split())
+        if present != count:
+            raise DataError(f"it holds {present} numbers, not {count}") from None
+        raise DataError("it holds something else than finite numbers") from None
+    values = columns["number"]
     if kind == "Float32":
         with np.errstate(over="ignore"):  # infinity is refused where values are checked
             values = values.astype("float32").astype("float64")
