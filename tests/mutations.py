@@ -345,7 +345,7 @@ TABLE = [
     ),
     Mutation(
         "fields/advice.py", "dimension + 1 - 2 / dimension", "dimension + 1",
-        "test_floors_of_a_gas",
+        "test_shear_rate_of_independent_velocities",
     ),
     # --- fields ---
     Mutation(

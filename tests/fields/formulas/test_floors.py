@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests import truths
+from tests import ensembles, truths
 from xcg.fields.advice import support_of
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.field import Support
@@ -95,6 +95,17 @@ def test_floors_of_a_gas(width):
     assert floors.inertial_number(here) == pytest.approx(
         f.inertial_number.median().item(), rel=0.25
     )
+
+
+@pytest.mark.parametrize(("layer", "count"), [(False, 1000), (True, 300)])
+def test_shear_rate_of_independent_velocities(layer, count):
+    """Many grains, of which a node sees some 100, with T = 1: the mean norm is that of normal components."""
+    ds = ensembles.ensemble(count, shear=0.0, draws=20, layer=layer)
+    if layer:  # whose grains move in it
+        ds = ds.assign(velocity=ds.velocity * [1.0, 1.0, 0.0])
+    f = ds.cg.coarse_grain("shear_rate", width=1.5)
+    floor = floors.shear_rate(of_scene(ds, width=1.5)) / ds.attrs["d43"]
+    assert floor == pytest.approx(float(f.shear_rate.mean()), rel=0.04)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -69,11 +69,11 @@ def order(support: Support) -> float:
 
 def shear_rate(support: Support) -> float:
     """Return |dev Gamma| of independent velocities without shear, in sqrt(T) / d43."""
-    return support.slope
+    return _NORM[support.dimension] * support.slope
 
 
 def inertial_number(support: Support) -> float:
     """Return I of a gas, p = phi rho_p T, or of dense grains that fluctuate as in shear at I = 0.1, without shear."""
     if support.is_dense:
-        return _SHAKEN * support.slope
-    return support.slope / math.sqrt(support.volume_fraction)
+        return _SHAKEN * shear_rate(support)
+    return shear_rate(support) / math.sqrt(support.volume_fraction)
