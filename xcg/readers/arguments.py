@@ -174,7 +174,7 @@ class Arguments:
         missing = "raise"
         if "skip" in (self.missing, self.on_error):
             missing = "skip"
-        answered = ("periodic", "lattice", "shape", "units")
+        answered = ("box", "periodic", "lattice", "shape", "units")
         return ReadOptions(
             mapped,
             names_of=apart,

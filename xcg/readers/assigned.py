@@ -217,7 +217,7 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
         f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
         f"for example names={{{likely!r}: {slot!r}}}"
     )
-    numbered = [column for column in ref.columns if RAW.fullmatch(column)]
+    numbered = [column for column in ref.columns if RAW.fullmatch(column) and "[" in column]
     if slot in CONTACT_SLOTS and len(numbered) >= FEWEST_OF_LIGGGHTS:
         msg += ". Files of LIGGGHTS are read by the words of their 'compute pair/gran/local', names='pos id force'"
     elif slot in CONTACT_SLOTS and numbered:

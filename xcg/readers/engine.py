@@ -141,8 +141,8 @@ class ReadOptions:
     names_of : mapping
         `names` of each kind of file, where the caller gives them apart ("particles", "contacts").
     given : frozenset of str
-        Which of ``periodic``, ``lattice``, ``shape`` and ``units`` of `xcg.open_scene` the caller
-        gave.
+        Which of ``box``, ``periodic``, ``lattice``, ``shape`` and ``units`` of `xcg.open_scene` the
+        caller gave.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
     vectors : tuple of tuple of str

@@ -177,10 +177,12 @@ CONTACTS: Mapping[str, Names] = {
     "contact_i": Names(
         "contact i, id1, id i, patom1, particle 1, particle i, particle id 1, particle i id, "
         "particle 1 id, global id 1, atom1, atom id 1, grain 1, grain i, i",
+        "=a =A =end1 =p1 =ida =ball1 =first =from =elementa home",
     ),
     "contact_j": Names(
         "contact j, id2, id j, patom2, particle 2, particle j, particle id 2, particle j id, "
         "particle 2 id, global id 2, atom2, atom id 2, grain 2, grain j, j",
+        "=b =B =end2 =p2 =idb =ball2 =second =to =elementb near",
     ),
     "contact_force": Names(
         "contact force ?, f?, force ?, ? force, total force ?, force ij ?, force total ?, f tot ?"
@@ -390,6 +392,22 @@ def _columns_by_name(
 
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _OF_LAMMPS = re.compile(r"^(?:[vcfdi]|[di]2)_(?=\w\w)")  # variables, computes, fixes, properties
+# vectors of contacts that are no forces, by the beginning of their names
+_OTHER_VECTORS = (
+    "n",
+    "torq",
+    "moment",
+    "m",
+    "vel",
+    "v",
+    "omega",
+    "w",
+    "branch",
+    "l",
+    "pos",
+    "end",
+    "heat",
+)
 _TOLD_BY_UNITS = {"density", "velocity"}  # units of nothing else
 _OF_PARAVIEW = {
     "pointid", "cellid", "celltype", "blockname", "blocknumber", "vtkoriginalpointids",
@@ -437,6 +455,14 @@ def resembles(column: str, names: Names) -> bool:
     return any(word in hints or (stems and word.startswith(stems)) for word in words)
 
 
+def _vectors_of(columns: Iterable[str]) -> list[str]:
+    """Return the canonical names of vectors of three columns, without their axes."""
+    names = {*canonical_columns(columns)}
+    return [
+        name[:-1] for name in sorted(names) if {name[:-1] + axis for axis in COMPONENTS} <= names
+    ]
+
+
 def resembling(
     columns: Iterable[str], variables: Iterable[str], *, contacts: bool
 ) -> dict[str, str]:
@@ -467,6 +493,11 @@ def resembling(
             of_another = unit is not None and unit.in_brackets and unit.powers != powers
             if not of_another and resembles(column, names):
                 likely.setdefault(column, variable)
+    if contacts and "tangential_force" in lacking:  # of any name, where the force is the normal one
+        for stem in _vectors_of(candidates):
+            for column in candidates:
+                if canonical(column)[:-1] == stem and not stem.startswith(_OTHER_VECTORS):
+                    likely.setdefault(column, "tangential_force")
     for column in candidates:
         unit = unit_of(column)
         for variable in _TOLD_BY_UNITS & lacking.keys():

@@ -73,6 +73,8 @@ def test_a_total_force_is_not_added_to_its_parts(tmp_path, grains):
     [
         ("tx ty tz", "tangential_force"),
         ("Frict_X Frict_Y Frict_Z", "tangential_force"),
+        ("tsx tsy tsz", "tangential_force"),
+        ("Ffric:0 Ffric:1 Ffric:2", "tangential_force"),
         ("cx cy cz", "contact_point"),
         ("pos_x pos_y pos_z", "contact_point"),
         ("indentation", "overlap"),
@@ -119,6 +121,22 @@ def test_magnitudes_in_tables_follow_the_centres(columns):
     whole = contacts.assign(fx=1.0, fy=2.0, fz=3.0).rename(columns={normal: "fn", tangential: "ft"})
     ds = xcg.scene_from_table(grains, whole, density=1.0)
     np.testing.assert_allclose(ds.contact_force[0, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize("columns", ["nx ny nz", "torque_x torque_y torque_z", "mx my mz"])
+@pytest.mark.filterwarnings("error")
+def test_other_vectors_beside_normal_forces_are_not_needed(tmp_path, grains, columns):
+    text = ",".join(["id1,id2,fnx,fny,fnz", *columns.split()]) + "\n1,2,0,0,-7,0,0,1\n"
+    ds = xcg.open_scene(grains, dumps.write(tmp_path / "c.csv", text), density=1.0)
+    assert ds.attrs["not_read"] == "contacts: " + columns.replace(" ", ", ")
+
+
+@pytest.mark.parametrize("columns", ["A,B", "end1,end2", "first,second", "Element A,Element B"])
+def test_ids_of_partners_of_other_names_are_offered(tmp_path, grains, columns):
+    path = dumps.write(tmp_path / "c.csv", f"{columns},fx,fy,fz\n1,2,0,0,-7\n")
+    first = columns.partition(",")[0]
+    with pytest.raises(xcg.SceneError, match=f"names={{'{first}': 'contact_i'}}"):
+        xcg.open_scene(grains, path, engine="table", density=1.0)
 
 
 def test_magnitudes_beside_a_vector_are_not_needed(tmp_path, grains):
@@ -238,6 +256,16 @@ def test_flags_of_a_box_that_are_not_understood_are_named(tmp_path, flags):
     with warnings.catch_warnings(action="error"):
         ds = xcg.open_scene(path, density=1.0, periodic="xyz")
     assert ds.attrs["periodic"] == "xyz"
+
+
+@pytest.mark.parametrize("key", ["cell", "Box", "box_size"])
+def test_words_of_xyz_that_resemble_a_lattice_are_named(tmp_path, key):
+    text = f'1\n{key}="9 9 9" Properties=pos:R:3:radius:R:1\n1 2 3 0.5\n'
+    path = dumps.write(tmp_path / "p.xyz", text)
+    with pytest.warns(xcg.SceneWarning, match=r"in the comment is not understood; say box="):
+        xcg.open_scene(path, density=1.0)
+    with warnings.catch_warnings(action="error"):
+        xcg.open_scene(path, density=1.0, box=[[0, 9]] * 3)
 
 
 @pytest.mark.parametrize("step", ["1.5", "many", "nan", "-inf"])

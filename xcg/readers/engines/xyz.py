@@ -56,6 +56,8 @@ _NO_SPECIES = (
     "names={'species': 'particle_id'}; if it is x, say names={'species': 'position_x', "
     "'x': 'position_y', 'y': 'position_z', 'z': None}"
 )
+_LIKE_LATTICE = ("cell", "box", "boxsize", "boxlengths", "celllengths", "domain", "period")
+_EDGES = "box=[[x0, x1], [y0, y1], [z0, z1]], periodic='xyz'"
 _TRUE = ("t", "true", "1")
 _FALSE = ("f", "false", "0")
 
@@ -278,7 +280,8 @@ def _clock(entries: Mapping[str, str], comment: str) -> dict[str, Any]:
 def _box(entries: Mapping[str, str], source: str) -> dict[str, Any]:
     """Return box, lattice and periodic axes of a comment; without ``pbc`` a lattice is periodic."""
     if "lattice" not in entries:
-        return {}
+        unknown = [(f"'{key}=' in the comment", _EDGES) for key in _LIKE_LATTICE if key in entries]
+        return {"unknown": tuple(unknown)}
     cell = _numbers(entries["lattice"], 9, "Lattice", source).reshape(3, 3)
     origin = _numbers(entries.get("origin", "0 0 0"), 3, "Origin", source)
     words = re.findall(r"\w+", entries.get("pbc", "T T T").lower())
