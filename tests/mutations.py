@@ -316,12 +316,36 @@ TABLE = [
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums",
     ),
     Mutation(
-        "fields/formulas/rows/flow.py", "outer(moved, b)", "outer(s.momentum, b)",
+        "fields/formulas/rows/flow.py", "s.kinetic + outer(b, s.momentum)", "s.kinetic",
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums test_fields_equal_the_columns_of_mercury",
     ),
     Mutation(
         "fields/formulas/averages.py", "biases.append((count - 1) *", "biases.append(count *",
         "test_bias_of_kinetic_stress_is_that_of_a_variance",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "(2 * dot(across, first) / mass +", "(dot(across, first) / mass +",
+        "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "own + 2 * double_dot(inverse, about(", "own + double_dot(inverse, about(",
+        "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "rest - rows[k][m][..., None] * known", "rest",
+        "test_the_bulk_is_the_mean_by_mass_and_negative_temperatures_are_nan",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "pivot = rows[k][k] + absent[k]", "pivot = rows[k][k]",
+        "test_phases_that_are_absent_leave_the_others_known",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "f.granular_temperature * mean_of(f.density, f.number_density)",
+        "f.granular_temperature * f.density", "test_temperatures_of_a_mixture_are_those_of_its_phases",
+    ),
+    Mutation(
+        "fields/evaluate.py", "plan.lost_share * kinetic > _LOST", "plan.lost_share > _LOST",
+        "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(
         "fields/formulas/averages.py", "independent**0.5", "independent",

@@ -8,8 +8,8 @@ import numpy as np
 
 from xcg.common.messages import warn_once
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import squared_integral
-from xcg.fields.formulas.field import Support
+from xcg.fields.formulas.averages import squared_integral, takes_covariance
+from xcg.fields.formulas.field import Field, Options, Support
 from xcg.fields.plan import Plan
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
@@ -61,11 +61,59 @@ def _without_friction(scene: Description, plan: Plan, named: bool) -> str:
     )
 
 
+# Ratio of the largest to the smallest mass above which the bulk's temperature is off by 5 % or more
+# in equilibrium (sizes 0.85 to 1.15, volume fraction 0.2, default width: 9 %).
+_ALIKE = 2.0
+
+
+def _mixed_masses(scene: Description, plan: Plan, named: bool) -> str:
+    """Return a warning if a temperature was asked for of grains of different masses together; "" if not.
+
+    Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
+    them at rest, would all warn.
+    """
+    fields = [name for name in _OF_ONE_VARIANCE if name in plan.asked]
+    smallest = scene.sizes.get("dmin", 0.0)
+    if not named or not fields or plan.options.temperature != "unbiased" or not smallest > 0:
+        return ""
+    masses = (scene.sizes["dmax"] / smallest) ** 3
+    if masses <= _ALIKE:
+        return ""
+    return (
+        f"{', '.join(fields)} of grains whose masses differ by {masses:.2g} assumes that all have the same variance of "
+        "velocities: where light grains are faster, as in equilibrium, it is too large. Pass by= of species or of "
+        "ds.cg.find_phases(...): each phase then has its temperature, and the bulk their mean by mass"
+    )
+
+
+_OF_ONE_VARIANCE = ("granular_temperature", "directional_temperature", "mixture_temperature")
+
 # what a warning is about, and a function of scene, plan and whether fields were named
 _ADVICE = {
     "few grains": _few_grains,
     "redundancy without friction": _without_friction,
+    "mixed masses": _mixed_masses,
 }
+
+
+def lost_share(scene: Description, plan: Plan) -> float:
+    """Return the share of the kinetic stress that single steps lack, 1 / N_eff; 0 if no requested field takes it."""
+    takes = any(
+        takes_stress_of_step(registry.row(name, plan.options), plan.options) for name in plan.asked
+    )
+    support = support_of(scene, plan)
+    if not takes or support is None:
+        return 0.0
+    return 1.0 / support.grains
+
+
+def takes_stress_of_step(row: Field, options: Options) -> bool:
+    """Return whether a field follows from the kinetic stress, but for temperatures."""
+    if takes_covariance(row, options):
+        return True
+    return not row.moments and any(
+        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
+    )
 
 
 def text_of_floors(scene: Description, plan: Plan) -> str | None:

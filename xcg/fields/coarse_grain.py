@@ -118,6 +118,8 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
     )
     if advise:
         advice.advise(scene, plan, named=named)
+        plan.named = named
+        plan.lost_share = advice.lost_share(scene, plan)
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,8 +21,10 @@ from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
+from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description
 from xcg.scene.facts import SETUP, setup_of
+from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
@@ -186,10 +188,27 @@ def _compute_step(
             known = values[along]
             values[grid.undirected] = np.nan
             values[along] = known
-    if plan.is_narrow:
-        return  # the plan has warned of the cause of what follows
-    if plan.options.temperature == "unbiased":
-        _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
+    if not plan.is_narrow:  # else the plan has warned of the cause of what follows
+        _warn_of_step(plan, frame, lattice, source, rows, sum(reached), scale)
+
+
+def _warn_of_step(
+    plan: Plan,
+    frame: Frame,
+    lattice: Lattice,
+    source: str,
+    rows: Mapping[str, NDArray],
+    reached: int,
+    scale: float,
+) -> None:
+    """Warn of fields of a step that are unknown, impossible, or far from those of averages."""
+    if plan.lost_share:
+        _warn_of_loss(plan, frame, lattice, source)
+        plan.lost_share = 0.0
+    if plan.named and plan.options.temperature == "mixture":
+        _warn_of_phases(rows, plan.deposit.groups, source)
+    if plan.options.temperature != "biased":
+        _warn_of_unknown(rows, reached, plan.kernel.width, source)
     # extent=1 m asks for an integral in place of an average: no warning
     if "volume_fraction" in rows and 1.0 not in plan.extent.values():
         largest = frame["volume"].max(initial=0.0) * scale
@@ -237,6 +256,85 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
                 f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. "
                 f"Increase width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
             )
+
+
+_LOST = 0.05  # of the pressure
+_UNKNOWN = 0.16  # of normal values, these are negative where the error is as large as the mean
+
+
+def _warn_of_loss(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> None:
+    """Warn where the velocity at a node takes a considerable part of the pressure from the kinetic stress.
+
+    Without contacts the pressure is not known, and the share is that of the kinetic stress itself,
+    where it was asked for by name.
+    """
+    if "contact_i" not in frame and not plan.named:
+        return
+    kinetic, contact = _pressures(without_frozen(frame), lattice, source, plan.options.plane)
+    total = kinetic + max(contact, 0.0)
+    if not plan.lost_share * kinetic > _LOST * total:
+        return
+    lost = 100 * plan.lost_share * kinetic / total
+    names = ", ".join(
+        name for name in ("kinetic_stress", "stress", "pressure") if name in plan.asked
+    )
+    of = "the pressure"
+    if "contact_i" not in frame:
+        of = "its value"
+    warn_once(
+        "kinetic stress",
+        f"{source}: {names or plan.asked[0]} of a single step lacks kinetic stress of about {lost:.0f} % of "
+        f"{of}, as the velocity at a node follows the {1 / plan.lost_share:.2g} grains there: take the "
+        "time_average of the result, which is about the averaged velocity, average along axes (axes=), or increase "
+        f"width= (it is {plan.kernel.width:.3g})",
+    )
+
+
+def _pressures(
+    frame: Frame, lattice: Lattice, source: str, plane: Sequence[int]
+) -> tuple[float, float]:
+    """Return the parts of the pressure of a step from fluctuations and from contacts, times the volume.
+
+    Fluctuations are those between grains in contact where there are many; else of all grains about
+    the best linear flow, as in a gas.
+    """
+    velocity = frame["velocity"]
+    mass = frame["mass"]
+    contact = 0.0
+    if "contact_i" in frame:
+        contacts = Contacts.of(frame, lattice, source)
+        sides = (contacts.branch_i - contacts.branch_j) * contacts.force
+        contact = float(sides[:, list(plane)].sum()) / len(plane)
+        pairs = (contacts.i >= 0) & (contacts.j >= 0)
+        if 2 * np.count_nonzero(pairs) > len(mass):
+            relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
+            variance = float((relative**2).sum(axis=1).mean()) / 2
+            return variance * float(mass.sum()) / len(plane), contact
+    root = np.sqrt(mass)[:, None]
+    flow = root * np.column_stack([np.ones(len(mass)), frame["position"] - frame["position"][:1]])
+    rest = root * velocity - flow @ np.linalg.lstsq(flow, root * velocity, rcond=None)[0]
+    return float((rest**2).sum()) / len(plane), contact
+
+
+def _warn_of_phases(rows: Mapping[str, NDArray], groups: Sequence[int], source: str) -> None:
+    """Warn of phases whose temperature one step does not tell."""
+    if not {"density", "granular_temperature"} <= rows.keys():
+        return
+    reached = rows["density"] > 0
+    lost = reached & ~np.isfinite(rows["granular_temperature"])
+    shares = lost.sum(axis=0) / np.maximum(reached.sum(axis=0), 1)
+    unknown = [
+        f"{group} (at {100 * share:.0f} % of its nodes)"
+        for group, share in zip(groups, shares[1:], strict=True)
+        if share > _UNKNOWN
+    ]
+    if unknown:
+        warn_once(
+            "temperatures of phases",
+            f"{source}: the error of one step is larger than the granular_temperature of phase {', '.join(unknown)}, "
+            "which is NaN where negative: take the time_average or profile of the result, which solves for the "
+            "temperatures after averaging, average along axes (axes=), or increase width=",
+        )
 
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {

@@ -59,6 +59,8 @@ def request_like(request: Request) -> Request:
         **{name: f.attrs[name] for name in _OPTIONS},
         **{name: f.attrs[name] for name in _IF_GIVEN if name in f.attrs},
     }
+    if options["temperature"] == "mixture":
+        options["temperature"] = "unbiased"  # with the same by=
     if "extent" in f.attrs:
         options["extent"] = json.loads(f.attrs["extent"])
     if "phase" in f.dims:

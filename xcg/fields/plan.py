@@ -75,6 +75,10 @@ class Plan:
         `DENSE`; None where d43 or the box is not known. Estimated by `explain` alone.
     floors : str, optional
         Values that single steps show where the true one is 0. Estimated by `explain` alone.
+    named : bool
+        Whether the fields were asked for by name.
+    lost_share : float
+        Share of the kinetic stress that single steps lack, until a step was checked for it.
     walls : str, optional
         What the accessible fraction takes. Measured by `explain` alone.
 
@@ -97,6 +101,8 @@ class Plan:
     is_narrow: bool = False
     effective_count: float | None = None
     floors: str | None = None
+    named: bool = False
+    lost_share: float = 0.0
     walls: str | None = None
 
     def __post_init__(self) -> None:
@@ -488,6 +494,9 @@ def _options_of(scene: Description, request: Request) -> Options:
         derivatives = "box"
     elif averaged == {*setup.plane} and not averaged <= {*setup.periodic} and not scene.cylindrical:
         derivatives = "unknown"
+    temperature: str = request.temperature
+    if request.by is not None and temperature == "unbiased":
+        temperature = "mixture"
     return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,
@@ -498,7 +507,7 @@ def _options_of(scene: Description, request: Request) -> Options:
         diameter=scene.sizes.get(size),
         fluid_viscosity=request.fluid_viscosity,
         friction=request.friction,
-        temperature=request.temperature,
+        temperature=temperature,
         lag=scene.lag,
         by=request.by,
         averaged_gradient=derivatives,

@@ -190,7 +190,7 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
     for gradient, deviatoric, temperature, friction, size in product(
         get_args(Gradient),
         ("stress", "rate"),
-        get_args(Temperature),
+        (*get_args(Temperature), "mixture"),
         (None, 0.5),
         ("d43", "d32", "d50"),
     ):
@@ -200,6 +200,8 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
         )  # fmt: skip
         names = tuple(registry._ROWS)
         for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
+            if temperature == "mixture" and phases.stop:
+                continue
             made_up = _made_up(registry.moments_of(names, options))
             s = {name: a if name == "reference" else a[phases] for name, a in made_up.items()}
             f = registry.evaluate(registry.order_of(names, options), s, options)

@@ -528,7 +528,7 @@ def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Datase
             f"{purpose} averages ratios through their sums, and some are not in this result: "
             f"{'; '.join(lacks)}{way_out}"
         )
-    f = _with_components(f, rows, purpose)
+    f = _without_gaps(_with_components(f, rows, purpose), rows)
     out: dict[str, xr.DataArray] = {}
     for name, row in rows.items():
         assert row is not None
@@ -682,6 +682,18 @@ def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: s
     return f
 
 
+def _without_gaps(f: xr.Dataset, rows: Mapping[str, Field | None]) -> xr.Dataset:
+    """Return the sums of the temperatures of phases, 0 where the grains are too few for a fit, which leaves nothing."""
+    if not any(row and row.across_phases for row in rows.values()):
+        return f
+    return f.assign(
+        {
+            name: f[name].fillna(0.0)
+            for name in ("fluctuation_stress", "fluctuation_density_by_pair")
+        }
+    )
+
+
 def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
     """Return the bulk's part of the field that weighs another; the whole of it where there are no phases."""
     if "phase" not in weight.coords:
@@ -728,20 +740,36 @@ def derive(name: str, fields: dict[str, xr.DataArray], options: Options) -> xr.D
 
 def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
     """Compute one row of the registry on labelled arrays."""
+    tail = ("component", "direction")
+    dims: tuple[str, ...] = tail
+    if row.across_phases:
+        dims = ("phase", "other_phase", *tail)
+        pairs = needs["fluctuation_density_by_pair"]
+        if pairs.sizes.get("phase") != pairs.sizes.get("other_phase"):
+            raise ValueError(
+                "temperatures of phases take the sums of all phases: choose phases after the average"
+            )
+    of_needs = [[dim for dim in dims if dim in need.dims] for need in needs.values()]
 
     def plain(*arrays: NDArray) -> NDArray:
+        if row.across_phases:
+            arrays = tuple(
+                np.moveaxis(a, -len(core), 0) for a, core in zip(arrays, of_needs, strict=True)
+            )
         fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
         with np.errstate(all="ignore"):
-            return row.compute(fields, None, options)
+            values = row.compute(fields, None, options)
+        if row.across_phases:
+            return np.moveaxis(values, 0, -1 - row.rank)
+        return values
 
     if not needs:
         return xr.DataArray(plain())
-    tail = ("component", "direction")
     return xr.apply_ufunc(
         plain,
         *needs.values(),
-        input_core_dims=[[dim for dim in tail if dim in need.dims] for need in needs.values()],
-        output_core_dims=[tail[: row.rank]],
+        input_core_dims=of_needs,
+        output_core_dims=[(*dims[: row.across_phases], *tail[: row.rank])],
         dask="parallelized",
         output_dtypes=[float],
     )

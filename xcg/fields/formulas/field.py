@@ -56,7 +56,8 @@ class Options:
     by : str, optional
         The variable that divides the grains into phases.
     temperature : str
-        "unbiased", or "biased": per density, whatever the fit takes.
+        "unbiased"; "mixture", the same with phases, of which each has a temperature of its own; or
+        "biased": per density, whatever the fit takes.
     lag : int, optional
         Frames from each frame to that which it is compared with; given in scenes of displacements.
     averaged_gradient : str
@@ -191,6 +192,8 @@ class Field:
         An attribute of `Options` that has to be given for it.
     paired : bool
         Whether it has the dimension ``other_phase``.
+    across_phases : bool
+        Whether a phase's value takes the sums of all phases, also where it is computed anew.
     source : str
         The variable of the scene that it is made of, where it is not one that all scenes have.
     """
@@ -214,6 +217,7 @@ class Field:
     default: bool = True
     option: str = ""
     paired: bool = False
+    across_phases: bool = False
     source: str = ""
 
     @property
@@ -232,6 +236,13 @@ class Field:
     def powers(self) -> Powers:
         """Powers of (length, mass, time) of the unit."""
         return powers_of(self.units)
+
+
+# of the kinetic stress and what is linear in it
+ABOUT_MEAN_VELOCITY = (
+    "about the averaged velocity (f.cg.time_average(), f.cg.profile()); f.mean() is the mean of values about the "
+    "velocity of each step and node"
+)
 
 
 def sum_of(moment: str, **about: Any) -> Field:

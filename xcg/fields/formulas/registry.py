@@ -140,7 +140,7 @@ CALLS = {
 }
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the
 # default.
-WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS
+WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS | errors.WAYS
 
 
 def row(name: str, options: Options) -> Field:

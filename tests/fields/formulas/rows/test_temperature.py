@@ -31,7 +31,8 @@ def scene(count, length, seed, *, spread=1.0, periodic="xyz", steps=1):
 def left_by_fit(ds, kernel, node, axes, gradient):
     """Sum of w_i P_ij^2 over grains i of each phase and all j, with P v = v - fit: fitted grain by grain by LAPACK.
 
-    Images of a grain share its velocity, so that they share a column. Also (sum w)^2 / sum over grains of w^2.
+    Images of a grain share its velocity, so that they share a column. Also (sum w)^2 / sum over grains of w^2, and the
+    first sums over the j of each phase.
     """
     one = ds.isel(time=0)
     box = (one["box"].values[:, 1] - one["box"].values[:, 0]) * [
@@ -53,7 +54,12 @@ def left_by_fit(ds, kernel, node, axes, gradient):
         left = left - y @ np.linalg.lstsq(root * y, root * left, rcond=1e-6)[0]
     each = weight * (left**2).sum(axis=1)
     total = weight.sum() ** 2 / ((weight @ velocity) ** 2).sum()
-    return np.array([each.sum(), *(each[species[own] == k].sum() for k in (1, 2))]), total
+    by_pair = [
+        [weight[species[own] == a] @ left[species[own] == a][:, species == b] ** 2 for b in (1, 2)]
+        for a in (1, 2)
+    ]
+    pairs = np.array([[column.sum() for column in row] for row in by_pair])
+    return np.array([each.sum(), *(each[species[own] == k].sum() for k in (1, 2))]), total, pairs
 
 
 @pytest.mark.parametrize("gradient", ["least_squares", "paper", "kernel"])
@@ -66,7 +72,8 @@ def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(
 ):
     ds = scene(count, length, seed=count, spread=1.5)
     options = {"width": width, "axes": axes, "at": at, "spacing": length / 2, "gradient": gradient}
-    f = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], by="species", **options)
+    names = ["fluctuation_density", "effective_count", "fluctuation_density_by_pair"]
+    f = ds.cg.coarse_grain(names, by="species", **options)
     bulk = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], **options)
     seen = [k for k, a in enumerate("xyz") if a in axes or a in at]
     kernel = BruteKernel("lucy", width, 3, len(seen))
@@ -74,11 +81,16 @@ def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(
     for n in range(0, nodes.sizes["node"], 3):
         here = nodes.isel(node=n)
         node = np.array([float(here[a]) if a in here.coords else 0.0 for a in "xyz"])
-        left, total = left_by_fit(ds, kernel, node, seen, gradient)
+        left, total, pairs = left_by_fit(ds, kernel, node, seen, gradient)
         scale = length ** (len(seen) - 3.0)
         left *= scale
+        pairs *= scale
         size = 1e-12 * float(ds.mass.sum()) * scale
         np.testing.assert_allclose(here.fluctuation_density, left, rtol=1e-9, atol=size)
+        by_pair = here.fluctuation_density_by_pair.transpose("phase", "other_phase").values
+        np.testing.assert_allclose(by_pair[1:, :2], pairs, rtol=1e-9, atol=size)
+        np.testing.assert_allclose(by_pair[0, :2], pairs.sum(axis=0), rtol=1e-9, atol=size)
+        np.testing.assert_array_equal(by_pair[:, 2], 0.0)  # walls
         alone = bulk.stack(node=list(axes)).isel(time=0, node=n)
         np.testing.assert_allclose(alone.fluctuation_density, left[0], rtol=1e-9, atol=size)
         assert float(here.effective_count.sel(phase="bulk")) == pytest.approx(total, rel=1e-10)
@@ -103,8 +115,10 @@ def test_the_temperature_of_a_gas_is_recovered(width, spread, phi):
     options = {"width": width, "by": "species"}
     for axes in ("xyz", "xz", "z"):
         f = ds.cg.coarse_grain(NAMES, axes=axes, spacing=1.4, **options)
-        found = averaged(f)
-        np.testing.assert_allclose(found, 1.0, atol=0.03)
+        mean = f.cg.coarsen(**{a: f.sizes[a] for a in axes}).cg.time_average()
+        np.testing.assert_allclose(mean.granular_temperature.squeeze(), 1.0, atol=0.05)
+        bulk = ds.cg.coarse_grain(NAMES, axes=axes, spacing=1.4, width=width)
+        np.testing.assert_allclose(averaged(bulk), 1.0, atol=0.03)
 
 
 def test_a_layer_and_a_polydisperse_gas_by_direction():
@@ -229,3 +243,130 @@ def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
         ds.cg.coarse_grain(
             ["granular_temperature"], width=0.6, spacing=1.0, temperature="biased"
         ).compute()
+
+
+# --- mixtures ---
+
+
+def mixture(steps=40, *, equal_energy=True, side=12.0, phi=0.2, seed=0, **options):
+    """Grains of sizes 1 and 2, of equal volume in all, with equal m <v^2> or equal <v^2>; masses 1 and 8."""
+    rng = np.random.default_rng(seed)
+    small = int(phi * side**3 / 2 / (np.pi / 6))
+    species = np.repeat([1, 2], [small, small // 8])
+    diameter = np.where(species == 1, 1.0, 2.0)
+    temperature = diameter**-3.0 if equal_energy else np.ones(len(species))
+    shape = (steps, len(species))
+    velocity = rng.normal(size=(*shape, 3)) * np.sqrt(temperature)[:, None]
+    ds = xcg.scene_from_arrays(
+        rng.uniform(0, side, (*shape, 3)), velocity=velocity, species=np.broadcast_to(species, shape),
+        diameter=np.broadcast_to(diameter, shape), density=6 / np.pi, time=np.arange(steps) * 1.0,
+        **({"box": dict.fromkeys("xyz", (0.0, side)), "periodic": "xyz"} | options),
+    )  # fmt: skip
+    mass = diameter**3
+    bulk = (mass * temperature).sum() / mass.sum()
+    return ds, np.array([bulk, temperature[0], temperature[-1]])
+
+
+OF_MIXTURES = ["granular_temperature", "directional_temperature", "mixture_temperature"]
+
+
+@pytest.mark.parametrize("equal_energy", [True, False])
+@pytest.mark.parametrize("gradient", ["least_squares", "paper"])
+def test_temperatures_of_a_mixture_are_those_of_its_phases(equal_energy, gradient):
+    ds, truth = mixture(equal_energy=equal_energy)
+    f = ds.cg.coarse_grain(OF_MIXTURES, by="species", gradient=gradient, for_averages=True)
+    assert f.attrs["temperature"] == "mixture"
+    blocks = {a: f.sizes[a] for a in "xyz"}
+    mean = f.cg.coarsen(**blocks).cg.time_average().squeeze()
+    np.testing.assert_allclose(mean.granular_temperature / truth, 1.0, atol=0.12)
+    along = mean.directional_temperature.mean("component")
+    np.testing.assert_allclose(along, mean.granular_temperature, rtol=1e-9)
+    np.testing.assert_allclose(mean.granular_temperature[:2] / truth[:2], 1.0, atol=0.06)
+    # as energies: m_a T_a, and their mean by number
+    energies = mean.mixture_temperature
+    if equal_energy:
+        np.testing.assert_allclose(energies, 1.0, atol=0.12)
+    total = (mean.number_density * energies).isel(phase=[1, 2]).sum()
+    assert float(total / (mean.number_density[0] * energies[0])) == pytest.approx(1.0, rel=1e-9)
+    # without phases the bulk is that of equal variances
+    alone = ds.cg.coarse_grain("granular_temperature", gradient=gradient)
+    bulk = alone.cg.coarsen(**blocks).cg.time_average().squeeze().granular_temperature
+    if equal_energy:
+        assert float(bulk / truth[0]) > 1.25
+    else:
+        assert float(bulk / truth[0]) == pytest.approx(1.0, abs=0.06)
+
+
+def test_temperatures_of_a_mixture_in_a_cylinder():
+    ds, truth = mixture(box=dict.fromkeys("z", (0.0, 12.0)), periodic="z")
+    frame = xcg.Cylindrical(axis="z", origin=(6.0, 6.0, 0.0))
+    f = ds.cg.coarse_grain(
+        OF_MIXTURES, by="species", frame=frame, axes="r", bounds={"r": (1.0, 4.0)}, spacing=1.0
+    )
+    mean = f.cg.time_average()
+    np.testing.assert_allclose(mean.granular_temperature.mean("r") / truth, 1.0, atol=0.12)
+
+
+def test_the_bulk_is_the_mean_by_mass_and_negative_temperatures_are_nan():
+    ds, _ = mixture(2)
+    f = ds.cg.coarse_grain(["granular_temperature", "fluctuation_stress"], by="species")
+    t, rho = f.granular_temperature, f.density
+    left = f.fluctuation_density_by_pair.isel(other_phase=[0, 1]).rename(other_phase="of")
+    residual = sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz") / 3
+    c = left.isel(phase=[1, 2]).transpose(..., "phase", "of").values
+    r = residual.isel(phase=[1, 2]).transpose(..., "phase").values
+    weights = rho.transpose(..., "phase").values
+    with np.errstate(all="ignore"):
+        first = c[..., 0, 0] / weights[..., 1]
+        second = (c[..., 1, 1] - c[..., 1, 0] * c[..., 0, 1] / c[..., 0, 0]) / weights[..., 2]
+    usable = (first > 0.0011) & (second > 0.0011) & np.isfinite(r).all(axis=-1)
+    solved = np.linalg.solve(c[usable], r[usable][..., None])[..., 0]
+    got = t.transpose(..., "phase").values[usable]
+    expected = np.where(solved < 0, np.nan, solved)
+    np.testing.assert_allclose(got[:, 1:], expected, rtol=1e-8)
+    assert np.isnan(expected).any()
+    weights = weights[usable]
+    bulk = (weights[:, 1:] * solved).sum(axis=1) / weights[:, 0]
+    np.testing.assert_allclose(got[:, 0], np.where(bulk < 0, np.nan, bulk), rtol=1e-8)
+
+
+def test_phases_that_are_absent_leave_the_others_known():
+    ds, _ = mixture(1, phi=0.3)
+    apart = ds.cg.select("species == 1 or x < 3")
+    node = {"at": {"x": 8.0, "y": 6.0, "z": 6.0}, "width": 1.5}
+    t = apart.cg.coarse_grain("granular_temperature", by="species", **node).granular_temperature
+    alone = apart.cg.coarse_grain("granular_temperature", **node).granular_temperature
+    np.testing.assert_allclose(t.sel(phase=["bulk", "1"]).squeeze(), float(alone.item()), rtol=1e-9)
+    assert np.isnan(t.sel(phase="2")).all()
+
+
+def test_warnings_about_mixtures_name_the_way_out():
+    ds, _ = mixture(1)
+    with pytest.warns(xcg.SceneWarning, match="masses differ by 8 assumes .* Pass by="):
+        ds.cg.coarse_grain("granular_temperature", axes="z")
+    with pytest.warns(xcg.SceneWarning, match=r"granular_temperature of phase .*time_average"):
+        f = ds.cg.coarse_grain(["granular_temperature", "density"], by="species", for_averages=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ds.cg.coarse_grain(["granular_temperature"], by="species", axes="z")
+        scene(300, 8.0, 1, spread=1.1).cg.coarse_grain("granular_temperature", axes="z")
+    with pytest.raises(ValueError, match="choose phases after the average"):
+        f.sel(phase=["bulk", "1"]).cg.time_average()
+
+
+def test_one_step_warns_of_the_kinetic_stress_that_it_lacks():
+    gas, _ = mixture(1, equal_energy=False)
+    with pytest.warns(xcg.SceneWarning, match=r"kinetic_stress of a single step lacks .* % of its"):
+        gas.cg.coarse_grain("kinetic_stress")
+    packing = xcg.datasets.dense_packing()
+    lazy = packing.chunk(time=1).cg.coarse_grain("pressure")
+    with pytest.warns(xcg.SceneWarning, match="pressure of a single step lacks .* of the pressure"):
+        lazy.compute()
+    slow = packing.assign(
+        velocity=1e-3 * packing.velocity, contact_force=1e3 * packing.contact_force
+    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*lacks kinetic stress")
+        gas.cg.coarse_grain(["density", "kinetic_stress"], axes="z")  # many grains at a node
+        gas.cg.coarse_grain()  # without contacts and names
+        slow.cg.coarse_grain(["pressure", "kinetic_stress"])

@@ -10,6 +10,7 @@ independent, and errors are larger than these.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from xcg.fields.formulas.algebra import (
     ratio,
     restricted,
     times,
+    trace,
     transposed,
     where_positive,
     zero_if_unknown,
@@ -126,6 +128,32 @@ def _temperature(f: Any, s: Any, o: Options) -> NDArray:
 
 def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
     return _root(2 * f._left / (1 + 2 * f._left))[..., None] * _diagonal(f._covariance)
+
+
+def _mixture(f: Any, residual: NDArray, dimension: int) -> NDArray:
+    """Return the errors of temperatures that solve ``R_a = sum_b c_ab T_b``, for residuals R (phase, node, k).
+
+    Residuals of different phases have independent errors, ``sqrt(2 / D N_left) R_b``.
+    """
+    count = len(residual) - 1
+    zero = f._left - f._left
+    unit = [[zero[a] + float(a == b) for b in range(1, count + 1)] for a in range(count + 1)]
+    inverse = flow.solved(f, np.stack([np.stack(row, axis=-1) for row in unit]))
+    noise = 2 * f._left / (dimension * (1 + 2 * f._left / dimension))
+    parts = []
+    for b in range(1, count + 1):
+        error = residual[b] * np.sqrt(zero_if_unknown(noise[b]))[..., None]
+        parts.append(inverse[..., b - 1, None] * error)
+    return _root(sum((part * part for part in parts[1:]), start=parts[0] * parts[0]))
+
+
+def _temperature_of_mixture(f: Any, s: Any, o: Options) -> NDArray:
+    residual = trace(f.fluctuation_stress, o.plane) / o.dimension
+    return _mixture(f, residual[..., None], o.dimension)[..., 0]
+
+
+def _temperature_of_mixture_along(f: Any, s: Any, o: Options) -> NDArray:
+    return _mixture(f, _diagonal(f.fluctuation_stress), 1)
 
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
@@ -235,4 +263,22 @@ ROWS: dict[str, Field] = {
         fields=("_share", "_free"),
         moments=("mass",),
     ),
+}
+# other ways to a field, as in `xcg.fields.formulas.rows.flow`
+WAYS: dict[str, tuple[str, dict[str, Field]]] = {
+    f"{name}_error": (
+        "temperature",
+        {
+            "mixture": replace(
+                ROWS[f"{name}_error"],
+                formula="sqrt(sum_b (c^-1)_ab^2 2 R_b^2 / (D N_left,b)), R_b = sum_c c_bc T_c",
+                compute=compute,
+                fields=(*flow.OF_MIXTURE, "_left"),
+            )
+        },
+    )
+    for name, compute in (
+        ("granular_temperature", _temperature_of_mixture),
+        ("directional_temperature", _temperature_of_mixture_along),
+    )
 }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import matrices
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.algebra import (
+    absolute,
     at_least_zero,
     deviator,
     dot,
@@ -29,11 +30,12 @@ from xcg.fields.formulas.algebra import (
     where_positive,
     zero_if_unknown,
 )
-from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
+from xcg.fields.formulas.field import ABOUT_MEAN_VELOCITY, Field, Options, mean_of_sums, sum_of
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 SQUARES = ("square", "square_offset", "square_spread")
 FITS = ("least_squares", "paper")
+OF_MIXTURE = ("fluctuation_stress", "fluctuation_density_by_pair", "density")
 
 
 def _inner(a: NDArray) -> NDArray:
@@ -200,6 +202,96 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     return _taken_by_mean(f, s, o) + (2 * double_dot(inverse, own) - mean - shared)
 
 
+def _left_by_pair(f: Any, s: Any, o: Options) -> NDArray:
+    """Return c_ab = sum_i w_i sum_j (delta_ij - H_ij)^2 of grains i of phase a and j of b, H as in `_taken_by_fit`.
+
+    It is ``delta_ab (rho_a - 2 sum_i w_i H_ii) + sum_i w_i sum_j H_ij^2``: with the sums of w y and
+    w y y over phase a, and those of w^2, w^2 x and w^2 x x over phase b.
+    """
+    mass = where_positive(s.mass[:1])
+    own = 2 * s.square / mass
+    shared = [s.mass / mass * (s.square[k] / mass) for k in range(1, len(s.mass))]
+    if o.gradient in FITS:
+        point = f._fit.mean[:1]
+        inverse = f._fit.inverse[:1]
+        centre = zero_if_unknown(mean_of(s.offset[:1], s.mass[:1]))
+        squares = s.square, s.square_offset, s.square_spread
+        shift, spread = about(squares, centre, centre)
+        own = own + 2 * double_dot(inverse, about(squares, centre, point)[1])
+        first, second = about((s.mass, s.offset, s.spread), point, point)
+        for k in range(1, len(s.mass)):
+            across = times(inverse, shift[k : k + 1, ..., None])[..., 0]
+            of_slopes = double_dot(times(times(inverse, spread[k : k + 1]), inverse), second)
+            shared[k - 1] = shared[k - 1] + (2 * dot(across, first) / mass + of_slopes)
+    left = [zero_if_unknown(column) for column in shared]
+    alone = zero_if_unknown(s.mass - own)
+    for k, column in enumerate(left, start=1):
+        column[k] = column[k] + alone[k]
+        column[0] = sum(column[2:], start=column[1])
+    walls = s.mass - s.mass
+    return np.stack([*left, walls], axis=-1)
+
+
+# Share of a phase's density that must be left of it for its temperature to be known.
+_LEAST_LEFT = 1e-3
+
+
+def _is_positive(x: NDArray) -> NDArray:
+    """Return 1 where x is positive, 0 elsewhere."""
+    return zero_if_unknown(x / where_positive(x))
+
+
+def solved(f: Any, residual: NDArray) -> NDArray:
+    """Solve ``residual_a = sum_b c_ab T_b`` by elimination, for residuals (phase, node, k).
+
+    0 for phases without grains; NaN for all where one has too little left.
+    """
+    count = len(residual) - 1
+    density = f.density
+    absent = [1.0 - _is_positive(density[k]) for k in range(1, count + 1)]
+    rows = [
+        [f.fluctuation_density_by_pair[a, ..., b] for b in range(count)]
+        for a in range(1, count + 1)
+    ]
+    values = [residual[k] for k in range(1, count + 1)]
+    for k in range(count):
+        pivot = rows[k][k] + absent[k]
+        enough = where_positive(pivot - _LEAST_LEFT * density[k + 1])
+        rows[k][k] = pivot + (enough - enough)
+        for m in range(k + 1, count):
+            factor = rows[m][k] / rows[k][k]
+            rows[m] = [x - factor * y for x, y in zip(rows[m], rows[k], strict=True)]
+            values[m] = values[m] - factor[..., None] * values[k]
+    solution: list[NDArray] = []
+    for k in reversed(range(count)):
+        rest = values[k]
+        for m, known in enumerate(reversed(solution), start=k + 1):
+            rest = rest - rows[k][m][..., None] * known
+        solution.append(rest / rows[k][k][..., None])
+    solution.reverse()
+    weighted = [density[k + 1][..., None] * value for k, value in enumerate(solution)]
+    bulk = sum(weighted[1:], start=weighted[0]) / where_positive(density[0])[..., None]
+    return np.stack([bulk, *solution])
+
+
+def _of_mixture(f: Any, residual: NDArray) -> NDArray:
+    """Return the temperatures of all phases and of the bulk, the mean by mass; NaN where negative or without grains."""
+    values = solved(f, residual)
+    scale = sum((absolute(value) for value in values), start=np.zeros(values.shape[1:]))
+    is_negative = _is_positive(at_least_zero(-values) - 1e-9 * scale)
+    here = where_positive(_is_positive(f.density))[..., None]
+    return at_least_zero(values) * where_positive(1.0 - is_negative) * here
+
+
+def _temperature_of_mixture(f: Any, s: Any, o: Options) -> NDArray:
+    residual = trace(f.fluctuation_stress, o.plane) / o.dimension
+    return _of_mixture(f, residual[..., None])[..., 0]
+
+
+def _temperature_of_mixture_along(f: Any, s: Any, o: Options) -> NDArray:
+    return _of_mixture(f, np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1))
+
+
 def _free(f: Any, s: Any, o: Options) -> NDArray:
     """Return rho_T, or NaN where less than half a mean particle's weight is left after the fit."""
     enough = where_positive(f.fluctuation_density - 0.5 * ratio(s.mass, s.count))
@@ -344,6 +436,7 @@ ROWS: dict[str, Field] = {
         moments=("mass", "momentum", "kinetic"),
         additive=True,
         covariance=lambda f, s, o: f.covariance,
+        averages=ABOUT_MEAN_VELOCITY,
     ),
     "fluctuation_stress": Field(
         rank=2,
@@ -380,6 +473,26 @@ ROWS: dict[str, Field] = {
         compute=_temperature_along,
         fields=("fluctuation_stress", "_free"),
         weight="fluctuation_density",
+    ),
+    "mixture_temperature": Field(
+        units="J",
+        long_name="granular temperature as an energy, of the bulk that of the mixture",
+        formula="m_a T_a = rho_a T_a / n_a, of the bulk sum n_a m_a T_a / n",
+        compute=lambda f, s, o: f.granular_temperature * mean_of(f.density, f.number_density),
+        fields=("granular_temperature", "density", "number_density"),
+        default=False,
+    ),
+    "fluctuation_density_by_pair": Field(
+        units="kg m^-3",
+        long_name="mass density whose fluctuations in other_phase the fit leaves to the phase",
+        formula="c_ab = sum_i m_i Psi sum_j (delta_ij - H_ij)^2, i in a, j in b, H of the fit",
+        compute=_left_by_pair,
+        fields=("_fit",),
+        moments=("mass", "offset", "spread", *SQUARES),
+        additive=True,
+        default=False,
+        option="by",
+        paired=True,
     ),
     "effective_count": Field(
         long_name="effective number of particles, which errors of one step follow from",
@@ -455,6 +568,42 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
             ("kernel", "finite_difference"),
             replace(ROWS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
         ),
+    ),
+    "fluctuation_density_by_pair": (
+        "gradient",
+        dict.fromkeys(
+            ("kernel", "finite_difference"),
+            replace(ROWS["fluctuation_density_by_pair"], fields=(), moments=("mass", "square")),
+        ),
+    ),
+    "granular_temperature": (
+        "temperature",
+        {
+            "mixture": replace(
+                ROWS["granular_temperature"],
+                long_name="granular temperature about the bulk's velocity, of a phase with its diffusion velocity",
+                formula="tr(sum m_i v'_i v'_i Psi)_a = D sum_b c_ab T_b, of the bulk sum rho_a T_a / rho",
+                compute=_temperature_of_mixture,
+                fields=OF_MIXTURE,
+                weight="",
+                across_phases=True,
+            ),
+        },
+    ),
+    "directional_temperature": (
+        "temperature",
+        {
+            "mixture": replace(
+                ROWS["directional_temperature"],
+                long_name="granular temperature along each axis about the bulk's velocity, of a phase with its "
+                "diffusion velocity",
+                formula="(sum m_i v'_ik v'_ik Psi)_a = sum_b c_ab T_k,b, of the bulk sum rho_a T_k,a / rho",
+                compute=_temperature_of_mixture_along,
+                fields=OF_MIXTURE,
+                weight="",
+                across_phases=True,
+            ),
+        },
     ),
     "fluctuation_density": (
         "temperature",

@@ -17,7 +17,7 @@ from xcg.fields.formulas.algebra import (
     stress_magnitude,
     where_positive,
 )
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import ABOUT_MEAN_VELOCITY, Field, Options
 
 
 def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
@@ -40,6 +40,7 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: f.contact_stress + f.kinetic_stress,
         fields=("contact_stress", "kinetic_stress"),
         additive=True,
+        averages=ABOUT_MEAN_VELOCITY,
     ),
     "pressure": Field(
         units="Pa",
@@ -48,6 +49,7 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane),
         fields=("stress",),
         additive=True,
+        averages=ABOUT_MEAN_VELOCITY,
     ),
     "deviatoric_stress": Field(
         rank=2,
@@ -59,6 +61,7 @@ ROWS: dict[str, Field] = {
         ),
         fields=("stress",),
         additive=True,
+        averages=ABOUT_MEAN_VELOCITY,
     ),
     "shear_stress": Field(
         units="Pa",
