@@ -233,6 +233,21 @@ def test_facts_stay_in_files(tmp_path, suffix):
         assert back.width.item() == 1.0
 
 
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_facts_stay_in_records(tmp_path, suffix):
+    path = tmp_path / f"f{suffix}"
+    ds = xcg.datasets.random_scene(60, seed=1, periodic="xy")
+    with xcg.record(path, ["density", "velocity"], axes="z", width=1.0) as record:
+        for step in range(2):
+            record.append(ds.isel(time=0).assign_coords(time=float(step)))
+    engine = {".nc": {}, ".zarr": {"engine": "zarr"}}[suffix]
+    with xr.open_dataset(path, **engine) as f:
+        assert f.setup.ndim == 0
+        mean = f.drop_attrs(deep=False).cg.time_average()
+        assert mean.attrs["periodic"] == "xy"
+        assert mean.width.item() == 1.0
+
+
 def test_a_chunked_scene_computes_nothing_for_its_facts():
     lazy = xcg.datasets.simple_cubic(3).chunk(time=1)
     assert lazy.setup.chunks is None

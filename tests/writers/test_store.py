@@ -14,6 +14,7 @@ import pytest
 
 import xcg
 from tests import ROOT, steps_of_random_scenes
+from xcg.writers import formats
 from xcg.writers.formats import hdf5_file, recover
 from xcg.writers.store import Mismatch
 
@@ -87,7 +88,7 @@ def test_an_error_midway_keeps_the_steps_before(tmp_path, suffix, compression, m
 
 KILLED = """
 import os, sys
-import numpy as np, xcg, dask
+import numpy as np, xcg, dask, zarr
 from tests.writers.test_store import fields
 from xcg.writers import formats, store
 path, kills, where = sys.argv[1], int(sys.argv[2]), sys.argv[3]
@@ -107,7 +108,7 @@ elif where == "apply":
 elif where == "write":
     formats.Sink.write = counted(formats.Sink.write)
 elif where == "chunk":
-    formats._Plain.write = counted(formats._Plain.write)
+    zarr.Array.__setitem__ = counted(zarr.Array.__setitem__)
 with dask.config.set(scheduler="sync"):
     xcg.save(fields(), path, resume=True, compression=int(sys.argv[4]))
 """
@@ -170,6 +171,36 @@ def test_resume_writes_eager_results_and_refuses_other_formats(tmp_path):
         )
     with pytest.raises(ValueError, match=r"resume=True continues"):
         xcg.save(f, tmp_path / "f.pvd", resume=True)
+
+
+def test_hdf5_reads_back_nothing_that_a_session_changed(tmp_path, monkeypatch):
+    """Changes wait in the journal, and `Sink` reads what the file held before."""
+    reads = []
+    read = formats.Sink.readinto
+
+    def readinto(sink, buffer):
+        first = sink.tell()
+        stop = first + len(memoryview(buffer).cast("B"))
+        spans = [(place, place + len(data)) for place, data in sink._changes]
+        reads.append(any(max(first, low) < min(stop, high) for low, high in spans))
+        return read(sink, buffer)
+
+    path = tmp_path / "f.h5"
+    names = [f"v{k}" for k in range(30)]
+    with h5py.File(path, "w") as file:
+        for name in names:
+            file.create_dataset(name, data=np.zeros((2000, 2)), chunks=(1, 2))
+    monkeypatch.setattr(formats.Sink, "readinto", readinto)
+    with hdf5_file(path, "r+", journal=True) as file:
+        for step in range(0, 2000, 40):
+            for name in names:
+                file[name].id.write_direct_chunk((step, 0), np.full(2, 1.0 + step).tobytes())
+    recover(path)
+    assert len(reads) > 100
+    assert not any(reads)
+    with h5py.File(path) as file:
+        for name in names:
+            np.testing.assert_array_equal(file[name][::40, 1], 1.0 + np.arange(0, 2000, 40))
 
 
 def test_a_file_comes_to_the_state_after_the_last_task(tmp_path, monkeypatch):

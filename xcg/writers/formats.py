@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import struct
-import sys
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import extra
 from xcg.compiled._jit import for_each
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import exclusive, part_of, reserve, whole_folder
+from xcg.writers.files import exclusive, reserve, whole_folder
 from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
 
 if TYPE_CHECKING:
@@ -166,14 +164,12 @@ class Sink(io.FileIO):
         return len(view)
 
     def readinto(self, buffer: Any) -> int:
-        """Read; zeros in place of what was lost."""
+        """Read; zeros in place of what was lost.
+
+        Changes that the journal holds are not read back: HDF5 keeps metadata that it changed.
+        """
         view = memoryview(buffer).cast("B")
-        place = self.tell()
         got = super().readinto(view) or 0
-        for first, data in self._changes:
-            low, high = max(first, place), min(first + len(data), place + got)
-            if low < high:
-                view[low - place : high - place] = data[low - first : high - first]
         if self.problem is not None and got < len(view):
             view[got:] = bytes(len(view) - got)
             return len(view)
@@ -286,85 +282,19 @@ _NOT_STANDARD = "Consolidated metadata is currently not part"
 
 
 @dataclass(frozen=True)
-class _Plain:
-    """Chunks that hold the numbers of a variable as they are in memory, as Zarr has them where nothing is compressed.
-
-    Attributes
-    ----------
-    dtype : dtype
-        Of the numbers.
-    shape : tuple of int
-        Of a chunk, which has some steps and is whole along other dimensions.
-    fill : number
-        What the last chunk holds beyond the last step. A chunk that holds nothing else has no file.
-    """
-
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-    fill: float
-
-    @classmethod
-    def of(cls, folder: Path) -> _Plain | None:
-        """Read the metadata of a variable; None where its chunks are something else."""
-        metadata = json.loads((folder / "zarr.json").read_text())
-        dtype = metadata["data_type"]
-        fill = metadata["fill_value"]
-        uncompressed = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
-        if dtype not in ("float32", "float64", "int64") or metadata["codecs"] != uncompressed:
-            return None
-        if isinstance(fill, str) and fill != "NaN":
-            return None
-        shape = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
-        return cls(np.dtype(dtype), shape, float(fill))
-
-    def write(self, folder: Path, parts: Sequence[NDArray], first: int) -> None:
-        """Write the chunk that begins with a step; its file appears when it is whole."""
-        file = folder / f"c.{first // self.shape[0]}{'.0' * (len(self.shape) - 1)}"
-        if all(map(self._is_blank, parts)):
-            file.unlink(missing_ok=True)
-            return
-        missing = self.shape[0] - sum(map(len, parts))
-        beyond = np.full((missing, *self.shape[1:]), self.fill)
-        part = part_of(file)
-        with open(part, "xb") as opened:
-            for values in (*parts, beyond):
-                opened.write(np.ascontiguousarray(values, self.dtype).data)
-        os.replace(part, file)
-
-    def _is_blank(self, values: NDArray) -> bool:
-        """Return whether all values are fill values; zeros of another sign differ."""
-
-        def are_blank(some: Any) -> bool:
-            if np.isnan(self.fill):
-                return bool(np.isnan(some).all())
-            return bool(((some == self.fill) & ~np.signbit(some)).all())
-
-        return are_blank(values.flat[0]) and are_blank(values)  # the first decides for nearly all
-
-
-@dataclass(frozen=True)
 class _Zarr:
-    """A Zarr folder, which tasks write to side by side: each has files of its own.
-
-    Plain chunks are written here. Others are left to zarr, which copies each and hands it to a
-    thread.
-    """
+    """A Zarr folder, which tasks write to side by side: each has files of its own."""
 
     path: Path
     encoding: Encoding
-    plain: Mapping[str, _Plain]
 
     def __call__(self, parts: Parts, steps: slice) -> None:
+        """Write the values of these steps."""
         import zarr
 
-        group = None
+        group = zarr.open_group(self.path, mode="r+")
         for name, values in parts.items():
-            reduced = [self.encoding.reduced(part, name) for part in values]
-            if name in self.plain:
-                self.plain[name].write(self.path / name, reduced, steps.start)
-                continue
-            group = group or zarr.open_group(self.path, mode="r+")
-            group[name][steps] = joined(reduced)
+            group[name][steps] = self.encoding.reduced(joined(values), name)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add attributes."""
@@ -398,8 +328,7 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
             layout.outline().to_zarr(
                 path, mode="w", encoding=encoding, zarr_format=3, consolidated=True, compute=False
             )
-    plain = {name: chunks for name in layout.over if (chunks := _Plain.of(path / name))}
-    return _Zarr(path, layout.encoding, plain)
+    return _Zarr(path, layout.encoding)
 
 
 def _steps_together(layout: StoreLayout) -> int:
