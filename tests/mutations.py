@@ -496,6 +496,11 @@ TABLE = [
     ),
     # --- structure and rheology ---
     Mutation(
+        "fields/formulas/rows/rheology.py", "low, high = order[first], order[first + 1]",
+        "high, low = order[first], order[first + 1]",
+        "test_normal_stress_differences_are_those_of_flow_gradient_and_vorticity",
+    ),
+    Mutation(
         "scene/box.py", "share.max() > _LARGE_SHARE", "share.max() > 2 * _LARGE_SHARE",
         "test_grains_that_may_have_crossed_half_a_period_are_named",
     ),

@@ -76,6 +76,30 @@ def test_the_shear_rate_of_compression_is_zero_and_of_simple_shear_its_rate(dime
         )
 
 
+@pytest.mark.parametrize("dims", [None, "xz", "yx", "zy"])
+def test_normal_stress_differences_are_those_of_flow_gradient_and_vorticity(dims):
+    """Compression is positive: N1 = T_ff - T_gg of tensile stresses T = -sigma."""
+    ds = xcg.datasets.random_scene(150, seed=6)
+    names = ["stress", "first_normal_stress_difference", "second_normal_stress_difference"]
+    f = ds.cg.coarse_grain(names, width=0.9, spacing=1.3, shear_dims=dims)
+    flow, gradient = dims or "xz"
+    (vorticity,) = set("xyz") - {flow, gradient}
+    tension = {a: -f.stress.sel(component=a, direction=a) for a in "xyz"}
+    first = tension[flow] - tension[gradient]
+    second = tension[gradient] - tension[vorticity]
+    np.testing.assert_allclose(f.first_normal_stress_difference, first, rtol=1e-12)
+    np.testing.assert_allclose(f.second_normal_stress_difference, second, rtol=1e-12)
+
+
+def test_a_layer_has_no_second_normal_stress_difference():
+    ds = xcg.datasets.open("biaxial").isel(time=[-1])
+    names = ["stress", "first_normal_stress_difference", "second_normal_stress_difference"]
+    f = ds.cg.coarse_grain(names, axes="").isel(time=0)
+    x, y = (f.stress.sel(component=a, direction=a) for a in "xy")
+    np.testing.assert_allclose(f.first_normal_stress_difference, y - x, rtol=1e-12)
+    assert f.second_normal_stress_difference.isnull()
+
+
 def test_the_inertial_number_takes_the_chosen_size():
     scene = xcg.datasets.random_scene(150, seed=6)
     ones = {}

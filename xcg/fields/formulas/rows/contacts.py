@@ -209,7 +209,7 @@ _ROWS: dict[str, Field] = {
         "strong_contact",
         rank=2,
         units="Pa",
-        long_name="contact stress of contacts that push more than the mean of the step",
+        long_name="contact stress of contacts that push more than the mean of the step (under gravity: deep ones)",
         formula="sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0",
     ),
     "weak_contact_stress": Field(

@@ -222,7 +222,7 @@ _ROWS: dict[str, Field] = {
     ),
     "fluctuating_kinetic_energy": Field(
         units="Pa",
-        long_name="density of the kinetic energy of fluctuations about V",
+        long_name="density of the kinetic energy of fluctuations about V of the node, rotation of the flow included",
         formula="tr(sigma^k) / 2",
         compute=lambda f, s, o: 0.5 * trace(f.kinetic_stress, (0, 1, 2)),
         fields=("kinetic_stress",),

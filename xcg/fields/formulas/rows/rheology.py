@@ -1,8 +1,21 @@
-"""Stress in whole, pressure, and the numbers of rheology."""
+"""Stress in whole, pressure, and the numbers of rheology.
+
+Sources: stress, Goldhirsch (2010), Granul. Matter 12, 239, and Weinhart et al. (2012), Granul. Matter
+14, 289; of mixtures, Tunuguntla, Thornton & Weinhart (2016), Comput. Part. Mech. 3, 349; averages of
+contacts over regions of a shear cell, Lätzel, Luding & Herrmann (2000), Granul. Matter 2, 123;
+fluctuations about the velocity at the grain, Artoni & Richard (2015), Phys. Rev. E 91, 032202, and
+Ray & Khakhar (2023), Granul. Matter 25, 46. Pressure, deviatoric and shear stress, friction
+coefficient: Jop, Forterre & Pouliquen (2006), Nature 441, 727. Inertial number: GDR MiDi (2004),
+Eur. Phys. J. E 14, 341, and da Cruz et al. (2005), Phys. Rev. E 72, 021309. Fluidity: Kamrin & Koval
+(2012), Phys. Rev. Lett. 108, 178301. Viscous number and relative viscosity: Boyer, Guazzelli &
+Pouliquen (2011), Phys. Rev. Lett. 107, 188301. Granular viscosity: Jop et al. (2006). Normal stress
+differences: Weinhart, Hartkamp, Thornton & Luding (2013), Phys. Fluids 25, 070605.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +37,20 @@ def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
     if o.deviatoric in ("stress", "both"):
         return stress_magnitude(f.deviatoric_stress)
     return stress_magnitude(restricted(f.stress, o.shear_axes))
+
+
+def _normal_stress_difference(first: int, f: Any, s: Any, o: Options) -> NDArray:
+    """Return sigma_gg - sigma_ff (first = 0) or sigma_vv - sigma_gg (1), NaN where an axis is missing.
+
+    The flow f is along the first of `shear_axes`, its gradient g along the second, by default along
+    the first and last axis of the scene; the vorticity v is along the third.
+    """
+    axes = o.shear_axes or (o.plane[0], o.plane[-1])
+    if len(axes) != 2 or len(o.plane) < 2 + first:
+        return np.nan * f.stress[..., 0, 0]
+    order = (*axes, 3 - sum(axes))
+    low, high = order[first], order[first + 1]
+    return f.stress[..., high, high] - f.stress[..., low, low]
 
 
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
@@ -69,6 +96,25 @@ ROWS: dict[str, Field] = {
         formula="|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
         compute=_shear_stress,
         fields=("stress", "deviatoric_stress"),
+    ),
+    "first_normal_stress_difference": Field(
+        units="Pa",
+        long_name="first normal stress difference",
+        formula="N1 = sigma_gg - sigma_ff, compression positive, flow f along the first of shear_dims and its "
+        "gradient g along the second (by default along the first and last axis of the scene)",
+        compute=partial(_normal_stress_difference, 0),
+        fields=("stress",),
+        additive=True,
+        default=False,
+    ),
+    "second_normal_stress_difference": Field(
+        units="Pa",
+        long_name="second normal stress difference",
+        formula="N2 = sigma_vv - sigma_gg, compression positive, v normal to flow f and gradient g",
+        compute=partial(_normal_stress_difference, 1),
+        fields=("stress",),
+        additive=True,
+        default=False,
     ),
     "friction_coefficient": Field(
         long_name="friction coefficient",
