@@ -635,6 +635,14 @@ TABLE = [
         "test_temporal_vtkhdf_equals_vtp",
     ),
     Mutation(
+        "writers/formats.py", "view[low - place : high - place] = data[low - first : high - first]", "pass",
+        "test_changes_are_read_back_before_they_are_in_the_file",
+    ),
+    Mutation(
+        "scene/sanity.py", "length = high - low\n        far", "length = high\n        far",
+        "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
+    ),
+    Mutation(
         "writers/formats.py", "at = min(len(view), self._end - place)", "at = 0",
         "test_a_file_comes_to_the_state_after_the_last_task",
     ),

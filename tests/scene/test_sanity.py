@@ -11,6 +11,8 @@ from tests import dumps
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion
 
+# corner of the box: one at 0 would hide lengths taken for edges
+CORNER = np.array([200.0, -70.0, 30.0])
 SCALED = {"density": 1.0, "units": "reduced"}
 
 
@@ -18,7 +20,7 @@ SCALED = {"density": 1.0, "units": "reduced"}
 def chute():
     ds = xcg.datasets.open("chute").isel(time=0).load()
     edges = np.stack([ds.attrs["box_lower"], ds.attrs["box_upper"]], axis=1)
-    return ds.position.values, ds.diameter.values, edges
+    return ds.position.values + CORNER, ds.diameter.values, edges + CORNER[:, None]
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +159,7 @@ def test_many_grains_in_one_place_end_the_search_for_a_region():
 def test_axes_in_another_order_than_the_box_warn(order, chute):
     position, diameter, box = chute
     flat = position * [1.0, 1.0, 0.2]  # 20 x 10 x 4
-    box = np.array([box[0], box[1], [0.0, 5.0]])
+    box = np.array([box[0], box[1], CORNER[2] * 0.2 + [0.0, 5.0]])
     small = 0.5 * diameter
     (message,) = said(flat[:, order], diameter=small, box=box, **SCALED)
     assert "components are taken in the order" in message
