@@ -182,10 +182,6 @@ class _CellShares(PhaseAnalysis):
         nodes = {a: _along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()}
         return nodes | super().coords(scene)
 
-    def attrs(self, scene: Description) -> dict[str, str]:
-        """Return how results are sampled."""
-        return {"sampling": "cell"}
-
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the fields of one step."""
         sums = self.with_bulk(self._sums(frame, lattice, source))
