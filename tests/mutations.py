@@ -109,6 +109,28 @@ TABLE = [
         "test_periods_are_those_of_periodic_boundaries",
     ),
     Mutation(
+        "readers/column_units.py", "of_unit**exponent", "of_unit**sign", "test_units_of_columns_have_factors_to_si",
+    ),
+    Mutation(
+        "readers/column_units.py", "2 * math.pi / 60", "math.pi / 60", "test_units_of_columns_have_factors_to_si",
+    ),
+    Mutation(
+        "readers/names.py", "return unit.factor", "return 1.0",
+        "test_units_in_names_are_converted_unless_units_are_given",
+    ),
+    Mutation(
+        "readers/engines/vtk.py", "frame[name] = frame[name] * factor", "frame[name] = frame[name]",
+        "test_units_of_arrays_are_converted",
+    ),
+    Mutation(
+        "scene/superquadrics.py", "beta(e1 / 2 + 1, e1)", "beta(e1 / 2, e1)",
+        "test_axes_of_superquadrics_are_those_of_the_code_whose_columns_they_are",
+    ),
+    Mutation(
+        "readers/from_table.py", '"contact_force_z": along * z', '"contact_force_z": 0.0 * z',
+        "test_magnitudes_in_tables_follow_the_centres",
+    ),
+    Mutation(
         "readers/columns.py", "0.5) for axis", "1.0) for axis", "test_dumps_of_superquadrics_need_no_names",
     ),
     Mutation(

@@ -26,12 +26,16 @@ _UNITS: dict[str, tuple[float, Powers]] = {
         for prefix, factor in _PREFIXES.items()
     },
     "sec": (1.0, (0, 0, 1)), "min": (60.0, (0, 0, 1)), "h": (3600.0, (0, 0, 1)),
-    "in": (0.0254, (1, 0, 0)), "ft": (0.3048, (1, 0, 0)), "t": (1e3, (0, 1, 0)),
+    "in": (0.0254, (1, 0, 0)), "ft": (0.3048, (1, 0, 0)),
     "dyn": (1e-5, (1, 1, -2)), "rad": (1.0, (0, 0, 0)), "deg": (math.radians(1), (0, 0, 0)),
     "rpm": (2 * math.pi / 60, (0, 0, -1)),
 }  # fmt: skip
 _RUN_TOGETHER = {"kgm-3": "kg m-3", "kgm3": "kg m-3", "kgm2": "kg m2", "ms-1": "m s-1",
                  "rads-1": "rad s-1", "mps": "m s-1", "gcm3": "g cm-3"}  # fmt: skip
+
+
+# endings that may mean something else: the centre of mass, a minimum, inside
+_AMBIGUOUS = {"cm", "min", "h", "in", "ft"}
 
 
 @dataclass(frozen=True)
@@ -101,12 +105,15 @@ def unit_of(column: str) -> ColumnUnit | None:
     if not in_brackets:
         text = text.replace("_", "/", 1)
     unit = parse_unit(text)
-    if unit is None:
+    if unit is None or (not in_brackets and text in _AMBIGUOUS):
         return None
     return ColumnUnit(match[1].strip(), match[2], *unit, in_brackets=in_brackets)
 
 
-def unit_in_brackets(column: str) -> str:
-    """Return the word in brackets at the end of a name, which may be a unit; "" without it."""
-    match = _BRACKETS.match(column)
-    return match[2] if match and re.fullmatch(r"[^\W\d]\S*", match[2]) else ""
+def names_unknown_unit(column: str) -> bool:
+    """Return whether a word in brackets, or an ending such as _cm, may be a unit that is not read."""
+    match = _BRACKETS.match(column) or _SUFFIX.match(column)
+    if match is None or unit_of(column) is not None:
+        return False
+    in_brackets = column.rstrip().endswith(("]", ")"))
+    return match[2] == "cm" or (in_brackets and re.fullmatch(r"[^\W\d]\S*", match[2]) is not None)

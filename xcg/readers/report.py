@@ -14,7 +14,7 @@ from itertools import chain
 
 from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers.assigned import lacks, magnitudes_among
-from xcg.readers.column_units import unit_in_brackets, unit_of
+from xcg.readers.column_units import names_unknown_unit, unit_of
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.files.vtkheader import OF_CELLS
@@ -197,8 +197,7 @@ class Report:
         columns = [
             name
             for name, slot in self.read.items()
-            if unit_in_brackets(name)
-            and unit_of(name) is None
+            if names_unknown_unit(name)
             and (slot not in self._slots() or powers_of_slot(slot) != (0, 0, 0))
         ]
         if columns:

@@ -14,6 +14,7 @@ from vtk.util.numpy_support import numpy_to_vtk
 import xcg
 from tests import dumps
 from xcg.readers.column_units import parse_unit
+from xcg.readers.names import CLOCK_SLOTS, PARTICLE_SLOTS, columns_by_name
 
 STEP = 0.01  # m that every grain moves along x in one step
 
@@ -250,6 +251,21 @@ def test_units_of_columns_have_factors_to_si(unit, factor, powers):
     assert found is not None
     np.testing.assert_allclose(found[0], factor, rtol=1e-13)
     assert found[1] == powers
+
+
+@pytest.mark.parametrize("column", ["x_cm", "x_in", "x_ft", "mass_t", "t_min", "v_max", "id_m"])
+def test_endings_that_may_mean_something_else_are_no_units(column):
+    assert column not in columns_by_name([column], {**PARTICLE_SLOTS, **CLOCK_SLOTS}).values()
+
+
+def test_an_ending_that_is_perhaps_a_unit_is_named_where_it_is_mapped(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("id,x_cm,y,z,radius\n1,2,3,4,5\n")
+    with pytest.warns(
+        xcg.SceneWarning, match="'x_cm' name a unit that is not known, and SI is taken"
+    ):
+        ds = xcg.open_scene(path, density=1, names={"x_cm": "position_x"})
+    assert ds.position.values[0, 0, 0] == 2
 
 
 @pytest.mark.parametrize("word", ["px", "contact", "of cells", "1", "2", "", "x", "Points"])

@@ -212,6 +212,19 @@ def write_points(path, grains, **arrays):
 
 
 @pytest.mark.filterwarnings("error")
+def test_units_of_arrays_are_converted(tmp_path, grains):
+    path = tmp_path / "g_1.vtp"
+    arrays = {"velocity [mm/s]": np.ones((3, 3)), "density (g/cm^3)": np.full(3, 2.0)}
+    write_points(path, xcg.open_scene(grains, density=1.0), **arrays)
+    ds = xcg.open_scene(path)
+    np.testing.assert_allclose(ds.velocity, 1e-3, rtol=1e-15)
+    np.testing.assert_allclose(ds.density, 2000, rtol=1e-15)
+    ds = xcg.open_scene(path, units={"length": 1e-3})
+    np.testing.assert_allclose(ds.velocity, 1e-3, rtol=1e-15)
+    np.testing.assert_allclose(ds.density, 2e9, rtol=1e-15)
+
+
+@pytest.mark.filterwarnings("error")
 def test_a_tensor_of_inertia_is_not_taken_for_a_number(tmp_path, grains):
     path = tmp_path / "g_1.vtp"
     write_points(path, xcg.open_scene(grains, density=1.0), inertia=np.ones((3, 9)))
