@@ -418,6 +418,9 @@ def _mixture() -> System:
         Truth("granular_temperature", 2 / 9),
         Truth("granular_temperature", 1.0, phase="1"),
         Truth("granular_temperature", 1 / 8, phase="2"),
+        Truth("mixture_temperature", MASS),
+        Truth("mixture_temperature", MASS, phase="1"),
+        Truth("mixture_temperature", MASS, phase="2"),
     ]
     return System(
         "mixture in equilibrium", lambda: gas(sizes=(1.0, 2.0)), truths, options={"by": "species"}
