@@ -657,10 +657,6 @@ TABLE = [
         "test_temporal_vtkhdf_equals_vtp",
     ),
     Mutation(
-        "writers/formats.py", "view[low - place : high - place] = data[low - first : high - first]", "pass",
-        "test_changes_are_read_back_before_they_are_in_the_file",
-    ),
-    Mutation(
         "scene/sanity.py", "length = high - low\n        far", "length = high\n        far",
         "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
     ),
