@@ -81,7 +81,7 @@ def main(output: Path) -> None:
 
     fields = scene.cg.coarse_grain()
     fields.to_netcdf(output / "chute_3d.nc")
-    xr.open_dataset(output / "chute_3d.nc").cg.to_vtkhdf(output / "chute_3d.vtkhdf", overwrite=True)
+    xr.open_dataset(output / "chute_3d.nc").cg.save(output / "chute_3d.vtkhdf", overwrite=True)
 
     profile = scene.cg.coarse_grain(axes="z", spacing=0.25).compute()
     profile.to_netcdf(output / "chute_profile.nc")

@@ -89,7 +89,7 @@ def main(output: Path) -> None:
     fc.to_netcdf(output / "chains.nc")
     fc.cg.to_csv(output / "chains_{step}.csv", overwrite=True)
     fc.cg.to_vtp(output / "chains_{step}.vtp", overwrite=True)
-    fc.cg.to_vtkhdf(output / "chains.vtkhdf", overwrite=True)
+    fc.cg.save(output / "chains.vtkhdf", overwrite=True)
     draw(fc, output / "chains.png")
     for path in sorted(output.glob("chains*")):
         print(f"{path.stat().st_size / 1e6:7.2f} MB  {path}")

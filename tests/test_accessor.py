@@ -17,7 +17,7 @@ from xcg.accessor import CoarseGrainAccessor, Method
 from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
-from xcg.writers import chains, view, vtkhdf
+from xcg.writers import chains, view
 from xcg.writers import paraview as vtu
 
 METHODS = sorted(
@@ -25,7 +25,7 @@ METHODS = sorted(
 )
 # methods whose functions have no place at the top of the package
 DEEPER = {
-    "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
+    "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp,
     "to_vtu": vtu.to_vtu, "to_pyvista": view.to_pyvista, "view": view.view, "explore": explore,
 }  # fmt: skip
 
@@ -124,10 +124,7 @@ def test_completion_offers_the_methods_of_each_kind(scene):
     )
     assert (
         offered["fields"]
-        == {"coarsen", "profile", "time_average", "to_vtkhdf", "to_vtu"}
-        | correlations
-        | pictures
-        | shared
+        == {"coarsen", "profile", "time_average", "to_vtu"} | correlations | pictures | shared
     )
     assert offered["chains"] >= {
         "select_chains",
@@ -135,7 +132,6 @@ def test_completion_offers_the_methods_of_each_kind(scene):
         "plot_rose",
         "to_csv",
         "to_vtp",
-        "to_vtkhdf",
         "save",
     }
     assert not offered["scene"] & offered["chains"] - shared

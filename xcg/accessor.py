@@ -51,8 +51,9 @@ _OTHER_NAMES = {
     "write": "save",
     "export": "save",
     "to_vtk": "to_vtu",
-    "to_paraview": "to_vtkhdf",
-    "paraview": "to_vtkhdf",
+    "to_vtkhdf": "save",
+    "to_paraview": "save",
+    "paraview": "save",
     "quiver": "plot",
     "streamplot": "plot",
     "contour": "plot",
@@ -203,7 +204,6 @@ class CoarseGrainAccessor:
     to_csv = Method("xcg.writers.chains", CHAINS)
     to_vtp = Method("xcg.writers.chains", CHAINS)
 
-    to_vtkhdf = Method("xcg.writers.vtkhdf", RESULT, CHAINS)
     to_vtu = Method("xcg.writers.paraview", RESULT)
     to_pyvista = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     view = Method("xcg.writers.view", SCENE, RESULT, CHAINS)

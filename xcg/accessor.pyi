@@ -42,7 +42,6 @@ from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
 from xcg.writers.view import to_pyvista, view
-from xcg.writers.vtkhdf import to_vtkhdf
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -123,7 +122,6 @@ class CoarseGrainAccessor:
     plot_rose = _Bound(plot_rose)
     to_csv = _Bound(to_csv)
     to_vtp = _Bound(to_vtp)
-    to_vtkhdf = _Bound(to_vtkhdf)
     to_vtu = _Bound(to_vtu)
     to_pyvista = _Bound(to_pyvista)
     view = _Bound(view)

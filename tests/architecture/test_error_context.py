@@ -55,7 +55,6 @@ NEEDED = {
     "plot": {"field": "density"},
     "movie": {"field": "density", "path": "f.gif"},
     "save": {"path": "f.nc"},
-    "to_vtkhdf": {"path": "f.vtkhdf"},
     "to_vtu": {"path": "f.vtu", "mesh": "none.vtu"},
     "to_csv": {"path": "f.csv"},
     "to_vtp": {"path": "f.vtp"},

@@ -171,7 +171,7 @@ def test_results_reopen_with_their_accessor(scene, tmp_path, ending):
     again = xr.open_dataset(tmp_path / f"f.{ending}", engine="zarr" if ending == "zarr" else None)
     xr.testing.assert_identical(again.cg.profile("z").load(), f.cg.profile("z"))
     assert repr(again.cg).splitlines()[0] == repr(f.cg).splitlines()[0]
-    assert {"profile", "save", "to_vtkhdf"} <= set(dir(again.cg))
+    assert {"profile", "save"} <= set(dir(again.cg))
 
 
 def test_the_first_plot_of_the_readme_has_x_across_and_z_up(scene):

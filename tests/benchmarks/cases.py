@@ -108,7 +108,7 @@ def end_to_end(ds: xr.Dataset) -> None:
     with tempfile.TemporaryDirectory() as folder, anew:
         f = fields(xcg.open_scene(**pair(ds.sizes["particle"])))
         f.to_netcdf(Path(folder) / "fields.nc")
-        f.cg.to_vtkhdf(Path(folder) / "fields.vtkhdf")
+        f.cg.save(Path(folder) / "fields.vtkhdf")
 
 
 def parse(ds: xr.Dataset) -> xr.Dataset:

@@ -403,7 +403,7 @@ def test_writers_at_a_size_limit_leave_no_files(tmp_path):
         with pytest.raises(
             OSError, match=r"f\.vtkhdf: a file may not be larger here.*nothing was left behind"
         ):
-            f.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+            f.cg.save(tmp_path / "f.vtkhdf")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not list(tmp_path.iterdir())

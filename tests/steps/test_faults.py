@@ -201,7 +201,7 @@ def test_results_with_skipped_steps_are_saved(folder):
         assert g.skipped.dtype == bool
         assert g.density.sel(time=~g.skipped).notnull().all()
     with pytest.warns(SkippedStep):
-        f.cg.to_vtkhdf(folder / "f.vtkhdf")
+        f.cg.save(folder / "f.vtkhdf")
 
 
 # --- what messages quote ---------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ def test_temporal_vtkhdf_equals_vtp(tmp_path, sheared):
     paths = sheared.cg.to_vtp(tmp_path / "f_{step}.vtp")
     assert [p.name for p in paths] == ["f_50000.vtp", "f_100000.vtp"]
     reader = vtkHDFReader()
-    path = sheared.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+    path = sheared.cg.save(tmp_path / "f.vtkhdf")
     assert reader.CanReadFile(str(path))
     reader.SetFileName(str(path))
     reader.UpdateInformation()
@@ -186,7 +186,7 @@ def test_files_without_chains_are_valid(tmp_path):
     fc = nine_particles().cg.force_chains(min_stress=1e9)
     assert len(fc.cg.to_csv(tmp_path / "f.csv")[0].read_text().splitlines()) == 1
     assert read_vtp(fc.cg.to_vtp(tmp_path / "f.vtp")[0]).GetNumberOfPoints() == 0
-    fc.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+    fc.cg.save(tmp_path / "f.vtkhdf")
     reader = vtkHDFReader()
     reader.SetFileName(str(tmp_path / "f.vtkhdf"))
     reader.Update()
@@ -198,7 +198,7 @@ def test_existing_files_are_kept(tmp_path):
     for write, name in (
         (fc.cg.to_csv, "f.csv"),
         (fc.cg.to_vtp, "f.vtp"),
-        (fc.cg.to_vtkhdf, "f.vtkhdf"),
+        (fc.cg.save, "f.vtkhdf"),
     ):
         write(tmp_path / name)
         with pytest.raises(FileExistsError, match="overwrite=True"):

@@ -8,7 +8,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.writers.vtkhdf import to_vtkhdf
 
 AXES = ("x", "y", "z")
 SHAPE = {"x": 3, "y": 4, "z": 5}
@@ -94,7 +93,7 @@ def assert_read_equal(
 @pytest.mark.parametrize("lazy", [False, True])
 def test_reads_back_equal(tmp_path, axes, steps, lazy):
     ds = result(axes, steps)
-    path = to_vtkhdf(ds.chunk(time=2) if lazy else ds, tmp_path / "f.vtkhdf")
+    path = xcg.save(ds.chunk(time=2) if lazy else ds, tmp_path / "f.vtkhdf")
     assert path == tmp_path / "f.vtkhdf"
     assert_read_equal(path, ds)
     _, (nodes, origin, spacing), _ = read(path)
@@ -106,12 +105,12 @@ def test_reads_back_equal(tmp_path, axes, steps, lazy):
 @pytest.mark.parametrize("axis", AXES)
 def test_axes_with_one_node(tmp_path, axis):
     ds = result(shape=SHAPE | {axis: 1})
-    assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), ds)
+    assert_read_equal(xcg.save(ds, tmp_path / "f.vtkhdf"), ds)
 
 
 def test_dimensions_in_any_order(tmp_path):
     ds = result()
-    path = to_vtkhdf(
+    path = xcg.save(
         ds.transpose("direction", "z", "component", "x", "time", "y"), tmp_path / "f.vtkhdf"
     )
     assert_read_equal(path, ds)
@@ -119,19 +118,19 @@ def test_dimensions_in_any_order(tmp_path):
 
 def test_components_in_any_order(tmp_path):
     ds = result()
-    path = to_vtkhdf(ds.isel(component=[2, 0, 1], direction=[1, 2, 0]), tmp_path / "f.vtkhdf")
+    path = xcg.save(ds.isel(component=[2, 0, 1], direction=[1, 2, 0]), tmp_path / "f.vtkhdf")
     assert_read_equal(path, ds)
 
 
 def test_one_component_is_a_scalar(tmp_path):
     ds = result()[["stress"]].sel(component="x")
-    assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), ds, ["stress"])
+    assert_read_equal(xcg.save(ds, tmp_path / "f.vtkhdf"), ds, ["stress"])
 
 
 def test_fields_without_time_are_written(tmp_path):
     ds = result()
-    assert_read_equal(to_vtkhdf(ds.mean("time"), tmp_path / "mean.vtkhdf"), ds.mean("time"))
-    path = to_vtkhdf(ds.isel(time=1), tmp_path / "one.vtkhdf")
+    assert_read_equal(xcg.save(ds.mean("time"), tmp_path / "mean.vtkhdf"), ds.mean("time"))
+    path = xcg.save(ds.isel(time=1), tmp_path / "one.vtkhdf")
     assert_read_equal(path, ds.isel(time=1))
     with h5py.File(path) as file:
         np.testing.assert_array_equal(file["VTKHDF/Steps/Values"], [0.5])
@@ -139,7 +138,7 @@ def test_fields_without_time_are_written(tmp_path):
 
 def test_fixed_axes_give_the_origin(tmp_path):
     ds = result("xz").assign_coords(y=-0.75)
-    _, (nodes, origin, _), _ = read(to_vtkhdf(ds, tmp_path / "f.vtkhdf"))
+    _, (nodes, origin, _), _ = read(xcg.save(ds, tmp_path / "f.vtkhdf"))
     assert nodes == (3, 1, 5)
     assert origin == (-1.0, -0.75, 10.0)
 
@@ -150,7 +149,7 @@ def test_phases_become_arrays(tmp_path):
         [ds + 0.5 * k for k in range(3)], xr.IndexVariable("phase", ["bulk", "1", "a/b"])
     )
     phases["count"] = ds["sample_count"]
-    path = to_vtkhdf(phases.chunk(time=1), tmp_path / "f.vtkhdf")
+    path = xcg.save(phases.chunk(time=1), tmp_path / "f.vtkhdf")
     _, _, steps = read(path)
     wide = {"count": ds["sample_count"]}
     for k, suffix in enumerate(("", "_phase_1", "_phase_a_b")):
@@ -167,14 +166,14 @@ def test_fields_without_some_dimensions_are_repeated(tmp_path):
         mass=ds["mass"].broadcast_like(ds["density"]),
         weight=ds["weight"].broadcast_like(ds["density"]),
     )
-    assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), filled, list(ds.data_vars))
+    assert_read_equal(xcg.save(ds, tmp_path / "f.vtkhdf"), filled, list(ds.data_vars))
 
 
 def test_values_that_are_not_finite_stay(tmp_path):
     ds = result()[["density"]]
     ds["density"][1, 1, 2, 3] = np.nan
     ds["density"][2, 0, 0, 1] = np.inf
-    assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), ds, ["density"])
+    assert_read_equal(xcg.save(ds, tmp_path / "f.vtkhdf"), ds, ["density"])
 
 
 @pytest.mark.parametrize(
@@ -182,14 +181,14 @@ def test_values_that_are_not_finite_stay(tmp_path):
 )
 def test_types_of_numbers_are_kept(tmp_path, dtype):
     ds = (result()[["density"]] % 2).astype(dtype)
-    path = to_vtkhdf(ds, tmp_path / "f.vtkhdf")
+    path = xcg.save(ds, tmp_path / "f.vtkhdf")
     assert_read_equal(path, ds, ["density"])
     stored = read(path)[2][0]["density"].dtype
     assert stored == {"bool": "uint8", "float16": "float32"}.get(dtype, dtype)
 
 
 def test_attributes_are_kept(tmp_path):
-    with h5py.File(to_vtkhdf(result(), tmp_path / "f.vtkhdf")) as file:
+    with h5py.File(xcg.save(result(), tmp_path / "f.vtkhdf")) as file:
         assert dict(file["VTKHDF/PointData/stress"].attrs) == {
             "units": "Pa",
             "long_name": "stress σ",
@@ -205,7 +204,7 @@ def test_large_steps_are_split_into_blocks(tmp_path):
         {"density": (("time", "x", "y", "z"), np.random.default_rng(1).random((2, 90, 100, 110)))},
         {"time": [0.0, 1.0], "x": np.arange(90.0), "y": np.arange(100.0), "z": np.arange(110.0)},
     )
-    path = to_vtkhdf(ds, tmp_path / "f.vtkhdf", compression=1)
+    path = xcg.save(ds, tmp_path / "f.vtkhdf", compression=1)
     with h5py.File(path) as file:
         blocks = file["VTKHDF/PointData/density"].chunks
     assert blocks[0] == 1
@@ -219,13 +218,13 @@ def test_compression_is_a_choice(tmp_path):
         {"time": [0.0], **{a: np.arange(40.0) for a in "xyz"}},
     )
     plain, small = (
-        to_vtkhdf(ds, tmp_path / f"{level}.vtkhdf", compression=level) for level in (0, 1)
+        xcg.save(ds, tmp_path / f"{level}.vtkhdf", compression=level) for level in (0, 1)
     )
     assert small.stat().st_size < 0.2 * plain.stat().st_size
     assert_read_equal(plain, ds, ["density"])
     assert_read_equal(small, ds, ["density"])
     with pytest.raises(ValueError, match="from 0 to 9"):
-        to_vtkhdf(ds, tmp_path / "no.vtkhdf", compression=10)
+        xcg.save(ds, tmp_path / "no.vtkhdf", compression=10)
 
 
 # --- lazy ------------------------------------------------------------------------------------------------
@@ -250,12 +249,12 @@ def test_each_chunk_is_computed_once_with_all_its_variables(tmp_path):
     ds["twice"] = (ds["density"].dims, (2 * parsed).rechunk((3, -1, -1, -1)))
     ds["velocity"] = ds["density"] + 1
     with dask.config.set(scheduler=count):
-        to_vtkhdf(ds.drop_vars("twice"), tmp_path / "f.vtkhdf")
+        xcg.save(ds.drop_vars("twice"), tmp_path / "f.vtkhdf")
     assert sorted(seen) == [0, 1, 2]
     assert len(calls) == 1
     seen.clear()
     with dask.config.set(scheduler=count):
-        to_vtkhdf(ds, tmp_path / "g.vtkhdf")
+        xcg.save(ds, tmp_path / "g.vtkhdf")
     assert sorted(seen) == [0, 1, 2]
 
 
@@ -271,11 +270,11 @@ def test_no_file_is_left_after_an_error(tmp_path):
     ds["density"] = (ds["density"].dims, broken)
     path = tmp_path / "f.vtkhdf"
     with pytest.raises(RuntimeError, match="file 2 is damaged"):
-        to_vtkhdf(ds, path)
+        xcg.save(ds, path)
     assert list(tmp_path.iterdir()) == []
     path.write_text("mine")
     with pytest.raises(RuntimeError, match="file 2 is damaged"):
-        to_vtkhdf(ds, path, overwrite=True)
+        xcg.save(ds, path, overwrite=True)
     assert path.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -287,12 +286,12 @@ def test_existing_files_stay_unless_overwrite(tmp_path):
     path = tmp_path / "f.vtkhdf"
     path.write_text("mine")
     with pytest.raises(FileExistsError, match="overwrite=True"):
-        to_vtkhdf(result(), path)
+        xcg.save(result(), path)
     assert path.read_text() == "mine"
     ds = result()
-    assert_read_equal(to_vtkhdf(ds, str(path), overwrite=True), ds)
+    assert_read_equal(xcg.save(ds, str(path), overwrite=True), ds)
     with pytest.raises(FileNotFoundError, match="create it first"):
-        to_vtkhdf(ds, tmp_path / "none" / "f.vtkhdf")
+        xcg.save(ds, tmp_path / "none" / "f.vtkhdf")
 
 
 @pytest.mark.parametrize(
@@ -316,7 +315,7 @@ def test_existing_files_stay_unless_overwrite(tmp_path):
 )  # fmt: skip
 def test_fields_that_are_no_image_raise(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
-        to_vtkhdf(change(result()), tmp_path / "f.vtkhdf")
+        xcg.save(change(result()), tmp_path / "f.vtkhdf")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -325,7 +324,7 @@ def test_phases_that_clash_with_variables_raise(tmp_path):
     phases = xr.concat([ds, ds], xr.IndexVariable("phase", ["bulk", "1"]))
     phases["density_phase_1"] = ds["density"]
     with pytest.raises(ValueError, match=r"several arrays would be named \['density_phase_1'\]"):
-        to_vtkhdf(phases, tmp_path / "f.vtkhdf")
+        xcg.save(phases, tmp_path / "f.vtkhdf")
 
 
 def test_large_fields_take_hardly_any_memory_beyond_their_end(tmp_path):
@@ -334,7 +333,7 @@ def test_large_fields_take_hardly_any_memory_beyond_their_end(tmp_path):
     f = xcg.datasets.random_scene(5, seed=1).cg.coarse_grain(
         "contact_stress", width=0.5, spacing=0.1, bounds=edges
     )
-    f.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+    f.cg.save(tmp_path / "f.vtkhdf")
     with h5py.File(tmp_path / "f.vtkhdf") as file:
         stored = file["VTKHDF/PointData/contact_stress"]
         assert stored.chunks[0] < stored.shape[0]

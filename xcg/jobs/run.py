@@ -33,8 +33,17 @@ from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import leftovers, lock_of, publish, work_folder
 from xcg.writers.formats import NETCDF
-from xcg.writers.store import Format, Mismatch, Output, Parts, StoreLayout, joined, write_files
-from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
+from xcg.writers.store import (
+    Format,
+    Mismatch,
+    Output,
+    Parts,
+    StoreLayout,
+    joined,
+    write_file,
+    write_files,
+)
+from xcg.writers.vtkhdf import VTKHDF
 
 _JOB = "job"  # attribute of the output: which job made it
 
@@ -297,7 +306,7 @@ class _Images:
         }
         fields = self._ds.isel(time=steps).assign(values)
         for t, path in enumerate(self._paths[steps]):
-            write_vtkhdf(fields.isel(time=[t]), path, self._encoding, overwrite=True)
+            write_file(fields.isel(time=[t]), path, self._encoding, VTKHDF, overwrite=True)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add nothing: images say nothing of other steps."""

@@ -51,7 +51,7 @@ def write_pvd(
     FileExistsError
         If one of the files exists and `overwrite` is False.
     ValueError
-        If these are chains, or no image; see `to_vtkhdf`.
+        If these are chains, or no image, as VTKHDF needs.
     """
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
 
@@ -182,7 +182,7 @@ def to_vtu(
     """Write fields onto the mesh whose points or cells they are at, for ParaView.
 
     Scalars, vectors and tensors become arrays with 1, 3 and 9 components of the mesh's points or
-    cells; a field with phases becomes one array a phase, as in `to_vtkhdf`. Lazy fields are
+    cells; a field with phases becomes one array a phase, as in VTKHDF. Lazy fields are
     computed step by step.
 
     Parameters

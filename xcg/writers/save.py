@@ -10,12 +10,13 @@ import xarray as xr
 from numpy.typing import DTypeLike
 
 from xcg.common.compat import stored_data
+from xcg.writers import chains
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
 from xcg.writers.paraview import write_pvd
 from xcg.writers.store import Format, write_file
-from xcg.writers.vtkhdf import VTKHDF, to_vtkhdf
+from xcg.writers.vtkhdf import VTKHDF
 
 
 class Writer(Protocol):
@@ -130,7 +131,8 @@ def save(
     path : str or path
         ``*.nc`` for NetCDF 4 (deflate), or ``*.h5`` for the same file, which is HDF5; ``*.zarr``
         for a Zarr folder (Zstandard), which is written and read faster, by several tasks at a time;
-        ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`;
+        ``*.vtkhdf`` for chains, and for fields on evenly spaced nodes, as one image with time steps
+        and an array for each field and phase (``velocity``, ``velocity_phase_1``);
         ``*.pvd`` for fields as images, one file a step, which ParaView before 5.12 reads, too. It
         appears only when it is whole.
     overwrite : bool
@@ -201,9 +203,13 @@ def save(
             f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
         )
     if of_chains:
-        to_vtkhdf(
-            ds, path, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression
-        )
+        options = {"dtype": dtype, "digits": digits, "compression": compression}
+        passed = ", ".join(f"{name}=" for name, value in options.items() if value is not None)
+        if passed:
+            raise ValueError(
+                f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
+            )
+        chains.to_vtkhdf(ds, path, overwrite=overwrite)
     elif isinstance(writer, Format):
         write_file(
             ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress

@@ -76,7 +76,7 @@ def to_pyvista(
     -------
     pyvista.ImageData, pyvista.MultiBlock or pyvista.PolyData
         Of a result, an image: fields are point data with 1, 3 or 9 components (xx, xy, xz, yx,
-        ...), as in `to_vtkhdf`; of phases one array each. Nodes where a field is unknown hold NaN,
+        ...), as in VTKHDF; of phases one array each. Nodes where a field is unknown hold NaN,
         which `view` leaves out and ``image.threshold(scalars=...)`` takes away.
 
         Of a scene, blocks: "particles", "contacts", "chains" and "box", those there are, with the

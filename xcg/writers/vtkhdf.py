@@ -1,5 +1,12 @@
 """VTKHDF: results as one temporal image, for ParaView (5.12 and later) and ``vtkHDFReader``.
 
+Scalars, vectors (``component``) and tensors (``component``, ``direction``) become point data with
+1, 3 and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases becomes one
+array a phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1". Results with fewer
+axes become images with one node along the others, at the coordinate given by ``at`` or at 0.
+Integers stay integers. Attributes of a field (units, long_name) are on its array, those of the
+Dataset on the group ``/xcg``.
+
 The file holds what the reader was found to read back, not all that its description allows: axes
 with one node do not appear in the shape of arrays, and a file with a single step has no time axis
 either. Of a single step VTK does not report the time; it is in ``Steps/Values`` all the same.
@@ -8,7 +15,6 @@ either. Of a single step VTK does not report the time; it is in ``Steps/Values``
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -17,93 +23,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import check_times, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.writers import chains
-from xcg.writers.encoding import Encoding
 from xcg.writers.formats import Hdf5Store, StoredArray, hdf5_file
-from xcg.writers.store import Format, StoreLayout, write_file
+from xcg.writers.store import Format, StoreLayout
 
 if TYPE_CHECKING:
     import h5py
 
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
 _BLOCK = 1 << 22  # bytes of a chunk on disk, of one step
-
-
-def to_vtkhdf(
-    fields: xr.Dataset,
-    path: str | os.PathLike[str],
-    *,
-    overwrite: bool = False,
-    dtype: DTypeLike | None = None,
-    digits: int | None = None,
-    compression: int | None = None,
-) -> Path:
-    """Write a result as one VTKHDF file, an image with time steps.
-
-    Scalars, vectors (``component``) and tensors (``component``, ``direction``) become point data
-    with 1, 3 and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases
-    becomes one array a phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1".
-    Results with fewer axes become images with one node along the others, at the coordinate given by
-    ``at`` or at 0. Integers stay integers. Attributes of a field (units, long_name) are on its
-    array, attributes of `fields` on the group ``/xcg``.
-
-    Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk
-    is gone from memory when the next one comes and every input file is parsed once. Under a
-    distributed scheduler the workers write, and must see the same folder.
-
-    Parameters
-    ----------
-    fields : xarray.Dataset
-        A result of `xcg.coarse_grain`: dimensions among time, phase, x, y, z, component and
-        direction, with evenly spaced nodes.
-    path : str or path
-        The file to write, by custom ``*.vtkhdf``. It appears only when it is whole.
-    overwrite : bool
-        Replace a file that exists.
-    dtype, digits
-        Type and significant digits of floating-point numbers, as in `xcg.save`.
-    compression : int, optional
-        Level of gzip, 1 to 9, or 0 for none; by default 1 for fields of fewer digits or single
-        precision, else none, which writes as fast as the disk takes it.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    FileExistsError
-        If the file exists and `overwrite` is False.
-    FileNotFoundError
-        If its folder does not exist.
-    ValueError
-        If `dtype`, `digits` or `compression` is unknown. If the fields do not form an image:
-        unknown dimensions, nodes that are not evenly spaced, no time steps, or values that are not
-        numbers.
-    """
-    options = {"dtype": dtype, "digits": digits, "compression": compression}
-    passed = ", ".join(f"{name}=" for name, value in options.items() if value is not None)
-    if passed and "chain_id" in fields:
-        raise ValueError(
-            f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
-        )
-    encoding = Encoding.of(fields, dtype, digits, compression)
-    write_vtkhdf(fields, Path(path), encoding, overwrite=overwrite)
-    return Path(path)
-
-
-def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
-    """Write fields as an image, chains as poly data."""
-    if "chain_id" in ds:
-        chains.to_vtkhdf(ds, path, overwrite=overwrite)
-    else:
-        write_file(ds, path, encoding, VTKHDF, overwrite=overwrite)
 
 
 # --- what is written -------------------------------------------------------------------------------------

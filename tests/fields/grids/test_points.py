@@ -302,7 +302,7 @@ def test_all_functions_of_fields_accept_points(scene, tmp_path):
     one.cg.save(tmp_path / "f.nc")
     xr.testing.assert_equal(xr.open_dataset(tmp_path / "f.nc").load().density, one.density)
     with pytest.raises(ValueError, match="to_vtu"):
-        one.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+        one.cg.save(tmp_path / "f.vtkhdf")
 
 
 def test_a_lazy_scene_stays_lazy(scene):

@@ -445,7 +445,7 @@ def test_a_line_as_vtkhdf(tmp_path):
 
     ds = xcg.datasets.random_scene(150, seed=5)
     f = preset(ds, ["density_mixture", "velocity"], axes="z", at={"x": 2.5, "y": 2.5}, width=0.8)
-    _, _, (got,) = read(f.cg.to_vtkhdf(tmp_path / "line.vtkhdf"))
+    _, _, (got,) = read(f.cg.save(tmp_path / "line.vtkhdf"))
     np.testing.assert_array_equal(got["density_mixture"].ravel(), f.density_mixture.values.ravel())
 
 
