@@ -187,8 +187,11 @@ class Report:
             elif axis:
                 component = _BY_NUMBER.get(axis[0], axis[0].lower())
                 example = f", for example names={{{column!r}: '{meant}_{component}'}}"
+        doubt = ""
+        if any(canonical(name) == "tx" for name in likely):
+            doubt = " (tx may also be a torque or a direction)"
         return (
-            f"columns {listed} resemble variables and are not read; map them{example}, or drop them by "
+            f"columns {listed} resemble variables and are not read{doubt}; map them{example}, or drop them by "
             f"names={{{next(iter(likely))!r}: None}}"
         )
 

@@ -87,6 +87,7 @@ def test_columns_of_contacts_that_resemble_a_variable_are_named(tmp_path, grains
     with pytest.warns(xcg.SceneWarning, match=rf"'{names[0]}' \({likely}\?\)") as caught:
         xcg.open_scene(grains, path, density=1.0)
     assert len(caught) == 1
+    assert ("may also be a torque" in str(caught[0].message)) == (names[0] == "tx")
     with warnings.catch_warnings(action="error"):
         xcg.open_scene(grains, path, density=1.0, names=dict.fromkeys(names))
 
