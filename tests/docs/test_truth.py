@@ -52,7 +52,9 @@ def test_values_of_single_steps_far_from_the_truth_are_warned_of(rows):
 
 
 def test_fields_without_a_floor_are_silent(rows):
-    silent = [row for row in rows if not any(name in row.truth.name for name in FLOORED)]
+    # the kinetic energy about the node's velocity holds part of a rotation, and is warned of
+    warned = (*FLOORED, "fluctuating_kinetic_energy")
+    silent = [row for row in rows if not any(name in row.truth.name for name in warned)]
     assert {row.said for row in silent} == {""}
 
 

@@ -91,3 +91,12 @@ def test_unknown_extent_or_weights_have_no_floor():
     mixture = truths.gas(1, sizes=(1.0, 2.0))
     assert said(mixture, NAMES, width={1: 1.0, 2: 2.0}, by="species") == []
     assert said(ds, NAMES, frame=xcg.Cylindrical("z", (6.0, 6.0, 0.0)), axes="r") == []
+
+
+def test_the_warning_of_lost_kinetic_stress_names_a_field_that_takes_it():
+    """Of grains in rigid rotation the velocity varies within the support, and the vorticity takes no stress."""
+    (system,) = truths.systems(["rigid rotation"])
+    names = ["vorticity", "granular_temperature", "fluctuating_kinetic_energy"]
+    nodes = system.nodes("volume")
+    with pytest.warns(xcg.SceneWarning, match="fluctuating_kinetic_energy of a single step lacks"):
+        system.make().cg.coarse_grain(names, width=1.0, **nodes)

@@ -8,8 +8,8 @@ import numpy as np
 
 from xcg.common.messages import warn_once
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import squared_integral, takes_covariance
-from xcg.fields.formulas.field import Field, Options, Support
+from xcg.fields.formulas.averages import squared_integral, takes_stress_of_step
+from xcg.fields.formulas.field import Support
 from xcg.fields.plan import Plan
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
@@ -105,15 +105,6 @@ def lost_share(scene: Description, plan: Plan) -> float:
     if not takes or support is None:
         return 0.0
     return 1.0 / support.grains
-
-
-def takes_stress_of_step(row: Field, options: Options) -> bool:
-    """Return whether a field follows from the kinetic stress, but for temperatures."""
-    if takes_covariance(row, options):
-        return True
-    return not row.moments and any(
-        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
-    )
 
 
 def text_of_floors(scene: Description, plan: Plan) -> str | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled._jit import for_each
 from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import takes_stress_of_step
 from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
@@ -275,15 +276,18 @@ def _warn_of_loss(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> No
     if not plan.lost_share * kinetic > _LOST * total:
         return
     lost = 100 * plan.lost_share * kinetic / total
-    names = ", ".join(
-        name for name in ("kinetic_stress", "stress", "pressure") if name in plan.asked
-    )
+    options = plan.options
+    taking = [
+        name for name in plan.asked if takes_stress_of_step(registry.row(name, options), options)
+    ]
+    usual = [name for name in ("kinetic_stress", "stress", "pressure") if name in taking]
+    names = ", ".join(usual or taking[:1])
     of = "the pressure"
     if "contact_i" not in frame:
         of = "its value"
     warn_once(
         "kinetic stress",
-        f"{source}: {names or plan.asked[0]} of a single step lacks kinetic stress of about {lost:.0f} % of "
+        f"{source}: {names} of a single step lacks kinetic stress of about {lost:.0f} % of "
         f"{of}, as the velocity at a node follows the {1 / plan.lost_share:.2g} grains there: take the "
         "time_average of the result, which is about the averaged velocity, average along axes (axes=), or increase "
         f"width= (it is {plan.kernel.width:.3g})",

@@ -569,6 +569,15 @@ def takes_covariance(row: Field, options: Options) -> bool:
     return is_linear and any(takes_covariance(need, options) for need in needs)
 
 
+def takes_stress_of_step(row: Field, options: Options) -> bool:
+    """Return whether a field follows from the kinetic stress, but for temperatures."""
+    if takes_covariance(row, options):
+        return True
+    return not row.moments and any(
+        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
+    )
+
+
 def _lacking_for_covariance(f: xr.Dataset) -> str:
     """Return what a result lacks for the covariance of its velocity, and where to obtain it; "" for nothing."""
     lacking = [name for name in _OF_COVARIANCE if name not in f]
