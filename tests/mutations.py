@@ -657,6 +657,22 @@ TABLE = [
         "test_temporal_vtkhdf_equals_vtp",
     ),
     Mutation(
+        "scene/conform.py", "if 0 in steps and any(steps)", "if 0 in steps and not any(steps)",
+        "test_slices_of_lazy_series_equal_those_in_memory",
+    ),
+    Mutation(
+        "scene/expressions.py", "if len(arguments) != function.nin", "if len(arguments) < function.nin",
+        "test_an_argument_too_many_does_not_write_to_a_variable",
+    ),
+    Mutation(
+        "scene/expressions.py", "return reduce(operator.and_, compared)", "return reduce(operator.or_, compared)",
+        "test_expressions_equal_numpy",
+    ),
+    Mutation(
+        "analysis/samples.py", "if 0 < apart <= random", "if 0 < apart <= 0 * random",
+        "test_few_large_grains_by_volume_have_no_index_and_a_warning",
+    ),
+    Mutation(
         "scene/sanity.py", "length = high - low\n        far", "length = high\n        far",
         "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
     ),
