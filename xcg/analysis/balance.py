@@ -290,7 +290,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=text)
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
     # in the order of the fields
-    coords = {name: known[name] for name in (*f.coords, "interval") if name in known}
+    coords = {name: known[name].variable for name in (*f.coords, "interval") if name in known}
     return xr.Dataset(
         {name: residual.variable for name, residual in out.items()},
         coords,
