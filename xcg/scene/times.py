@@ -53,15 +53,14 @@ def read_times(values: ArrayLike, source: str) -> tuple[NDArray[np.float64], str
         row = int(np.argmax(series.isna()))
         raise SceneError(f"{source}: row {row} has no time; drop the row, or fill its time in")
     if series.dtype.kind == "m":
-        return series.dt.total_seconds().to_numpy("float64"), ""
+        return np.asarray(series.dt.total_seconds(), "float64"), ""
     zone = ""
     if getattr(series.dtype, "tz", None) is not None:
         series = series.dt.tz_convert("UTC").dt.tz_localize(None)
         zone = "+00:00"
     first = series.min()
     start: str = first.isoformat() + zone if len(series) else ""
-    seconds = (series - first).dt.total_seconds().to_numpy("float64")
-    return seconds, start
+    return np.asarray((series - first).dt.total_seconds(), "float64"), start
 
 
 def _from_objects(series: pd.Series, source: str) -> pd.Series:
