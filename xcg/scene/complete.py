@@ -12,7 +12,9 @@ from xcg.common import memory
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled._jit import for_each
 from xcg.compiled.contacts import share_of_i, touching_points
+from xcg.scene.gaps import are_single_spheres, warn_of_gaps
 from xcg.scene.lattice import Lattice
+from xcg.scene.normals import checked_normals
 from xcg.scene.repeats import without_repeats
 from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, Setup, powers_of, variable
@@ -375,8 +377,9 @@ def complete_contacts(
 
     Contacts that are listed again are taken once, see `xcg.scene.repeats.without_repeats`. Between
     spheres, pairs without a force and with a gap are dropped, overlaps that are another quantity
-    are replaced, and contact points midway between the centres are moved, each with a warning, see
-    `xcg.scene.spheres`.
+    are replaced, contact points midway between the centres are moved, and normals of another length
+    or sign are scaled or turned, each with a warning, see `xcg.scene.spheres` and
+    `xcg.scene.normals`. Forces across gaps are warned of, see `xcg.scene.gaps`.
 
     Parameters
     ----------
@@ -401,7 +404,8 @@ def complete_contacts(
     SceneError
         For unknown ids, a particle in contact with itself, values that are not finite, a contact
         point that is missing and cannot be derived, as in a box so small that grains touch on both
-        sides, or a contact that is listed from both sides with the same force.
+        sides, a contact that is listed from both sides with the same force, or normals across the
+        lines of centres of spheres.
     """
     given = _typed(
         {name: values for name, values in frame.items() if name not in HINTS}, setup, source
@@ -463,9 +467,7 @@ def complete_contacts(
                 allow_unknown=allow_unknown,
                 columns=columns,
             )
-        if "overlap" in given:
-            column = (columns or {}).get("overlap", "overlap")
-            given["overlap"] = spheres.checked_overlaps(column)
+        given |= _checked_geometry(spheres, frame, columns or {}, setup.shape)
         if "contact_point" in given and "point_is_middle" not in frame:
             spheres.warn_of_coincident_centres()
             if spheres.points_are_middles():
@@ -478,6 +480,23 @@ def complete_contacts(
         )
     del row_i, row_j, unknown, derived
     return without_repeats(given, number, particles, lattice, setup.sides, source)
+
+
+def _checked_geometry(
+    spheres: SphereContacts,
+    frame: Mapping[str, ArrayLike],
+    columns: Mapping[str, str],
+    shape: str,
+) -> Frame:
+    """Return the normals and overlaps that the data hold, compared with positions and radii."""
+    checked = Frame()
+    if are_single_spheres(spheres.particles, shape):
+        warn_of_gaps(spheres)
+        if "contact_normal" in frame:
+            checked["contact_normal"] = checked_normals(spheres)
+    if "overlap" in frame:
+        checked["overlap"] = spheres.checked_overlaps(columns.get("overlap", "overlap"))
+    return checked
 
 
 def _derive_points(

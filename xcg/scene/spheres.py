@@ -133,14 +133,14 @@ class SphereContacts:
         rows = rows[(force[rows] == 0.0).all(axis=1)]
         if not rows.size:
             return rows
-        pairs = self._pairs(rows)
+        pairs = self.pairs(rows)
         apart = np.flatnonzero(pairs.overlap < -_ROUNDING * pairs.touching)
         rows = pairs.rows[apart]
         if rows.size:
             warn_once(
                 "pairs without contact",
                 f"{self.source}: {rows.size} of {len(force)} rows of contacts have no force, and a "
-                f"gap between their spheres ({self._name(rows[0])}: {-pairs.overlap[apart[0]]:.3g}), "
+                f"gap between their spheres ({self.named(rows[0])}: {-pairs.overlap[apart[0]]:.3g}), "
                 "as pairs in a list of neighbours have: they are no contacts and are dropped. LAMMPS "
                 "leaves them out where compute pair/local and property/local say 'cutoff radius'",
             )
@@ -155,12 +155,12 @@ class SphereContacts:
             Name of the overlaps in the file, for the message.
         """
         overlap = self.contacts["overlap"]
-        rows = self._sample.rows
-        expected = self._sample.overlap
+        rows = self.sample.rows
+        expected = self.sample.overlap
         if rows.size:
             plausible = self._agree(rows, expected)
         else:
-            rows = self._walls_among(self._sampled_rows)
+            rows = self._walls_among(self.sampled_rows)
             if not rows.size:
                 return overlap
             expected = self._depths(rows)
@@ -172,13 +172,13 @@ class SphereContacts:
         worst = np.argmax(np.abs(overlap[rows] - expected))
         warn_once(
             f"overlaps from {column}",
-            f"{self.source}: {column!r} is not the overlap ({self._name(rows[worst])}: "
+            f"{self.source}: {column!r} is not the overlap ({self.named(rows[worst])}: "
             f"{overlap[rows[worst]]:.3g}, but radii and positions give {expected[worst]:.3g}): "
             "overlaps are computed from radii and positions instead. Name the column by what it "
             f"is, such as names={{{column!r}: 'contact_area'}}, or drop it by None",
         )
         every = np.arange(len(overlap))
-        pairs = self._pairs(every)
+        pairs = self.pairs(every)
         walls = self._walls_among(every)
         computed = overlap.copy()
         computed[pairs.rows] = pairs.overlap
@@ -188,7 +188,7 @@ class SphereContacts:
 
     def points_are_middles(self) -> bool:
         """Return whether points lie midway between centres of unequal spheres. Warn if they do."""
-        pairs = self._sample
+        pairs = self.sample
         unequal = np.abs(pairs.radius_i - pairs.radius_j)
         tested = unequal > _UNEQUAL * pairs.touching
         if pairs.side_sum is None or not tested.any():
@@ -202,7 +202,7 @@ class SphereContacts:
         warn_once(
             "points in the middle",
             f"{self.source}: contact points lie midway between the centres of spheres of unequal "
-            f"sizes ({self._name(pairs.rows[tested][0])}), off both surfaces, as those of MercuryDPM "
+            f"sizes ({self.named(pairs.rows[tested][0])}), off both surfaces, as those of MercuryDPM "
             "before 2016: they are moved to where the spheres touch, R_i - overlap / 2 from the "
             "centre of i",
         )
@@ -210,7 +210,7 @@ class SphereContacts:
 
     def warn_of_points_elsewhere(self) -> None:
         """Warn if points lie far from the surfaces of both spheres, which touch."""
-        pairs = self._sample
+        pairs = self.sample
         if pairs.side_sum is None or not len(pairs.rows):
             return
         off_i = np.abs(_lengths(pairs.side_sum + pairs.branch) / 2 - pairs.radius_i)
@@ -224,14 +224,14 @@ class SphereContacts:
         warn_once(
             "points elsewhere",
             f"{self.source}: contact points lie off the surfaces of both spheres "
-            f"({self._name(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). "
+            f"({self.named(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). "
             "Map the right columns to contact_point, or drop these by names={'column': None}: points "
             "then follow from radii",
         )
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""
-        rows = self._sample.rows
+        rows = self.sample.rows
         position = self.particles["position"]
         apart = position[self.row_i[rows]] - position[self.row_j[rows]]
         same = rows[~self.lattice.shortest(apart).any(axis=1)]
@@ -239,16 +239,17 @@ class SphereContacts:
         warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], self.source)
 
     @cached_property
-    def _sampled_rows(self) -> NDArray:
+    def sampled_rows(self) -> NDArray:
         """Rows spread over all contacts."""
         count = len(self.row_i)
         return np.arange(0, count, max(1, count // _SAMPLE))
 
     @cached_property
-    def _sample(self) -> Pairs:
-        return self._pairs(self._sampled_rows)
+    def sample(self) -> Pairs:
+        """Pairs among contacts spread over all."""
+        return self.pairs(self.sampled_rows)
 
-    def _pairs(self, rows: NDArray) -> Pairs:
+    def pairs(self, rows: NDArray) -> Pairs:
         """Return the pairs among some rows whose partners are both known.
 
         Images are those nearest to the branches in the data, else to the contact points, else the
@@ -302,7 +303,8 @@ class SphereContacts:
         size = np.median(np.abs(expected))
         return bool(off <= _SAME_OVERLAP * size + rounding / np.sqrt(len(rows)))
 
-    def _name(self, row: int) -> str:
+    def named(self, row: int) -> str:
+        """Return the row and ids of a contact, for messages."""
         i = self.contacts["contact_i"][row]
         j = self.contacts["contact_j"][row]
         return f"contact row {self.number[row]}, contact_i={i}, contact_j={j}"

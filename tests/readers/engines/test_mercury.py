@@ -21,6 +21,7 @@ ROWS = [
 FSTAT = "# {t} 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n"
 PAIR = "{t} 0 1 1.45 1 0.7 0.1 0 5 2 -1 0 0 0 1 0"
 MIRROR = "{t} 1 0 1.45 1 0.7 0.1 0 5 2 1 0 0 0 -1 0"
+THIRD = "{t} 0 2 1 1.5 0.6 0.1 0 5 2 0 -0.96422 -0.26516 0 1 0"
 WALL = "{t} 0 -5 1 1 0 0.05 0 3 1 -0 -0 -1 1 0 0"
 RESTART = """MercuryDPM 1.0 name run revision 0 repository none
 xMin 0 xMax 4 yMin 0 yMax 4 zMin 0 zMax 2
@@ -88,7 +89,7 @@ def test_contact_forces_are_read(run):
         ((PAIR, WALL), [(0, 1), (0, -5)]),
         ((MIRROR, PAIR), [(0, 1)]),
         ((MIRROR,), [(1, 0)]),
-        ((MIRROR, PAIR.replace(" 0 1 ", " 0 2 ", 1)), [(1, 0), (0, 2)]),
+        ((MIRROR, THIRD), [(1, 0), (0, 2)]),
         ((), []),
     ],
 )
