@@ -68,6 +68,21 @@ def test_grains_across_a_periodic_edge_are_cut():
     np.testing.assert_allclose(width, 2 * np.sqrt(0.25 - 0.04))
 
 
+def test_grains_across_a_periodic_edge_of_a_tilted_box_are_cut():
+    """The box is tilted in the plane of the picture, so that images across it are not shifted."""
+    ds = xcg.scene_from_arrays(
+        [[1.0, 0.1, 1.0]],
+        diameter=1.0,
+        density=1.0,
+        box=[[0, 4.0]] * 3,
+        periodic="xyz",
+        lattice={"xz": 1.0},
+    )
+    offset, width, _ = circles_of(ds.cg.plot(at={"y": 3.9}))
+    np.testing.assert_allclose(offset, [[1.0, 1.0]])
+    np.testing.assert_allclose(width, 2 * np.sqrt(0.25 - 0.04))
+
+
 def test_wrong_arguments_raise():
     ds = xcg.datasets.random_scene(20)
     cases = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from xcg.common.checks import is_finite
 from xcg.common.messages import plain, unknown
 from xcg.scene.conform import conform, require_scene
 from xcg.scene.frame import frame_at, step_at
-from xcg.scene.lattice import Lattice
+from xcg.scene.lattice import Lattice, minimum_image
 from xcg.scene.schema import COMPONENTS, Frame
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def draw_grains(
     plane = str(ds.attrs.get("plane", "xyz"))
     cut = _cut(plane, at, frame, lattice)
     axes = [axis for axis in plane if axis not in cut]
-    offset, radius, rows = _circles(frame, axes, cut, lattice)
+    offset, radius, rows = circles_of(frame, axes, cut, lattice)
     if ax is None:
         ax = drawing.new_axes(ratio=drawing.ratio_of_circles(offset, radius))
     others = {key: value for key, value in options.items() if key != "norm"}
@@ -139,20 +139,20 @@ def _cut(
     return {COMPONENTS[k]: float(0.5 * (low[k] + high[k]))}
 
 
-def _circles(
-    frame: Frame, axes: list[str], cut: Mapping[str, float], lattice: Lattice
+def circles_of(
+    frame: Frame, axes: Sequence[str], cut: Mapping[str, float], lattice: Lattice
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """Return centres (n, 2) and radii (n,) of the circles, and the rows of their particles."""
+    """Return centres (n, 2) and radii (n,) of circles on two axes, and the rows of their particles.
+
+    They are cut at places on other axes (m), also by planes through images; whole without a cut.
+    """
     position = frame["position"]
     radius = frame["diameter"] / 2
     offset = position[:, [COMPONENTS.index(axis) for axis in axes]]
     rows = np.arange(len(position))
     for axis, place in cut.items():
         k = COMPONENTS.index(axis)
-        away = position[:, k] - place
-        period = lattice.period[k]
-        if np.isfinite(period):
-            away -= period * np.rint(away / period)
+        away = minimum_image(position - place, lattice.axis_periods)[:, k]
         rows = np.flatnonzero(np.abs(away) < radius)
         radius = np.sqrt(radius[rows] ** 2 - away[rows] ** 2)
     return offset[rows], radius, rows

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.grain_plots import circles_of
 from xcg.analysis.plots import axes_of, numbers_of
 from xcg.analysis.widths import WIDTHS as SWEPT
 from xcg.analysis.widths import choose_width, width_sweep
@@ -312,19 +313,13 @@ class ScenePictures(Pictures):
         frame, lattice, _ = frame_at(
             self._step(choice.time), 0, ["particle_id", "position", "diameter"]
         )
-        places = frame["position"]
-        radius = frame["diameter"] / 2
+        cut = {}
         if choice.view == "slice":
-            k = COMPONENTS.index(self.cut_axis(choice))
-            away = places[:, k] - choice.position
-            if np.isfinite(lattice.axis_periods[k]) and lattice.axis_periods[k] > 0:
-                away -= lattice.axis_periods[k] * np.round(away / lattice.axis_periods[k])
-            cut = np.abs(away) < radius
-            places = places[cut]
-            radius = np.sqrt(radius[cut] ** 2 - away[cut] ** 2)
-        count = len(places)
+            cut = {self.cut_axis(choice): choice.position}
+        centre, radius, _ = circles_of(frame, choice.axes, cut, lattice)
+        count = len(radius)
         some = slice(None, None, -(-count // MOST_GRAINS) or 1)
-        across, up = (places[some, COMPONENTS.index(a)] for a in choice.axes)
+        across, up = centre[some].T
         return {"x": across, "y": up, "radius": radius[some]}, count
 
     def errors(self, choice: Choice) -> dict[str, NDArray]:
