@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.lattice import images_within, minimum_image
+from xcg.scene.lattice import Lattice, minimum_image
 from xcg.scene.schema import COMPONENTS
 
 
@@ -262,7 +262,7 @@ def _bonded(
         )
     pairs = cKDTree(position % edge, boxsize=period).query_pairs(reach, output_type="ndarray")
     branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
-    rows, branch = images_within(branch, np.full(len(pairs), reach), period)
+    rows, branch = Lattice(period).within(branch, np.full(len(pairs), reach))
     pairs = pairs[rows]
     arguments = {
         "diameter": np.full(len(position), diameter),

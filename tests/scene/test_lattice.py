@@ -473,6 +473,23 @@ def test_images_of_straight_boxes_nearer_than_a_length(periodic, length):
     assert sorted(map(tuple, lattice.translations(length))) == sorted(map(tuple, expected))
 
 
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (1.0, 0.5, -0.3)])
+@pytest.mark.parametrize("reach", [1.0, 3.0, 9.0])
+def test_images_of_vectors_within_a_reach_are_those_of_brute_force(tilt, reach):
+    lattice = lattice_of(cell_of(tilt))
+    rng = np.random.default_rng(3)
+    vector = lattice.shortest(rng.uniform(-9.0, 9.0, (60, 3)))
+    reaches = rng.uniform(0.0, reach, len(vector))
+    rows, images = lattice.within(vector, reaches)
+    for n, (own, far) in enumerate(zip(vector, reaches, strict=True)):
+        everywhere = own + NUMBERS @ lattice.given
+        length = np.linalg.norm(everywhere, axis=1)
+        is_near = (length < far) | ~NUMBERS.any(axis=1)
+        expected = sorted(map(tuple, everywhere[is_near].round(9)))
+        assert sorted(map(tuple, images[rows == n].round(9))) == expected
+    np.testing.assert_array_equal(rows, np.sort(rows))
+
+
 @pytest.mark.parametrize(
     ("tilt", "axes", "said"),
     [

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.pairs import other_rows, pairs_of
+from xcg.analysis.pairs import pairs_of
 from xcg.common.checks import POSITIVE, check, floats, is_whole, whole
 from xcg.common.messages import SceneError, plain
 from xcg.scene.conform import takes_scene
@@ -229,7 +229,11 @@ class BondOrder(FrameAnalysis):
                 f"the nearest image ({half:g} m); take fewer neighbours"
             )
         original = np.flatnonzero(~shift.any(axis=1))
-        near = other_rows(near, original[np.argsort(rows[original])])
+        itself = original[np.argsort(rows[original])]
+        is_itself = near == itself[:, None]
+        # particles at the same place may push the particle itself out of the list
+        is_itself[~is_itself.any(axis=1), -1] = True
+        near = near[~is_itself].reshape(len(position), count)
         bond = images[near] - position[:, None]
         return np.repeat(np.arange(len(position)), count), bond.reshape(-1, 3)
 

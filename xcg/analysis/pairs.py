@@ -383,14 +383,6 @@ def cells_of(
     return lists, whose
 
 
-def other_rows(near: NDArray, itself: NDArray) -> NDArray:
-    """Return the rows (n, k) of the nearest particles but the particle itself, from rows (n, k + 1)."""
-    is_itself = near == itself[:, None]
-    # particles at the same place may push the particle itself out of the list
-    is_itself[~is_itself.any(axis=1), -1] = True
-    return near[~is_itself].reshape(len(near), -1)
-
-
 def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
     """Centres (n, 3) and radii (n,), checked."""
     centres = np.asarray(position, float)

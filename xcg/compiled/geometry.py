@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.arrays import image_of
+from xcg.compiled.reach import periodic_images
 
 _BALL = 4.0 * math.pi / 3.0
 MOST_CROSSINGS = 16  # of one ray; further ones are left out
@@ -217,10 +218,9 @@ def add_shares(position, radius, values, group, cells, discs, corner, out):
 @inner
 def _images(x, r, lower, step, count, period):
     """First and last periodic image that reaches the cells of an axis."""
-    if not (period < np.inf and step < np.inf):
+    if not step < np.inf:
         return 0, 0
-    upper = lower + step * count
-    return math.ceil((lower - r - x) / period), math.floor((upper + r - x) / period)
+    return periodic_images(x, -r, r, lower, lower + step * count, period)
 
 
 @inner

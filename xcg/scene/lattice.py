@@ -178,16 +178,20 @@ class Lattice:
     def within(self, vector: NDArray, reach: NDArray) -> tuple[NDArray, NDArray]:
         """Return rows and vectors of the images of shortest vectors (n, 3) within their reach (n,).
 
-        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a
-        period, so that no other images than the next ones can be meant.
+        The shortest one always is among them.
         """
-        if self.vectors is None:
-            return images_within(vector, reach, self.period)
-        moves = np.concatenate([np.zeros((1, 3)), self.translations(2 * reach.max(initial=0.0))])
-        images = vector[:, None] + moves
-        inside = (images**2).sum(axis=2) < reach[:, None] ** 2
-        inside[:, 0] = True
-        return np.nonzero(inside)[0], images[inside]
+        moves = self.translations(2 * reach.max(initial=0.0))
+        if not len(moves):
+            return np.arange(len(vector)), vector
+        # the other images of shorter vectors are beyond their reach
+        length = np.linalg.norm(vector, axis=1)
+        near = np.flatnonzero(length + reach > self.closest[0] * (1 - _SAME))
+        images = vector[near, None] + moves
+        inside = (images**2).sum(axis=2) < reach[near, None] ** 2
+        rows = np.concatenate([np.arange(len(vector)), near[np.nonzero(inside)[0]]])
+        vectors = np.concatenate([vector, images[inside]])
+        order = np.argsort(rows, kind="stable")
+        return rows[order], vectors[order]
 
     def is_halfway(self, vector: NDArray, hair: float) -> NDArray:
         """Return whether other images of vectors (n, 3) are as short, up to a share of a period."""
@@ -510,26 +514,3 @@ def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -
     for k in np.flatnonzero(np.isfinite(period)):
         image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
     return image
-
-
-def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
-    """Return rows and vectors of the images of shortest vectors (n, 3) within their reach (n,).
-
-    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no
-    other images than the next ones can be meant.
-    """
-    short = period - np.abs(vector) < reach[:, None]
-    has_images = short.any(axis=1)
-    near = np.flatnonzero(has_images)
-    if not near.size:
-        return np.arange(len(vector)), vector
-    most = short.any(axis=0).astype(int)  # one period, along the axes where images may be in reach
-    numbers = [(0, -1, 1)[: 1 + 2 * k] for k in most]
-    shifts = np.array(list(product(*numbers)))
-    images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
-    inside = np.linalg.norm(images, axis=2) < reach[near, None]
-    inside[:, 0] = True
-    rows = np.concatenate([np.flatnonzero(~has_images), near[np.nonzero(inside)[0]]])
-    vectors = np.concatenate([vector[~has_images], images[inside]])
-    order = np.argsort(rows, kind="stable")
-    return rows[order], vectors[order]
