@@ -13,9 +13,9 @@ from tests.analyses import CALLS, COMPUTED, OTHERS, PARTS, classes, methods, sce
 from tests.writers.test_save import assert_same_bits
 from xcg.steps import analysis
 
-STEPS = 7
-# selections of a series in chunks of two: a whole one, a part of one, and an empty chunk at the end or in the middle
-SLICES = {"one chunk": slice(2, 4), "a part": slice(1, 6), "empty chunks": slice(0, 6, 4)}
+STEPS = 8
+# selections of a series in chunks of two: a whole one, a part of one, and with an empty chunk at the end
+SLICES = {"one chunk": slice(2, 4), "a part": slice(1, 6), "an empty chunk": slice(1, 7, 3)}
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import operator
+import re
 from collections.abc import Callable, Mapping
 from functools import reduce
 from itertools import pairwise
@@ -53,6 +54,7 @@ _OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
 }
+_ASSIGNMENT = re.compile(r"(?<![<>=!:])=(?!=)")
 _LONGEST = 60  # letters of a part in a message
 
 
@@ -77,11 +79,19 @@ def evaluate(expression: str, variables: Mapping[str, Any]) -> Any:
         If the text is no expression, or has other parts.
     """
     try:
-        tree = ast.parse(expression.strip(), mode="eval")
-        return _value(tree.body, variables)
+        return _value(_parsed(expression), variables)
     except (MemoryError, RecursionError):
         # of the parser, for deeply nested brackets and very long sums
         raise SyntaxError("it has too many parts within each other") from None
+
+
+def _parsed(expression: str) -> ast.expr:
+    try:
+        return ast.parse(expression.strip(), mode="eval").body
+    except SyntaxError:
+        if _ASSIGNMENT.search(expression):
+            raise SyntaxError("= assigns, and == compares") from None
+        raise
 
 
 def _value(node: ast.expr, variables: Mapping[str, Any]) -> Any:
