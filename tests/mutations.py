@@ -342,6 +342,10 @@ TABLE = [
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums test_fields_equal_the_columns_of_mercury",
     ),
     Mutation(
+        "fields/formulas/averages.py", "(count - 2) / (count - 2 + t**2)", "(count - 2) / (count - 2 + t)",
+        "test_a_trend_warns_where_it_exceeds_three_of_its_errors",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "biases.append((count - 1) *", "biases.append(count *",
         "test_bias_of_kinetic_stress_is_that_of_a_variance",
     ),

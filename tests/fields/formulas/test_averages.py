@@ -1,11 +1,13 @@
 """Profiles and averages over time: ratios through their sums, errors of correlated samples."""
 
+import warnings
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
-from tests import ensembles, truths
+from tests import ensembles, raise_if_dask_computes, truths
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
 
@@ -205,10 +207,12 @@ def test_the_error_equals_that_of_the_block_beyond_which_it_does_not_grow():
         x = np.where(np.arange(n) // length % 2, 1.0, -1.0)[:, None]
         got = as_result(5 + x).cg.time_average().density_error.item()
         assert got == pytest.approx(1 / np.sqrt(n / length - 1), rel=1e-12)
-    ramp = as_result(np.arange(64.0)[:, None]).cg.time_average().density_error.item()
+    with pytest.warns(xcg.SceneWarning, match="density changes over the 64 steps"):
+        ramp = as_result(np.arange(64.0)[:, None]).cg.time_average().density_error.item()
     # grows with every block: of sixteen, the fewest that are looked at
     assert ramp == pytest.approx(4 * np.sqrt((16**2 - 1) / 12 / 15), rel=1e-12)
-    short = as_result(np.arange(8.0)[:, None]).cg.time_average().density_error.item()
+    with pytest.warns(xcg.SceneWarning, match="density changes over the 8 steps"):
+        short = as_result(np.arange(8.0)[:, None]).cg.time_average().density_error.item()
     assert short == pytest.approx(np.sqrt((8**2 - 1) / 12 / 7), rel=1e-12)
 
 
@@ -231,6 +235,51 @@ def test_the_block_is_chosen_within_the_scatter_of_the_errors():
         chosen.append(fits.index(True))
         assert error == pytest.approx(errors[chosen[-1]], rel=1e-9)
     assert len(set(chosen)) > 3
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_errors_of_repeated_steps_warn_that_they_grow(lazy):
+    """Eight steps, each repeated eight times: blocks of four leave the error 31 % too small."""
+    x = np.random.default_rng(3).normal(size=(8, 40))
+    f = as_result(5 + np.repeat(x, 8, axis=0))
+    call = (f.chunk(time=8) if lazy else f).cg.time_average
+    if lazy:
+        with raise_if_dask_computes():
+            mean = call()
+        call = mean.compute
+    with pytest.warns(xcg.SceneWarning, match="from blocks of 4 steps to blocks of 8") as warned:
+        mean = call()
+    assert len(warned) == 1
+    right = x.std(axis=0, ddof=1) / np.sqrt(8)
+    np.testing.assert_allclose(mean.density_error / right, np.sqrt(7 / 15), rtol=1e-9)
+    if not lazy:
+        assert mean.density_error.attrs["share_without_plateau"] == 1.0
+        assert mean.density_error.attrs["share_with_drift"] == 0.0
+
+
+def test_a_trend_warns_where_it_exceeds_three_of_its_errors():
+    """The statistic of the test is that of the line fitted to the blocks: here one in which t is known."""
+    x = np.arange(12) - 5.5
+    across = x**2 - np.mean(x**2)  # no part of a line
+    for t, speaks in ((5.0, True), (3.5, False)):  # 12 steps: p = 0.0027 at t = 3.96
+        slope = t * np.sqrt(np.sum(across**2) / 10 / np.sum(x**2))
+        f = as_result((100 + slope * x + across)[:, None])
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            mean = f.cg.time_average()
+        assert ["changes over the 12 steps" in str(w.message) for w in warned] == [True] * speaks
+        assert mean.density_error.attrs == {
+            "units": "kg m-3", "long_name": "standard error of density", "share_with_drift": float(speaks),
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize("steps", [8, 24, 64])
+def test_steady_series_are_silent(steps):
+    """Warnings are errors here: thousands of nodes, few blocks, and fields that do not change at all."""
+    rng = np.random.default_rng(steps)
+    as_result(rng.normal(size=(steps, 4000))).cg.time_average()
+    as_result(np.exp(2 * rng.normal(size=(steps, 4000)))).cg.time_average()
+    as_result(np.full((steps, 5), 0.1)).cg.time_average()
 
 
 def test_errors_of_ratios_equal_those_of_the_ratio_of_sums():
@@ -634,7 +683,8 @@ def test_averaged_fields_close_the_balance_of_momentum():
     ends = ballistic(np.array([-0.5, steps - 0.5]) * interval)
     rate = np.diff(ends.momentum_density, axis=0)[0] / (steps * interval)
     f = ballistic(np.arange(steps) * interval)
-    average = f.cg.time_average()
+    with pytest.warns(xcg.SceneWarning, match="still grows"):  # grains cross a support in 20 steps
+        average = f.cg.time_average()
     of_flow = average.density * average.velocity * average.velocity.sel(component="z")
 
     def divergence(stress):

@@ -17,13 +17,14 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
-from xcg.common.messages import warn_once
+from xcg.common.messages import Once, active_call, warn_once
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
@@ -40,6 +41,9 @@ from xcg.steps.labels import format_call, provenance
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
 MIN_BIAS_BLOCKS = 8
+CHANCE = 0.0027  # of more than three standard errors
+_ROUNDING = 1e-6  # of the largest value
+_NOT_NODES = ("component", "direction", "phase", "other_phase")
 _SAMPLE = "_sample"
 _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
 
@@ -129,6 +133,12 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         has errors of one step (``coarse_grain(errors=True)``), the larger of the two, and
         ``<name>_error_from`` says which: noise of independent steps, or their scatter.
 
+        From 8 steps on, attributes of the errors of results in memory are shares of nodes (the
+        largest of components and phases): ``share_with_drift``, where the least-squares line
+        through 8 to 15 blocks changes by more than three of its errors (t test), and from 16 steps
+        on ``share_without_plateau``, where the error of the largest blocks is exceeded by that of
+        blocks twice as long by more than their scatter. More than half of the nodes warn.
+
     Raises
     ------
     SceneError
@@ -165,8 +175,10 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     samples = samples.drop_vars([_noise_of(name) for name in noise])
     samples = _to_sums(samples, "time_average", [_SAMPLE])
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
-    errors, biases = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f))
+    blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f))
     in_a_mean = samples.sizes[_SAMPLE]
+    names = [name for name in map(str, mean.data_vars) if name not in sums_beside]
+    steadiness = _Steadiness(blocks, names, in_a_mean, active_call())
     biased: set[str] = set()
     if in_a_mean >= MIN_BIAS_BLOCKS:
         options = registry.options_of(f.attrs)
@@ -176,11 +188,13 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         known = mean[name].variable.notnull()
         units = f[name].attrs.get("units", "1")
         # without coordinates, which are the mean's; an error may be known where the mean is not
-        error = errors[name].variable.where(known)
+        error = blocks.errors[name].variable.where(known)
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
+        if name not in sums_beside:
+            error = steadiness.checked(name, error)
         beside[f"{name}_error"] = error
         if name in biased:
-            bias = biases[name].variable.where(known)
+            bias = blocks.biases[name].variable.where(known)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias
     mean = mean.assign(beside).assign_attrs(averaged_steps=in_a_mean)
@@ -371,40 +385,174 @@ def block_errors(
 
     They come from the first size of blocks beyond which they do not grow, see `time_average`.
     """
-    return jackknife(samples, dim, function)[0]
+    return jackknife(samples, dim, function).errors
+
+
+class Jackknife(NamedTuple):
+    """Errors and biases of a function of the mean over blocks, and whether they hold."""
+
+    errors: xr.Dataset
+    biases: xr.Dataset
+    drifts: xr.Dataset | None
+    """Slope over the blocks divided by its error; None below 8 samples."""
+    growths: xr.Dataset | None
+    """Error of the blocks beyond the largest over theirs, 1 at a plateau; None below 16 samples."""
+    count: int
+    """Blocks of drifts and growths."""
 
 
 def jackknife(
     samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]
-) -> tuple[xr.Dataset, xr.Dataset]:
+) -> Jackknife:
     """Return standard errors and biases of a function of the mean over consecutive samples.
 
     Both come from the blocks of `block_errors`; the bias is ``(n - 1) (<f of all but one> - f)`` of n
-    blocks (Quenouille 1956).
+    blocks (Quenouille 1956). From 8 samples on the last 8 to 15 blocks show drift and growth.
     """
     levels: list[xr.Dataset] = []
     biases: list[xr.Dataset] = []
     doubt = []  # relative scatter of each level's error
+    drifts = None
+    growths = None
     while (count := samples.sizes[dim]) >= 2 and (not levels or count >= MIN_BLOCKS):
         # jackknife: for sums the scatter over sqrt(n), for functions of sums right to first order
         mean = samples.mean(dim, skipna=False)
         of_others = function((count * mean - samples) / (count - 1))
-        levels.append(of_others.std(dim, ddof=0, skipna=False) * np.sqrt(count - 1))
-        biases.append((count - 1) * (of_others.mean(dim, skipna=False) - function(mean)))
+        of_mean = function(mean)
+        levels.append(_jackknife_error(of_others, dim))
+        biases.append((count - 1) * (of_others.mean(dim, skipna=False) - of_mean))
         doubt.append(1 / np.sqrt(2 * (count - 1)))
         samples = samples.coarsen({dim: 2}, boundary="trim").mean()
     if not levels:
         unknown = function(samples.mean(dim)) * np.nan
-        return unknown, unknown
+        return Jackknife(unknown, unknown, None, None, 0)
     errors = levels[-1]
     bias = biases[-1]
+    has_plateau = xr.zeros_like(errors, dtype=bool)
     for k in reversed(range(len(levels) - 1)):
         flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]
         for m in range(k + 2, len(levels)):
             flat = flat & (levels[m] * (1 - doubt[m]) <= levels[k])
         errors = xr.where(flat, levels[k], errors)
         bias = xr.where(flat, biases[k], bias)
-    return errors, bias
+        has_plateau = has_plateau | flat
+    if count >= MIN_BIAS_BLOCKS:  # of longer blocks than any error is from
+        mean = samples.mean(dim, skipna=False)
+        of_others = function((count * mean - samples) / (count - 1))
+        next_error = _jackknife_error(of_others, dim)
+        growths = (next_error / levels[-1].where(levels[-1] > 0)).where(~has_plateau, 1.0)
+    elif of_others.sizes[dim] >= MIN_BIAS_BLOCKS:
+        count = of_others.sizes[dim]
+    if count >= MIN_BIAS_BLOCKS:
+        drifts = _drift(of_others, of_mean, dim)
+    return Jackknife(errors, bias, drifts, growths, count)
+
+
+def _jackknife_error(of_others: xr.Dataset, dim: str) -> xr.Dataset:
+    """Return the standard error of a function from its values without each block."""
+    return of_others.std(dim, ddof=0, skipna=False) * np.sqrt(of_others.sizes[dim] - 1)
+
+
+def _drift(of_others: xr.Dataset, of_mean: xr.Dataset, dim: str) -> xr.Dataset:
+    """Return the slope of the least-squares line over the blocks, divided by its error; 0 where it is rounding."""
+    count = of_others.sizes[dim]
+    x = xr.DataArray(np.arange(count) - (count - 1) / 2, dims=dim)
+    squares = float((x**2).sum())
+    deviation = of_others.mean(dim, skipna=False) - of_others  # of a block, over count - 1
+    slope = (deviation * x).sum(dim, skipna=False) / squares
+    rest = (deviation**2).sum(dim, skipna=False) - slope**2 * squares
+    error = (rest.clip(0.0) / (count - 2) / squares) ** 0.5
+    change = abs(slope) * count * (count - 1)
+    is_rounding = change <= _ROUNDING * abs(of_mean).max()
+    return xr.where(is_rounding, 0.0, slope / error.where(error > 0, np.finfo(float).tiny))
+
+
+class _Steadiness:
+    """Checks of the errors of one average: no trend over its steps, and a plateau of its error."""
+
+    def __init__(self, blocks: Jackknife, names: Sequence[str], steps: int, call: Once) -> None:
+        self.blocks = blocks
+        self.steps = steps
+        self.call = call
+        tests = 0
+        for name in names:
+            sizes = blocks.errors[name].sizes
+            tests += math.prod(sizes[dim] for dim in _NOT_NODES if dim in sizes)
+        self.chance = CHANCE / max(tests, 1)
+
+    def checked(self, name: str, error: xr.Variable) -> xr.Variable:
+        """Return an error with the shares of nodes that drift or have no plateau; lazy ones warn when computed."""
+        if self.blocks.drifts is None:
+            return error
+        drift, growth = self._shares(name)
+        if error.chunks is None:
+            error.attrs["share_with_drift"] = float(drift)
+            if growth is not None:
+                error.attrs["share_without_plateau"] = float(growth)
+        if growth is None:
+            growth = xr.zeros_like(drift)
+
+        def warn(values: NDArray, drift: NDArray, growth: NDArray) -> NDArray:
+            self._warn(name, float(np.max(drift)), float(np.max(growth)))
+            return values
+
+        attrs = error.attrs
+        error = xr.apply_ufunc(
+            warn, error, drift.variable, growth.variable, dask="parallelized", output_dtypes=[float]
+        )
+        error.attrs = attrs
+        return error
+
+    def _shares(self, name: str) -> tuple[xr.DataArray, xr.DataArray | None]:
+        """Return the shares of nodes with a drift and, without it, with an error that still grows."""
+        from scipy.special import betainc  # slow to import
+
+        assert self.blocks.drifts is not None
+        count = self.blocks.count
+        t = self.blocks.drifts[name]
+        # the two-sided t test
+        unexplained = (count - 2) / (count - 2 + t**2)
+        of_drift = _by_elements(betainc, count / 2 - 1, 0.5, unexplained)
+        drifts = of_drift < self.chance
+        share_of_drifts = self._share(drifts, t.notnull())
+        if self.blocks.growths is None:
+            return share_of_drifts, None
+        # the variance of n long blocks is one of 2 n - 1 squares of their halves, in steady series
+        growth = self.blocks.growths[name]
+        of_long = (growth**2 * (count - 1) / (2 * count - 1)).clip(0.0, 1.0)
+        of_growth = _by_elements(betainc, count / 2, (count - 1) / 2, 1.0 - of_long)
+        grows = (of_growth < self.chance) & ~drifts
+        return share_of_drifts, self._share(grows, growth.notnull())
+
+    def _share(self, mask: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
+        """Return the share of nodes in a mask, of the component and phase with the largest."""
+        nodes = [dim for dim in mask.dims if dim not in _NOT_NODES]
+        count = known.sum(nodes)
+        return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
+
+    def _warn(self, name: str, drift: float, growth: float) -> None:
+        if drift > 0.5:
+            self.call.warn(
+                "drift",
+                f"time_average: {name} changes over the {self.steps} steps by more than three errors of this change "
+                f"at {100 * drift:.0f} % of the nodes, so that mean and error depend on where the series starts: leave "
+                f"its start out, f.isel(time=slice({(self.steps + 1) // 2}, None)).cg.time_average(), or take moving "
+                f"windows, time_average({max(self.steps // 4, 1)})",
+            )
+        if growth > 0.5:
+            length = self.steps // (2 * self.blocks.count)
+            self.call.warn(
+                "plateau",
+                f"time_average: the error of {name} is too small at {100 * growth:.0f} % of the nodes: it still grows "
+                f"from blocks of {length} steps to blocks of {2 * length}, as steps are repeated or correlated over "
+                "longer times. Average over a longer series, or leave repeated steps out, f.isel(time=slice(None, "
+                f"None, {2 * length}))",
+            )
+
+
+def _by_elements(function: Callable, *arrays: object) -> xr.DataArray:
+    """Return a function of SciPy by elements, lazily where an array is."""
+    return xr.apply_ufunc(function, *arrays, dask="parallelized", output_dtypes=[float])
 
 
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
