@@ -267,7 +267,12 @@ def _table(rows: Any) -> pd.DataFrame:
     if any(table.index.names):
         table = table.reset_index()
     if table.columns.nlevels > 1:  # ("position", "x") is position_x, and ("radius", "") radius
-        table.columns = ["_".join(filter(None, map(str, levels))) for levels in table.columns]
+        named = [
+            # pandas calls empty cells of headers so
+            [str(level) for level in levels if level and not str(level).startswith("Unnamed: ")]
+            for levels in table.columns
+        ]
+        table.columns = ["_".join(levels) for levels in named]
     return table.rename(columns=str)
 
 

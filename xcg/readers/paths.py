@@ -137,7 +137,7 @@ def not_against_headers(
 # cache may be deleted at any time, and ``XCG_INDEX_CACHE=0`` turns it off.
 
 
-_VERSION = 8  # of the entries; raise it when headers are read in another way
+_VERSION = 9  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
 _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used

@@ -460,22 +460,6 @@ def test_records_of_hdf5_are_read_by_their_fields(tmp_path):
         xcg.open_scene(path, mapping={"position_x": "/table/xx", "position_y": "/table/y"})
 
 
-def test_a_block_of_text_above_the_columns_names_the_line(tmp_path):
-    text = (
-        "EXTRACTED EDEM DATA:,,\nDATE/TIME: Mon,,\n\nTIME: 0.5 s\n"
-        "ID,Position X (m),Position Y (m),Position Z (m),Mass (kg)\n5,.1,.2,.3,1\n2,.4,.5,.6,1\n\n"
-        "TIME: 1 s\nID,Position X (m),Position Y (m),Position Z (m),Mass (kg)\n5,.2,.2,.3,1\n"
-    )
-    path = dumps.write(tmp_path / "edem.csv", text)
-    with pytest.raises(xcg.SceneError, match="line 5 names the columns") as error:
-        xcg.open_scene(path)
-    call = "xcg.scene_from_table(" + str(error.value).partition("scene_from_table(")[2]
-    call = call.partition(", one step")[0]
-    ds = eval(call, {"xcg": xcg, "pandas": pd})
-    np.testing.assert_array_equal(ds.particle_id, [[2, 5]])
-    np.testing.assert_array_equal(ds.position[0, 1], [0.1, 0.2, 0.3])
-
-
 @pytest.mark.filterwarnings("error")
 def test_tables_of_two_levels_and_of_pyarrow_are_read():
     plain = {"id": [1, 2], "x": [0.0, 1.0], "y": [0.0, 0.0], "z": [0.0, 0.0], "radius": [0.5, 0.5]}

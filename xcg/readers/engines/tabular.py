@@ -6,7 +6,7 @@ A file holds one step, or several that a column of times separates, whose rows a
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -19,6 +19,7 @@ from xcg.readers.assigned import assign
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import suffix_of
+from xcg.readers.files.blocks import scan_blocks
 from xcg.readers.files.table import (
     TableIndex,
     first_row,
@@ -135,10 +136,23 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
 def _steps(
     path: str, given: Mapping[str, str | None], in_order: Sequence[str], *, convert: bool
 ) -> Iterator[StepRef]:
-    scan: Callable[..., TableIndex] = partial(scan_csv, in_order=in_order)
+    of_clock = partial(clock_of, given=given)
     if suffix_of(path) == ".parquet":
-        scan = scan_parquet
-    table = scan(path, lambda names: clock_of(names, given))
+        yield from _steps_of(scan_parquet(path, of_clock), path, given, convert=convert)
+        return
+    below_text = False
+    for table in () if in_order else scan_blocks(path, of_clock, convert=convert):
+        below_text = True
+        yield from _steps_of(table, path, given, convert=convert)
+    if not below_text:
+        table = scan_csv(path, of_clock, in_order)
+        yield from _steps_of(table, path, given, convert=convert)
+
+
+def _steps_of(
+    table: TableIndex, path: str, given: Mapping[str, str | None], *, convert: bool
+) -> Iterator[StepRef]:
+    """Yield the steps of a table."""
     columns = clock_of(table.columns, given)
     clock = {slot: table.clock[name] for slot, name in columns.items()}
     start = None
@@ -154,6 +168,7 @@ def _steps(
             offset=offset,
             length=length,
             kind=table.kind,
+            time=table.time,
         )
         if "time" in clock:
             ref = replace(ref, time=float(clock["time"][first]), start=start)

@@ -8,6 +8,7 @@ are wanted.
 from __future__ import annotations
 
 import codecs
+import csv
 import importlib
 import math
 import re
@@ -34,11 +35,13 @@ Columns: TypeAlias = dict[Any, NDArray]  # by name, and vectors by the names of 
 
 _SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time
+_BELOW = (
+    "this is a line of text below the rows: delete it, or leave it out by xcg.scene_from_table("
+    "pandas.read_csv(file, skipfooter=1, engine='python'))"
+)
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
-_MOST_TEXT = 1000  # lines in which the names of columns are looked for, below a text
-_FEWEST_NAMES = 3
 _QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold several together
 _BLANKS_OF_CELLS = re.compile(rb"(?<=[^\s,;]) +(?=[^\s,;])")
 _BLANKS_OF_DATES = re.compile(rb"(?<=\d{4}[-/]\d\d[-/]\d\d) +(?=\d\d:\d\d)")
@@ -267,6 +270,8 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
         hint = f"the columns are {' '.join(columns)}"
         if last and line.count(b" ") < len(columns) - 1:  # else cells are empty
             hint = "the file is cut off here"
+            if words[0][:1].isalpha():
+                hint = _BELOW
         if len(words) == len(columns) + 1:
             hint += "; if the first value is an index without a name, write the table without it"
         return f"has {len(words)} values, expected {len(columns)} ({_shown(line)}); {hint}"
@@ -278,6 +283,8 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
             "; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv(file, sep=';', "
             "decimal=','), ...)"
         )
+    elif last and words[0][:1].isalpha():
+        fault += f"; {_BELOW}"
     elif word[:1].isalpha() and word.casefold() != "nan":
         fault += f"; a column of words is dropped by names={{{wrong!r}: None}}"
     return fault
@@ -302,6 +309,8 @@ class TableIndex:
         Byte where each row begins, and where the last one ends; unknown of Parquet.
     kind : str
         What stands between values.
+    time : float, optional
+        Time in the text above the table (s).
     """
 
     columns: tuple[str, ...]
@@ -309,6 +318,7 @@ class TableIndex:
     clock: Mapping[str, NDArray]
     starts: NDArray | None = None
     kind: str = ""
+    time: float | None = None
 
     def place(self, first: int, stop: int) -> tuple[int, int]:
         """Byte where some rows begin, and how many bytes there are; the first row where bytes are unknown."""
@@ -362,23 +372,10 @@ def scan_csv(
                 f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found "
                 f"{why}{way_out}"
             )
-        _refuse_block(path, first, scanner.sample(PIECE))
         found = [np.array([scanner.offset])]
         pieces = _joined_words(_pieces(scanner, found), separator, len(names))
         wanted = sorted(set(clock_of(names).values()))
-        clock: Columns = {}
-        if wanted:
-            row = next(pieces, b"")
-            pieces = chain([row], pieces)
-            values = dict(zip(names, _words(row.lstrip(), separator), strict=False))
-            numeric = [name for name in wanted if not _is_date(values.get(name, b""))]
-            if len(numeric) < len(wanted):
-                body = b"".join(pieces)
-                pieces = iter([body])
-                texts = [name for name in wanted if name not in numeric]
-                clock |= _texts(body, names, texts, separator, path)
-            if numeric:
-                clock |= parse_table(pieces, names, numeric, None, path, separator=separator)
+        clock = _clock_columns(pieces, names, wanted, separator, path)
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
     end_of_line = 2 if first.endswith(b"\r\n") else 1
@@ -389,6 +386,34 @@ def scan_csv(
     return TableIndex(names, len(starts) - 1, clock, starts, separator)
 
 
+def clock_columns(
+    body: bytes, names: Sequence[str], clock: Mapping[str, str], separator: str, path: str
+) -> Columns:
+    """Return the columns of times and numbers of steps of a text; see `TableIndex`."""
+    pieces = _joined_words([body], separator, len(names))
+    return _clock_columns(pieces, names, sorted(set(clock.values())), separator, path)
+
+
+def _clock_columns(
+    pieces: Iterator[bytes], names: Sequence[str], wanted: Sequence[str], separator: str, path: str
+) -> Columns:
+    if not wanted:
+        return {}
+    clock: Columns = {}
+    row = next(pieces, b"")
+    pieces = chain([row], pieces)
+    values = dict(zip(names, _words(row.lstrip(), separator), strict=False))
+    numeric = [name for name in wanted if not _is_date(values.get(name, b""))]
+    if len(numeric) < len(wanted):
+        body = b"".join(pieces)
+        pieces = iter([body])
+        texts = [name for name in wanted if name not in numeric]
+        clock |= _texts(body, names, texts, separator, path)
+    if numeric:
+        clock |= parse_table(pieces, names, numeric, None, path, separator=separator)
+    return clock
+
+
 def _header_line(scanner: Scanner) -> bytes:
     """Return the line that names the columns, and pass over comments above and below it.
 
@@ -397,42 +422,13 @@ def _header_line(scanner: Scanner) -> bytes:
     """
     comments = _comments(scanner)
     below = scanner.sample(_LONGEST_ROW)
-    first = _cells(_BLANKS_OF_DATES.sub(b"_", below.partition(b"\n")[0]))
+    first = cells_of(_BLANKS_OF_DATES.sub(b"_", below.partition(b"\n")[0]))
     if below.strip() and not all(map(_is_value, first)):
         header = scanner.line()
         _comments(scanner)
         return header
-    names = [line for line in comments if len(_cells(line)) == len(first)]
+    names = [line for line in comments if len(cells_of(line)) == len(first)]
     return (names or comments or [scanner.line()])[-1]
-
-
-def _refuse_block(path: str, first: bytes, below: bytes) -> None:
-    """Raise SceneError where the first line begins a block of text, and a line below names the columns."""
-    lines = [first, *below.split(b"\n")[:_MOST_TEXT]]
-    rows = [_cells(line) for line in lines]
-    texts = [sum(math.isnan(_number(cell)) for cell in row) for row in rows]
-    if len(lines) < 2 or texts[1] < len(rows[1]) or not b"".join(rows[1]):
-        return  # a row of numbers follows, or nothing
-    for k in range(1, len(rows) - 1):
-        names_all = len(rows[k]) == texts[k] >= _FEWEST_NAMES
-        if names_all and len(rows[k + 1]) == len(rows[k]) and not texts[k + 1]:
-            named = b", ".join(rows[k]).decode("utf-8", "replace")
-            shown = first.decode("utf-8", "replace").strip()[:40]
-            raise SceneError(
-                f"{path}: line {k + 1} names the columns ({named[:80]}), below a text that begins with {shown!r}; "
-                f"write '#' before the lines above, or read it by xcg.scene_from_table(pandas.read_csv({path!r}, "
-                f"skiprows={k}, nrows={_rows_below(rows, texts, k)})), one step at a time"
-            )
-
-
-def _rows_below(rows: Sequence[Sequence[bytes]], texts: Sequence[int], names: int) -> int:
-    """Count the rows of numbers below a line of names."""
-    count = 0
-    for row, text in zip(rows[names + 1 :], texts[names + 1 :], strict=True):
-        if text or len(row) != len(rows[names]):
-            break
-        count += 1
-    return count
 
 
 def _comments(scanner: Scanner) -> list[bytes]:
@@ -443,11 +439,13 @@ def _comments(scanner: Scanner) -> list[bytes]:
     return lines
 
 
-def _cells(line: bytes) -> list[bytes]:
+def cells_of(line: bytes) -> list[bytes]:
     """Return what is between separators of a line."""
-    line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#").strip()
+    line = line.removeprefix(codecs.BOM_UTF8).lstrip(b"#%/").strip()
     separators = [mark.encode() for mark in _SEPARATORS if mark.encode() in line]
     cells = line.split(separators[0]) if separators else _QUOTED.findall(line)
+    while len(cells) > 1 and not cells[-1].strip():  # lines end in separators
+        cells.pop()
     return [cell.strip() for cell in cells]
 
 
@@ -485,8 +483,8 @@ def split_header(line: str) -> tuple[str, tuple[str, ...]]:
     if separator == " ":
         words = [word.decode() for word in _QUOTED.findall(line.encode())]
     else:
-        words = line.split(separator)
-    if len(words) > 1 and not words[-1].strip():  # rows end in a separator, too
+        words = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    while len(words) > 1 and not words[-1].strip():  # rows end in separators, too
         del words[-1]
     return separator, tuple(word.strip().strip("\"'") for word in words)
 
@@ -505,6 +503,12 @@ def _is_date(word: bytes) -> bool:
     """Return whether a word may be a date or a duration: it holds digits and is no number."""
     is_number = not math.isnan(_number(word)) or _DECIMAL_COMMA.fullmatch(word.decode("latin-1"))
     return not is_number and any(byte in b"0123456789" for byte in word)
+
+
+def is_number(cell: bytes) -> bool:
+    """Return whether a cell is a number, also with a decimal comma, NaN or infinite."""
+    plain = cell.strip(b"\"' ").replace(b",", b".")
+    return not math.isnan(_number(plain)) or plain.lower() == b"nan"
 
 
 def _is_value(cell: bytes) -> bool:
