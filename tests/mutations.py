@@ -109,6 +109,14 @@ TABLE = [
         "test_periods_are_those_of_periodic_boundaries",
     ),
     Mutation(
+        "readers/order.py", "if not len(ids) or np.isin(", "if np.isin(",
+        "test_series_in_which_grains_recur_are_silent",
+    ),
+    Mutation(
+        "readers/series.py", "(filled[0], filled[-1], filled[1])", "(filled[0], filled[-1])",
+        "test_series_in_which_grains_recur_are_silent",
+    ),
+    Mutation(
         "readers/column_units.py", "of_unit**exponent", "of_unit**sign", "test_units_of_columns_have_factors_to_si",
     ),
     Mutation(

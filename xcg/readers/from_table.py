@@ -22,6 +22,7 @@ from xcg.readers.engines.tabular import (
     warn_of_unread_clock,
 )
 from xcg.readers.names import columns_by_name
+from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
@@ -100,6 +101,12 @@ def scene_from_table(
     if nameless:
         has_contacts = contacts is not None
         report_missing_ids(refs["particles"][0], len(steps), contacts=has_contacts)
+    given = read_options.of_kind("particles").names
+    columns = clock_of(refs["particles"][0].columns, given).values()
+    if len(steps) > 1 and not {*columns} & {*given}:
+        cause = cause_by_column(next(iter(columns)), in_order=False)
+        compared = dict.fromkeys((steps[0], steps[-1], steps[1]))
+        warn_if_none_recurs(((f"step {key:g}", grains[key][1]) for key in compared), cause)
     if contacts is not None:
         lattices = _lattices(steps, options)
         of_kind = read_options.of_kind("contacts")

@@ -204,7 +204,9 @@ def open_scene(
         LAMMPS file does not name its units, files of contacts are of another box, or columns look
         like forces or contacts with walls and are not read. If contacts contradict the positions
         and radii of spheres (no force across a gap, a false overlap, a point off both surfaces), or
-        most particles are of one body; the message says what becomes of these.
+        most particles are of one body; the message says what becomes of these. If no particle of
+        the first step is in the last or the second one, where names of files or a column tell the
+        steps apart, as they may be pieces of one step.
 
     Notes
     -----

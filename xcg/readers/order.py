@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TypeAlias
@@ -217,3 +217,47 @@ def _joined(groups: dict[float, list[Step]], kind: str) -> list[Step]:
         )
         whole.append(replace(groups[key][0], particles=pieces))
     return whole
+
+
+def warn_if_none_recurs(steps: Iterable[tuple[str, Frame]], cause: str) -> None:
+    """Warn of a step none of whose particles is in any of the others.
+
+    Parameters
+    ----------
+    steps : iterable of (str, frame)
+        Name of each step for messages, and its particles; drawn only as far as nothing recurs.
+    cause : str
+        What the steps may be instead, and a call that reads them so.
+    """
+    drawn = iter(steps)
+    first, frame = next(drawn)
+    ids = frame.get("particle_id", ())
+    apart = []
+    for source, other in drawn:
+        if not len(ids) or np.isin(ids, other.get("particle_id", ids)).any():
+            return
+        apart.append(source)
+    if apart:
+        warn_user(f"no particle of {first} is in {' or '.join(apart)}: {cause}")
+
+
+def cause_by_files(count: int) -> str:
+    """Return what steps may be that only the names or the order of their files tell apart."""
+    times = f"[0] * {count}"
+    if count <= 3:
+        times = str([0] * count)
+    return (
+        f"if the files are pieces of one step, give all of them one time, times={times}; if ids "
+        "go on from file to file, no grain can be followed"
+    )
+
+
+def cause_by_column(column: str, *, in_order: bool) -> str:
+    """Return what steps may be that a column separates; `in_order`: whether ``names=`` lists the columns."""
+    call = f"names={{{column!r}: None}}"
+    if in_order:
+        call = "None in its place of names="
+    return (
+        f"if the column {column!r} is no time or step (but a type, a temperature), drop it by {call}; if "
+        "ids go on from step to step, no grain can be followed"
+    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +17,8 @@ from xcg.readers.arguments import Arguments
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Series, Source, Step, read_step
+from xcg.readers.names import CLOCK_SLOTS
+from xcg.readers.order import cause_by_column, cause_by_files, warn_if_none_recurs
 from xcg.readers.pairs import from_first_date, index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
 from xcg.readers.report import check_plane, report_missing_ids
@@ -215,6 +218,41 @@ def warn_of_missing_facts(
     if lacks_ids(listing, ends):
         by_id = any(step.contacts for step in listing.steps)
         report_missing_ids(listing.steps[0].particles, len(listing.steps), contacts=by_id)
+    elif arguments.times is None:
+        _warn_of_pieces(listing, ends)
+
+
+def _warn_of_pieces(listing: Listing, ends: Mapping[StepRef, Frame]) -> None:
+    """Warn if steps that names of files or a column tell apart share no particle: the first, last and second."""
+    filled = [step.particles for step in listing.steps if step.particles.rows]
+    cause = _cause_of_steps(listing)
+    if len(filled) < 2 or not cause:
+        return
+
+    def draw() -> Iterator[tuple[str, Frame]]:
+        for ref in dict.fromkeys((filled[0], filled[-1], filled[1])):
+            frame = ends.get(ref)
+            if frame is None:
+                frame = read_step(listing.reader, listing.options, ref)
+            yield source_of(ref), frame
+
+    with suppress(*FAULTS), listing.once.active():  # faults appear when the step is computed
+        warn_if_none_recurs(draw(), cause)
+
+
+def _cause_of_steps(listing: Listing) -> str:
+    """Return what the steps may be instead; "" where the files or the caller say that they are steps."""
+    refs = listing.refs["particles"]
+    options = listing.options.of_kind("particles")
+    columns = listing.reader.columns_read(refs[0], options, contacts=False) or {}
+    clock = [column for column, slot in columns.items() if slot in CLOCK_SLOTS]
+    if clock:
+        if clock[0] in options.names:
+            return ""
+        return cause_by_column(clock[0], in_order="particles" in options.columns)
+    if len(listing.steps) == len(refs) and all(ref.named or ref.step < 0 for ref in refs):
+        return cause_by_files(len(refs))
+    return ""
 
 
 def lacks_ids(listing: Listing, ends: Mapping[StepRef, Frame]) -> bool:
