@@ -3,6 +3,7 @@
 import gzip
 import os
 import re
+import socket
 import subprocess
 import sys
 from typing import get_args
@@ -14,7 +15,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import ROOT, real_data
+from tests import ROOT, dumps, real_data
 from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
@@ -509,6 +510,72 @@ def test_info_and_fields_print_summaries(tmp_path):
     assert "inertial_number_Sxy_Pxy_d32" in xcg_run("fields", "--pysammos")
     (tmp_path / "nonsense.txt").write_text("?")
     assert "no engine recognises" in xcg_run("info", tmp_path / "nonsense.txt", code=1)
+
+
+NAMED = (
+    '{"c_q[1]": "charge", "Drop": null}',
+    '{"c_q[1]" = "charge"}',
+    '"c_q[1]" = "charge"',
+    '{"particles": {"c_q[1]": "charge"}}',
+    '[particles]\n"c_q[1]" = "charge"',
+)
+
+
+@pytest.mark.parametrize("names", NAMED)
+def test_names_are_toml_or_json(names, tmp_path):
+    rows = [f"{k} {k} 0 0 0.5 {k} 9" for k in range(3)]
+    dump = tmp_path / "p.dump"
+    dumps.write(dump, dumps.dump_text(rows, columns="id x y z radius c_q[1] Drop", step=0))
+    job = tmp_path / "job.toml"
+    job.write_text(
+        '[scene]\nparticles = "p.dump"\nunits = "reduced"\ndensity = 1.0\n[fields]\nfields = "density"\n'
+    )
+    assert "charge" not in xcg_run("info", dump, "--units", "reduced")
+    assert "charge" in xcg_run("info", dump, "--units", "reduced", "--names", names)
+    assert "charge" in xcg_run("run", job, "--dry-run", "--names", names)
+    xcg_run(
+        "convert", dump, "--units", "reduced", "--names", names, "-o", tmp_path / "scene.nc", "-q"
+    )
+    ds = xcg.open_scene(tmp_path / "scene.nc")
+    np.testing.assert_array_equal(ds.charge.isel(time=0), [0, 1, 2])
+
+
+def test_names_of_a_list_or_beside_those_of_a_job(tmp_path):
+    (tmp_path / "p.csv").write_text("1,0,0,0,1\n2,2,0,0,1\n")
+    columns = '["id", "x", "y", "z", "diameter"]'
+    assert "up to 2 particles" in xcg_run("info", tmp_path / "p.csv", "--names", columns)
+    rows = [f"{k} {k} 0 0 0.5 {k} 7" for k in range(3)]
+    dumps.write(
+        tmp_path / "p.dump", dumps.dump_text(rows, columns="id x y z radius c_q c_r", step=0)
+    )
+    (tmp_path / "job.toml").write_text(
+        '[scene]\nparticles = "p.dump"\nunits = "reduced"\ndensity = 1.0\nnames = {c_r = "rank"}\n'
+    )
+    said = xcg_run("run", tmp_path / "job.toml", "--dry-run", "--names", '{c_q = "charge"}')
+    assert "rank" in said
+    assert "charge" in said
+
+
+@pytest.mark.parametrize("names", ["", "c_q", "5", "{}", "{c_q: charge}", "{'c_q': None}"])
+def test_names_that_are_neither_toml_nor_json_are_refused(names, tmp_path):
+    write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
+    said = " ".join(xcg_run("info", tmp_path / "P_0001.vtp", "--names", names, code=2).split())
+    assert "is neither TOML nor JSON" in said
+
+
+@pytest.mark.parametrize("port", [-1, 65536, "web"])
+def test_ports_that_cannot_be_are_refused(port):
+    assert "'--port'" in xcg_run("explore", "none.dump", "--port", port, code=2)
+
+
+def test_a_busy_port_is_named():
+    pytest.importorskip("panel")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        file = ROOT / "examples/data/lammps_chute/particles.00050000.dump.gz"
+        said = " ".join(xcg_run("explore", file, "--no-browser", "--port", port, code=1).split())
+    assert f"port {port} at 127.0.0.1 cannot be used" in said
+    assert "leave out --port" in said
 
 
 # --- help ------------------------------------------------------------------------------------------------

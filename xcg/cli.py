@@ -15,7 +15,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -126,6 +126,41 @@ def _box(
         raise click.BadParameter(f"{value!r} is not of the form x=0:0.1,z=0:0.2") from None
 
 
+def _names(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> dict[str, Any] | list[str | None] | str | None:
+    """Read names of columns from text in JSON or TOML."""
+    if value is None:
+        return None
+    names = None
+    with suppress(ValueError):
+        names = _from_text(value)
+    if not names or not isinstance(names, (dict, list, str)):
+        raise click.BadParameter(
+            f"{value!r} is neither TOML nor JSON with names of columns: write --names "
+            """'{"c_q[1]" = "charge"}' or --names '{"c_q[1]": "charge", "v_x": null}', each in single quotes"""
+        )
+    return names
+
+
+def _from_text(text: str) -> Any:
+    """Return the value of JSON, of TOML's inline form, or of lines of TOML; ValueError for other text."""
+    import json
+    import tomllib
+
+    with suppress(ValueError):
+        return json.loads(text)
+    with suppress(ValueError):
+        return tomllib.loads(f"value = {text}")["value"]
+    return tomllib.loads(text)
+
+
+# of `run` as well, whose other options of files stand in the job
+_NAMES = click.option(
+    "--names",
+    callback=_names,
+    help="Variables by columns, as TOML or JSON: '{c_q = \"charge\"}'; null drops a column.",
+)
 _OPTIONS = (
     click.argument("files", nargs=-1, required=True),
     click.option(
@@ -162,6 +197,7 @@ _OPTIONS = (
     click.option(
         "--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps without contacts."
     ),
+    _NAMES,
 )
 
 
@@ -387,7 +423,12 @@ def info(files: tuple[str, ...], **options: Any) -> None:
 
 @click.command()
 @takes_files
-@click.option("--port", default=0, help="Port at 127.0.0.1; a free one by default.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    help="Port at 127.0.0.1; a free one by default.",
+)
 @click.option(
     "--no-browser", is_flag=True, help="Print the address, without opening it in the browser."
 )
@@ -493,6 +534,13 @@ def _follow(job: Job, steps: Iterator[tuple[int, int]], *, quiet: bool) -> int:
     return count
 
 
+def _added(of_job: Any, names: Any) -> Any:
+    """Return names beside those of a job, where both are mappings; else in their place."""
+    if isinstance(of_job, Mapping) and isinstance(names, Mapping):
+        return {**of_job, **names}
+    return names
+
+
 @click.command()
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
@@ -520,6 +568,7 @@ def _follow(job: Job, steps: Iterator[tuple[int, int]], *, quiet: bool) -> int:
     help="Compute on the running dask cluster of this scheduler (needs distributed).",
 )
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
+@_NAMES
 def run(
     config: str,
     quiet: bool,
@@ -530,6 +579,7 @@ def run(
     jobs: int | None,
     scheduler: str | None,
     dry_run: bool,
+    names: dict[str, Any] | list[str | None] | str | None,
 ) -> None:
     """Run a job: Pysammos's config.ini as it stands, or TOML.
 
@@ -547,6 +597,8 @@ def run(
         # absolute, as workers and later runs may have another current folder
         job = read_config(Path(config).absolute())
         job = replace(job, **passed({"on_error": on_error, "scheduler": scheduler}))
+        if names is not None:
+            job = replace(job, scene=job.scene | {"names": _added(job.scene.get("names"), names)})
         if dry_run:
             click.echo(printable(_outline(job)))
             return

@@ -310,21 +310,27 @@ def serve(ds: xr.Dataset, opened: str, port: int = 0, show: bool = True) -> None
     ImportError
         If Panel is not installed.
     OSError
-        If the port is taken.
+        If the port is taken, or not allowed to this user.
     """
     pn = extra("panel", "explore", "explore")
     pictures = pictures_of(ds)
-    server = pn.serve(
-        lambda: Explorer(pictures, opened).layout,
-        address=ADDRESS,
-        port=port,
-        start=False,
-        show=False,
-        verbose=False,
-        title="xcg explore",
-        unused_session_lifetime_milliseconds=CLOSED,
-        check_unused_sessions_milliseconds=CLOSED // 10,
-    )
+    try:
+        server = pn.serve(
+            lambda: Explorer(pictures, opened).layout,
+            address=ADDRESS,
+            port=port,
+            start=False,
+            show=False,
+            verbose=False,
+            title="xcg explore",
+            unused_session_lifetime_milliseconds=CLOSED,
+            check_unused_sessions_milliseconds=CLOSED // 10,
+        )
+    except OSError as error:
+        raise OSError(
+            f"port {port} at {ADDRESS} cannot be used ({error.strerror or error}): give another one, "
+            "or leave out --port, which takes a free one"
+        ) from error
     page = f"http://{ADDRESS}:{server.port}"
 
     def stop_without_pages(session: Any) -> None:
