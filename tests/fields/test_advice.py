@@ -1,8 +1,9 @@
-"""Warnings about single steps: what fires them, what they say, and what stays silent."""
+"""Warnings about requests: what fires them, what they say, and what stays silent."""
 
 import re
 import warnings
 
+import numpy as np
 import pytest
 
 import xcg
@@ -100,3 +101,20 @@ def test_the_warning_of_lost_kinetic_stress_names_a_field_that_takes_it():
     nodes = system.nodes("volume")
     with pytest.warns(xcg.SceneWarning, match="fluctuating_kinetic_energy of a single step lacks"):
         system.make().cg.coarse_grain(names, width=1.0, **nodes)
+
+
+@pytest.mark.parametrize(
+    ("factor", "warns"), [(0.5, False), (1, False), (10, False), (100, True), (1000, True)]
+)
+def test_an_extent_of_many_boxes_warns(factor, warns):
+    ds = xcg.datasets.open("chute")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        f = ds.cg.coarse_grain("volume_fraction", axes="z", extent={"y": 10.0 * factor})
+    named = [
+        str(w.message) for w in caught if f"is {factor:.3g} times the length" in str(w.message)
+    ]
+    assert len(named) == warns
+    assert not warns or "along 'y' (10 m)" in named[0]
+    usual = ds.cg.coarse_grain("volume_fraction", axes="z").volume_fraction
+    np.testing.assert_allclose(f.volume_fraction, usual / factor, rtol=1e-12)

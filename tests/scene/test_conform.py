@@ -447,3 +447,29 @@ def test_masked_arrays_raise():
 def test_times_that_are_not_numbers_raise(time):
     with pytest.raises(SceneError, match="time"):
         xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0, time=time)
+
+
+@pytest.mark.parametrize("lazily", [False, True])
+def test_scenes_that_were_averaged_over_time_are_refused(lazily):
+    ds = xcg.datasets.open("biaxial")
+    if not lazily:
+        ds = ds.load()
+    for averaged in (ds.mean("time"), ds.isel(particle=slice(9)).mean("time", keep_attrs=True)):
+        for call in (
+            averaged.cg.coarse_grain,
+            averaged.cg.microstructure,
+            averaged.cg.size_statistics,
+        ):
+            with pytest.raises(
+                xcg.SceneError, match=r"after ds\.mean.*coarse_grain\(\.\.\.\)\.cg\.time_average"
+            ):
+                call()
+    step = ds.isel(time=0)
+    masked = step.where(step.particle_id > 100)
+    for single in (step, step.drop_vars(["time", "step"]), masked, masked.drop_vars("step")):
+        single.cg.coarse_grain("density")
+    bare = masked.drop_vars(["time", "step"])
+    xr.testing.assert_equal(
+        bare.assign_coords(time=0.0).cg.coarse_grain("density").density.drop_vars("time"),
+        masked.cg.coarse_grain("density").density.drop_vars(["time", "step"]),
+    )

@@ -1,4 +1,4 @@
-"""Warnings about fields of single steps that noise may make up, from scene and plan; nothing is read."""
+"""Warnings about requests whose fields are noise or in another unit, from scene and plan; nothing is read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BY_DEFAULT = 1.0
 
 
 def advise(scene: Description, plan: Plan, *, named: bool) -> None:
-    """Warn of fields whose values in single steps are far from those of averages.
+    """Warn of fields whose values in single steps are far from those of averages, or from the truth.
 
     `named` is whether they were asked for by name.
     """
@@ -86,6 +86,25 @@ def _mixed_masses(scene: Description, plan: Plan, named: bool) -> str:
     )
 
 
+_LONG = 50.0  # extents of the scene by which extent= is in another unit, most likely
+
+
+def _long_extent(scene: Description, plan: Plan, named: bool) -> str:
+    """Return a warning if the length of an average is many times that of the scene; "" if it is not."""
+    if scene.cylindrical:
+        return ""
+    for axis, length in plan.extent.items():
+        known = _length(scene, axis, scene.sizes.get("d43", np.nan))
+        if not length or not length > _LONG * known:
+            continue
+        return (
+            f"extent={{{axis!r}: {length:.4g}}} is {length / known:.3g} times the length of the scene along {axis!r} "
+            f"({known:.4g} m), so that sums over it are as many times too small: lengths are in m. Leave it out where "
+            f"the box has edges along {axis!r}, or give extent={{{axis!r}: {known:.4g}}}"
+        )
+    return ""
+
+
 _OF_ONE_VARIANCE = ("granular_temperature", "directional_temperature", "mixture_temperature")
 
 # what a warning is about, and a function of scene, plan and whether fields were named
@@ -93,6 +112,7 @@ _ADVICE = {
     "few grains": _few_grains,
     "redundancy without friction": _without_friction,
     "mixed masses": _mixed_masses,
+    "long extent": _long_extent,
 }
 
 
@@ -171,15 +191,17 @@ def support_of(scene: Description, plan: Plan) -> Support | None:
 
 def _extent(scene: Description, size: float) -> float:
     """Return the volume (in a layer the area) of the box around the grains; NaN where it is not known."""
-    lengths = []
-    for a in scene.setup.plane:
-        length = scene.periods.get(a, np.nan)
-        if a not in scene.periods and scene.corners is not None:
-            k = "xyz".index(a)
-            low, high = scene.corners[0][k], scene.corners[1][k]
-            length = high - low + size
-        lengths.append(length)
-    return math.prod(lengths)
+    return math.prod(_length(scene, a, size) for a in scene.setup.plane)
+
+
+def _length(scene: Description, axis: str, size: float) -> float:
+    """Return the period along an axis, or the extent of the grains; NaN where it is not known."""
+    if axis in scene.periods:
+        return scene.periods[axis]
+    if scene.corners is None:
+        return np.nan
+    k = "xyz".index(axis)
+    return scene.corners[1][k] - scene.corners[0][k] + size
 
 
 def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:

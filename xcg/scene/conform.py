@@ -217,19 +217,35 @@ def _way_to(missing: Set[str], present: Iterable[str]) -> str:
     return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
 
 
+def _require_one_time(ds: xr.Dataset) -> None:
+    """Raise SceneError for a scene that was averaged over time.
+
+    Such a scene has neither time nor step, which a selected step keeps, and its ids are means.
+    """
+    ids = ds.variables["particle_id"]
+    if ids.dtype.kind != "f" or {"time", "step"} & {*ds.dims, *ds.coords}:
+        return
+    raise SceneError(
+        "the scene has no time, and its ids are no whole numbers, as after ds.mean('time'): positions that are means "
+        "over time lie closer than grains can. Coarse-grain each step, then average the fields, "
+        "ds.cg.coarse_grain(...).cg.time_average(). If it is one step, give its time, ds.assign_coords(time=0.0)"
+    )
+
+
 def conform(ds: xr.Dataset) -> xr.Dataset:
     """Convert a scene to the form that tasks read, lazily; return anything else unchanged.
 
     Raises
     ------
     SceneError
-        If components are missing, a variable has dimensions that a scene does not give it,
-        attributes are lost, or scenes with different ones were joined.
+        If components are missing, a variable has dimensions that a scene does not give it, the
+        scene was averaged over time, attributes are lost, or scenes with different ones were joined.
     """
     if "position" not in ds or "particle_id" not in ds:
         return ds
     ds = with_facts(ds)
     require_facts(ds, ("periodic", "dimension"), "the scene", _OF_ATTRIBUTES)
+    _require_one_time(ds)
     scene = ds
     if renamed := _renamed(ds):
         scene = ds.swap_dims(renamed)
