@@ -190,6 +190,28 @@ def test_a_box_in_another_unit_warns(chute):
     assert "outside the box along 'x'" in message
 
 
+@pytest.mark.parametrize("share", [0.9, 0.6, 0.3])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_period_shorter_than_the_packing_warns(share, axis, chute):
+    position, diameter, box = chute
+    short = box.copy()
+    short[axis, 1] = box[axis, 0] + share * (box[axis, 1] - box[axis, 0])
+    (message,) = said(position, diameter=diameter, box=short, periodic="xy", **SCALED)
+    assert "are moved inside" in message
+    assert (
+        f"along {'xyz'[axis]!r} with a length of {short[axis, 1] - short[axis, 0]:.4g}" in message
+    )
+    assert not said(position, diameter=diameter, box=box, periodic="xy", **SCALED)
+
+
+def test_positions_that_were_not_wrapped_do_not_warn(chute):
+    position, diameter, box = chute
+    period = np.diff(box, axis=1)[:, 0] * [1, 1, 0]
+    images = np.random.default_rng(7).integers(-3, 4, position.shape)
+    for moved in (position + period * images, position + 0.4 * period):
+        assert not said(moved, diameter=diameter, box=box, periodic="xy", **SCALED)
+
+
 def test_a_layer_taken_as_a_volume_warns(layer):
     position, diameter = layer
     (message,) = said(position, diameter=diameter, **SCALED)

@@ -58,6 +58,10 @@ _EDGE = 0.02  # of the length of the box, by which grains may lie outside
 _OVERFULL = 30.0  # volume of the grains over that of the box, also of glued ones that overlap
 _FLAT_BOX = 3.0  # diameters: a thinner box is meant as the thickness of a layer
 
+_MOVED = 0.05  # least share of the grains outside periodic edges
+_FEW_MOVED = 16  # of these that are looked at
+_ON_OTHERS = 0.8  # distance over the sum of radii of grains that lie on one another
+
 _DENSITIES = (100.0, 30_000.0)  # kg m-3
 _LARGE = 0.05  # m; larger grains of another density are of scaled data, most likely
 _WRONG_TIME = 5.0  # displacements over those that follow from velocities
@@ -336,6 +340,42 @@ def _overfilled_box(grains: Particles) -> str | None:
     )
 
 
+def _short_period(grains: Particles) -> str | None:
+    """Check that grains outside periodic edges do not lie on others once they are moved inside.
+
+    Positions that were not wrapped lie outside as well, and between the others once they are moved.
+    """
+    if "diameter" not in grains.frame or grains.lattice.edges is None:
+        return None
+    position, diameter = (grains.frame[name] for name in ("position", "diameter"))
+    for k in (k for k in grains.edges if COMPONENTS[k] in grains.setup.periodic):
+        low, high = grains.edges[k]
+        x = position[:, k]
+        outside = np.flatnonzero((x < low) | (x > high))
+        if len(outside) < max(FEW, _MOVED * grains.count):
+            continue
+        rows = outside[:: max(1, len(outside) // _FEW_MOVED)][:_FEW_MOVED]
+        before = 0
+        after = 0
+        for row in rows:
+            away = position - position[row]
+            touching = 0.5 * _ON_OTHERS * (diameter + diameter[row])
+            # the grain itself is one of them
+            before += np.count_nonzero((away**2).sum(axis=1) < touching**2) > 1
+            moved = grains.lattice.shortest(away)
+            after += np.count_nonzero((moved**2).sum(axis=1) < touching**2) > 1
+        if after <= 0.5 * len(rows) or before > 0.1 * len(rows):
+            continue
+        axis = COMPONENTS[k]
+        return (
+            f"the box is periodic along {axis!r} with a length of {high - low:.4g}, and grains lie at {x.min():.4g} to "
+            f"{x.max():.4g}: {after} of {len(rows)} grains outside the box that were looked at lie on others once they "
+            "are moved inside, so that volume fractions and stresses are too large. The box is too short or in another "
+            f"unit: give its edges, box={{{axis!r}: (low, high)}}, or periodic= without {axis!r}"
+        )
+    return None
+
+
 # --- masses and densities ------------------------------------------------------------------------
 
 
@@ -494,6 +534,7 @@ _OF_LENGTHS: tuple[Check, ...] = (
     _order_of_axes,
     _grains_outside,
     _overfilled_box,
+    _short_period,
 )
 _OF_MASSES: tuple[Check, ...] = (
     _contradiction,
