@@ -19,8 +19,11 @@ DIRECTED = {
     for name, row in xcg.FIELDS.items()
     if "director" in name or "orient" in name or "nematic" in name
 }
+# differences of normal stresses along axes of the scene
+ALONG_AXES = ("first_normal_stress_difference", "second_normal_stress_difference")
 OTHERS = {
     "directional_temperature",
+    *ALONG_AXES,
     *DIRECTED,
     *(name for name in xcg.FIELDS if name.endswith("_error")),
 }

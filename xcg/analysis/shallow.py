@@ -77,8 +77,13 @@ def free_surface(
     if "phase" in values.dims and "bulk" in values["phase"]:
         values = values.sel(phase="bulk", drop=True)
     # sums of lazy values and of those in memory are of one order
-    kept = {"keep_attrs": True, "dask": "parallelized", "output_dtypes": [values.dtype]}
-    values = xr.apply_ufunc(np.ascontiguousarray, values, **kept)
+    values = xr.apply_ufunc(
+        np.ascontiguousarray,
+        values,
+        keep_attrs=True,
+        dask="parallelized",
+        output_dtypes=[values.dtype],
+    )
     nodes = [a for a in COMPONENTS if a in values.dims]
     bulk = (values**2).sum(nodes) / values.sum(nodes)
     crossings = apply_along(
