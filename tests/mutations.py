@@ -633,6 +633,10 @@ TABLE = [
         "analysis/particle_stress.py", "> ROUNDING * size", "> -ROUNDING * size",
         "test_rounding_of_pure_tension_makes_no_chains",
     ),
+    Mutation(
+        "analysis/particle_stress.py", "values[:, 0] - values[:, 1] <=", "values[:, 0] - values[:, 1] >",
+        "test_grains_of_isotropic_stress_have_no_direction",
+    ),
     # --- readers ---
     Mutation(
         "readers/engines/mercury.py", 'np.where(rows["j"] < 0, -1.0, 1.0)', 'np.where(rows["j"] < 0, 1.0, -1.0)',

@@ -268,6 +268,39 @@ def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirr
     assert chains_of(other.cg.force_chains(**given_options)) == expected_ids
 
 
+def square(angle, across=1.0):
+    """Square of 3 x 3 grains without the contact of two of them, turned by an angle."""
+    position = np.array([(x, y) for x in range(3) for y in range(3)], float)
+    along = [(3 * x + y, 3 * x + y + 1) for x in range(3) for y in range(2)]
+    beside = [(3 * x + y, 3 * x + y + 3) for x in range(2) for y in range(3)]
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    pairs = [*along, *beside[:-1]]
+    force = [1.0] * len(along) + [across] * (len(beside) - 1)
+    return network(position @ turn, pairs, force, dimension=2, thickness=1.0)
+
+
+@pytest.mark.parametrize("algorithm", ["branching", "peters2005"])
+@pytest.mark.parametrize("alpha", [10, 45, 80])
+def test_grains_of_isotropic_stress_have_no_direction(algorithm, alpha):
+    """Five grains bear the same along both axes: the axis that rounding chooses is no direction."""
+    for angle in np.linspace(0, np.pi, 73):
+        fc = square(angle).cg.force_chains(alpha=alpha, algorithm=algorithm).isel(time=0)
+        assert fc.isotropic.values.tolist() == [1, 0, 1, 0, 1, 1, 1, 0, 0]
+        assert np.isnan(fc.major_direction.values[fc.isotropic.values == 1]).all()
+        assert fc.chain_count == 0, np.rad2deg(angle)
+        # forces that differ by a thousandth have directions, which turn with the scene
+        unequal = square(angle, across=0.999).cg.force_chains(alpha=alpha, algorithm=algorithm)
+        assert not unequal.isotropic.any()
+        assert chains_of(unequal) == chains_of(
+            square(0.0, across=0.999).cg.force_chains(alpha=alpha, algorithm=algorithm)
+        )
+
+
+def test_all_contacts_are_links_at_ninety_degrees_without_directions_too():
+    for angle in np.linspace(0, np.pi, 73):
+        assert chains_of(square(angle).cg.force_chains(alpha=90)) == {frozenset(range(9))}
+
+
 @settings(deadline=None, max_examples=40)
 @given(ds=scenes, threshold=st.sampled_from([None, "mean"]), seed=st.integers(0, 1000))
 def test_ninety_degrees_are_connected_components(ds, threshold, seed):

@@ -60,8 +60,10 @@ def force_chains(
 
     A contact is a link where both of its particles are compressed (and reach `min_stress`), and
     the branch between their centres is within `alpha` of the direction of the most compressive
-    stress of both. A chain is what a depth-first search reaches through links, with all branches
-    and loops. Lazy where the scene is, one task for each chunk of time.
+    stress of both. A particle whose two largest principal stresses are equal has no such direction,
+    and takes no part in links below 90 degrees. A chain is what a depth-first search reaches
+    through links, with all branches and loops. Lazy where the scene is, one task for each chunk of
+    time.
 
     Parameters
     ----------
@@ -97,7 +99,8 @@ def force_chains(
     xarray.Dataset
         By particle: ``chain_id`` (-1 for none), ``parent_id`` (the particle that it was reached
         from, -1 for the first of a chain), ``links``, ``branching`` (1 for more than two links),
-        principal stresses (Pa) and directions, ``major_direction`` turned onward along the chain.
+        principal stresses (Pa) and directions, ``major_direction`` turned onward along the chain,
+        ``isotropic`` (1 for a particle without a major direction, see `xcg.particle_stress`).
         By contact: ``link_chain``, the chain that it is a link of. By chain, row k for chain k:
         ``chain_particles``, ``chain_links``, ``chain_branchings``, ``chain_stress`` (Pa),
         ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:

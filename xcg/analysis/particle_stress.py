@@ -28,6 +28,10 @@ Volumes: TypeAlias = Literal["particle", "disc"]
 _CONTACTS = ("position", "contact_i", "contact_j", "contact_point", "contact_force")
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
+# Two largest eigenvalues whose difference is below this share of the whole tensor are equal.
+# Rounding (1e-15) turns their directions by its ratio to the share, so those that are kept are
+# known to 1e-9 rad, within which angles count as equal to `alpha` of force chains.
+ISOTROPIC = 1e-6
 
 RESULTS: dict[str, Variable] = {
     "particle_id": VARIABLES["particle_id"],
@@ -40,6 +44,9 @@ RESULTS: dict[str, Variable] = {
     ),
     "major_stress": Variable(("particle",), "Pa", "most compressive principal stress"),
     "major_direction": Variable(("particle", "component"), "1", "direction of the major stress"),
+    "isotropic": Variable(
+        ("particle",), "1", "1 where the two largest principal stresses are equal", "int64"
+    ),
 }
 
 
@@ -116,19 +123,28 @@ class StressRule:
             blank_rows_of_zeros(stress[some], vectors[some])
 
         for_parts(len(stress), write, contacts.threads)
+        size = _norms(stress)
+        isotropic = (size > 0) & (values[:, 0] - values[:, 1] <= ISOTROPIC * size)
+        direction = vectors[:, 0].copy()
+        direction[isotropic] = np.nan
         return {
             "stress": stress,
             "principal_stress": values,
             "principal_direction": vectors,
             "major_stress": values[:, 0].copy(),
-            "major_direction": vectors[:, 0].copy(),
+            "major_direction": direction,
+            "isotropic": isotropic.astype(int),
         }
 
 
 def carries(result: Mapping[str, NDArray]) -> NDArray:
     """Particles under compression: their largest principal stress is positive, and not by rounding."""
-    size = np.sqrt(np.einsum("nij,nij->n", result["stress"], result["stress"]))
-    return result["major_stress"] > ROUNDING * size
+    return result["major_stress"] > ROUNDING * _norms(result["stress"])
+
+
+def _norms(stress: NDArray) -> NDArray:
+    """Frobenius norm of each tensor."""
+    return np.sqrt(np.einsum("nij,nij->n", stress, stress))
 
 
 @takes_scene
@@ -159,8 +175,11 @@ def particle_stress(
         ``stress`` (time, particle, component, direction), in Pa with compression positive;
         ``principal_stress`` (time, particle, principal), most compressive first;
         ``principal_direction`` (time, particle, principal, component), unit vectors;
-        ``major_stress`` and ``major_direction``, the most compressive one and its direction. A
-        particle without contacts has stress zero and no direction (NaN), padding is NaN.
+        ``major_stress`` and ``major_direction``, the most compressive one and its direction;
+        ``isotropic``, 1 where the two largest principal stresses are equal (to 1e-6 of the norm of
+        the stress), so that the particle has no major direction (NaN), and its principal directions
+        are any basis of the plane of both. A particle without contacts has stress zero and no
+        direction (NaN), padding is NaN.
 
     Raises
     ------
