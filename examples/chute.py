@@ -60,7 +60,13 @@ def draw(profile: xr.Dataset, path: Path) -> None:
         ax.plot(mean[name].where(shown), flow.z, color="C0", lw=2)
         ax.set_xlabel(label)
         ax.grid(alpha=0.3)
+    # Steady flow has tan 24 in the ratio of shear to normal stress. The invariants differ from it by
+    # normal stress differences: the mean of the normal stresses is not sigma_zz.
+    sigma = profile.cg.time_average().stress.sel(direction="z")
+    shear_ratio = -sigma.sel(component="x") / sigma.sel(component="z")
     dense_mu = axes.flat[5]
+    dense_mu.plot(shear_ratio.where(inside), flow.z, color="C3", lw=2)
+    dense_mu.set_xlabel(r"$|\sigma'|/p$ (blue), $-\sigma_{xz}/\sigma_{zz}$ (red)")
     dense_mu.axvline(0.4452, color="k", ls=":", lw=1)
     dense_mu.text(0.44, 22, r"$\tan 24^\circ$", ha="right")
     dense_mu.set_xlim(0.3, 0.6)

@@ -19,6 +19,13 @@ def test_table_of_fields_is_current():
         assert path.read_text() == text, "run python docs/fields.py"
 
 
+def test_packings_beside_table_1_are_current():
+    from docs.works import table
+
+    page = (ROOT / "docs" / "works.md").read_text()
+    assert page.split("<!-- table 1 -->")[1].strip() == table(), "run python -m docs.works"
+
+
 def anchors_of(path):
     """Anchors that Sphinx makes of the headings of a page."""
     text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)

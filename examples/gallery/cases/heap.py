@@ -1,8 +1,8 @@
 r"""
-Heap: angle of repose
-=====================
+Slope of a deposit that ran out
+===============================
 
-How steep does a heap lie? The deposit of a collapsed column, 1600 discs, with its free surface, where the volume
+How steep does a deposit lie? The deposit of a collapsed column, 1600 discs, with its free surface, where the volume
 fraction is half of that inside, and the line that fits it best.
 
 The script of the simulation (LAMMPS) is :download:`column.in <../../../examples/data/lammps_column/column.in>`, see the
@@ -43,7 +43,7 @@ print(f"slope of the highest grains {of_grains:.2f} degrees")
 
 # %%
 # The error counts one independent place for each support of the kernel; the scatter about the line is the roughness of
-# the surface. A deposit that ran out lies flatter than a heap that was poured, at its angle of repose.
+# the surface. A deposit that ran out lies flatter than a heap that was poured, so this is not the angle of repose.
 #
 # **For your own data, change** the name of the sample to your files, and the part that is fitted. In three dimensions
 # ``axes="xyz"`` and ``free_surface("z")`` give ``height`` over x and y, and ``fit_slope`` fits a plane.
