@@ -200,6 +200,34 @@ def _check_names(ref: StepRef, mapped: Mapping[str, str | None], slots: Slots) -
 
 def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     """Make the error of a file that lacks a column, with the mapping that names it."""
+    filled = columns_by_name(ref.columns, ALL_SLOTS)
+    partners = ("contact_i", "contact_j")
+    together = [f"{vector_of(slot)}_{axis}" for axis in COMPONENTS]
+    if slot in partners:
+        together = [*partners]
+    likely = {other: _likely(ref, other) for other in together if other not in filled}
+    if slot not in likely or None in likely.values():
+        likely = {slot: _likely(ref, slot)}
+    mapping = ", ".join(
+        f"{column or 'its column'!r}: {meant!r}" for meant, column in likely.items()
+    )
+    msg = (
+        f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
+        f"for example names={{{mapping}}}"
+    )
+    numbered = [column for column in ref.columns if RAW.fullmatch(column) and "[" in column]
+    if slot in CONTACT_SLOTS and len(numbered) >= FEWEST_OF_LIGGGHTS:
+        msg += ". Files of LIGGGHTS are read by the words of their 'compute pair/gran/local', names='pos id force'"
+    elif slot in CONTACT_SLOTS and numbered:
+        rows = "".join(
+            f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
+        )
+        msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
+    return SceneError(msg)
+
+
+def _likely(ref: StepRef, slot: str) -> str | None:
+    """Return the column that a slot which is not filled may have; None without such a column."""
     table = CONTACTS if slot in CONTACT_SLOTS else PARTICLES
     known = {*chain(*map(aliases_of, table.values()))}
     variable_name = vector_of(slot)
@@ -212,20 +240,7 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     ]
     alike = [column for column in of_axis if resembles(column, table[variable_name])]
     others = [column for column in of_axis if axis in words_of(column)]
-    likely = next(iter(alike or others), "its column")
-    msg = (
-        f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
-        f"for example names={{{likely!r}: {slot!r}}}"
-    )
-    numbered = [column for column in ref.columns if RAW.fullmatch(column) and "[" in column]
-    if slot in CONTACT_SLOTS and len(numbered) >= FEWEST_OF_LIGGGHTS:
-        msg += ". Files of LIGGGHTS are read by the words of their 'compute pair/gran/local', names='pos id force'"
-    elif slot in CONTACT_SLOTS and numbered:
-        rows = "".join(
-            f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
-        )
-        msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
-    return SceneError(msg)
+    return next(iter(alike or others), None)
 
 
 def magnitudes_among(columns: Iterable[str], names: Mapping[str, str | None]) -> dict[str, str]:

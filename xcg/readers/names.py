@@ -177,12 +177,14 @@ CONTACTS: Mapping[str, Names] = {
     "contact_i": Names(
         "contact i, id1, id i, patom1, particle 1, particle i, particle id 1, particle i id, "
         "particle 1 id, global id 1, atom1, atom id 1, grain 1, grain i, i",
-        "=a =A =end1 =p1 =ida =ball1 =first =from =elementa home",
+        "=a =A =end1 =p1 =ida =ball1 =first =from =elementa home =pid1 =body1 =bodyid1 =ballid1 =node1 "
+        "=nodei =source =particlea =particleaid =idofparticle1",
     ),
     "contact_j": Names(
         "contact j, id2, id j, patom2, particle 2, particle j, particle id 2, particle j id, "
         "particle 2 id, global id 2, atom2, atom id 2, grain 2, grain j, j",
-        "=b =B =end2 =p2 =idb =ball2 =second =to =elementb near",
+        "=b =B =end2 =p2 =idb =ball2 =second =to =elementb near =pid2 =body2 =bodyid2 =ballid2 =node2 "
+        "=nodej =target =particleb =particlebid =idofparticle2",
     ),
     "contact_force": Names(
         "contact force ?, f?, force ?, ? force, total force ?, force ij ?, force total ?, f tot ?"
@@ -194,7 +196,7 @@ CONTACTS: Mapping[str, Names] = {
     "tangential_force": Names(
         "tangential force ?, ft?, shear force ?, shear ?, f tangential ?, force tangential ?, fs?, "
         "f shear ?, force shear ?, f tang ?, tangential contact force ?, contact force tangential ?, "
-        "force t ?",
+        "contact force shear ?, force t ?",
         "tang* shear* frict* ft fs =tx =ty =tz",
         "contact_force",
     ),
@@ -414,8 +416,8 @@ _OF_PARAVIEW = {
     "vtkoriginalcellids", "vtkghosttype",
 }  # fmt: skip
 _CLOCK_WORDS = {
-    "t", "time", "times", "timestep", "timestamp", "step", "steps", "frame", "slice", "iteration",
-    "cycle",
+    "t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestep", "timestamp", "step", "steps", "frame",
+    "slice", "iteration", "cycle",
 }  # fmt: skip
 _BESIDE_CLOCK_WORDS = {
     "sim", "simulation", "physical", "elapsed", "current", "position", "no", "nr", "number", "index",

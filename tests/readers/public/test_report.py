@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def spelt(template, axes="xyz"):
         ("force_normal[?]", "force_tangential[?]", "123"),
         ("Normal Force {?} (N)".replace("{?}", "?"), "Tangential Force ? (N)", "XYZ"),
         ("normal_force_?", "shear_?", "xyz"),
+        ("ContactForce.normal.?", "ContactForce.shear.?", "xyz"),
         ("fn?", "force_shear_?", "xyz"),
     ],
 )
@@ -132,12 +134,41 @@ def test_other_vectors_beside_normal_forces_are_not_needed(tmp_path, grains, col
     assert ds.attrs["not_read"] == "contacts: " + columns.replace(" ", ", ")
 
 
-@pytest.mark.parametrize("columns", ["A,B", "end1,end2", "first,second", "Element A,Element B"])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "A,B", "end1,end2", "first,second", "Element A,Element B", "pid1,pid2", "body_1,body_2",
+        "source,target", "Particle A ID,Particle B ID", "Home Particle ID,Near Particle ID", "node_i,node_j",
+    ],
+)  # fmt: skip
 def test_ids_of_partners_of_other_names_are_offered(tmp_path, grains, columns):
     path = dumps.write(tmp_path / "c.csv", f"{columns},fx,fy,fz\n1,2,0,0,-7\n")
-    first = columns.partition(",")[0]
-    with pytest.raises(xcg.SceneError, match=f"names={{'{first}': 'contact_i'}}"):
+    first, second = columns.split(",")
+    names = {first: "contact_i", second: "contact_j"}
+    with pytest.raises(xcg.SceneError, match=re.escape(f"names={names}")):
         xcg.open_scene(grains, path, engine="table", density=1.0)
+    ds = xcg.open_scene(grains, path, engine="table", density=1.0, names=names)
+    assert ds.contact_j.values.item() == 2
+
+
+def test_all_components_of_a_missing_vector_are_offered(tmp_path):
+    path = dumps.write(
+        tmp_path / "p.csv", "id,ball.pos.x,ball.pos.y,ball.pos.z,radius\n1,1,2,3,.5\n"
+    )
+    names = {f"ball.pos.{axis}": f"position_{axis}" for axis in "xyz"}
+    with pytest.raises(xcg.SceneError, match=re.escape(f"names={names}")):
+        xcg.open_scene(path, density=1.0)
+    assert xcg.open_scene(path, density=1.0, names=names).position.values[0, 0].tolist() == [
+        1,
+        2,
+        3,
+    ]
+
+
+def test_times_of_other_languages_are_named(tmp_path):
+    path = dumps.write(tmp_path / "p.csv", "Zeit [s],x,y,z,radius\n1,1,2,3,.5\n2,1,2,3,.5\n")
+    with pytest.warns(xcg.SceneWarning, match=r"names=\{'Zeit \[s\]': 'time'\}"):
+        xcg.open_scene(path, density=1.0)
 
 
 def test_magnitudes_beside_a_vector_are_not_needed(tmp_path, grains):
