@@ -110,7 +110,7 @@ TABLE = [
     ),
     Mutation(
         "readers/order.py", "if not len(ids) or np.isin(", "if np.isin(",
-        "test_series_in_which_grains_recur_are_silent",
+        "test_steps_of_a_table_without_ids_are_not_compared",
     ),
     Mutation(
         "readers/series.py", "(filled[0], filled[-1], filled[1])", "(filled[0], filled[-1])",

@@ -116,6 +116,14 @@ def test_a_column_of_a_table_in_memory_is_named():
     assert xcg.scene_from_table(table, density=1, names={"t": "time"}).sizes["time"] == 3
 
 
+@pytest.mark.filterwarnings("always")
+def test_steps_of_a_table_without_ids_are_not_compared(recwarn):
+    table = pd.DataFrame({"x": [0.0, 1], "y": 0.0, "z": 0.0, "radius": 0.5, "t": [1, 2]})
+    xcg.scene_from_table(table, density=1)
+    (message,) = [str(w.message) for w in recwarn]
+    assert "no column of particle ids" in message
+
+
 @pytest.mark.parametrize(
     "steps",
     [
