@@ -1,6 +1,7 @@
 """Mean squared displacement and self-diffusion: brute force, random walks, grains that come and go."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import xarray as xr
 
 import xcg
 
-# walks with steps of 0.3 and 0.6 in boxes of 6 to 8
+# of few grains in small boxes, for which more than one in a hundred moves by a quarter
 pytestmark = pytest.mark.filterwarnings("ignore:.*particles move by up to 0.2")
+
+# walks with steps of 0.3 and 0.6 in boxes of 6 to 8
 
 
 def walks(steps=8, count=30, edge=4.0, seed=0, **options):
@@ -172,3 +175,22 @@ def test_grains_that_may_have_crossed_half_a_period_are_named(jump, fires):
             call()
     followed = ds.assign(image=ds.position.astype(int) * 0)
     followed.cg.mean_squared_displacement([1])
+
+
+@pytest.mark.parametrize(("grains", "large", "speaks"), [(200, 2, False), (200, 3, True)])
+def test_few_steps_of_a_walk_may_be_longer_than_a_quarter_of_the_period(grains, large, speaks):
+    """Tails of a walk reach a quarter, and are not wrapped before the half."""
+    step = np.full((grains, 3), 0.1)
+    step[:large, 0] = 0.27
+    start = np.random.default_rng(1).uniform(0, 1, (grains, 3))
+    ds = xcg.scene_from_arrays(
+        np.stack([start, (start + step) % 1]), time=[0.0, 1.0], diameter=np.full(grains, 0.01),
+        density=1.0, box=[[0, 1.0]] * 3, periodic="xyz", particle_id=np.arange(grains),
+    )  # fmt: skip
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        ds.cg.derive_velocity().velocity.compute()
+    said = [str(w.message) for w in warned if "of the period along" in str(w.message)]
+    assert [f"{large} of {grains} by more than a quarter" in text for text in said] == [
+        True
+    ] * speaks

@@ -236,8 +236,8 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     Warns
     -----
     SceneWarning
-        When it is computed, if a particle moves by more than a quarter of a period between two
-        steps, and the scene has no ``image``.
+        When it is computed, if more than 1 % of the particles move by more than a quarter of a
+        period between two steps, or one by more than 0.4, and the scene has no ``image``.
 
     Examples
     --------

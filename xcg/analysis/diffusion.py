@@ -83,8 +83,8 @@ def mean_squared_displacement(
     Warns
     -----
     SceneWarning
-        If a particle moves by more than a quarter of a period from one step to the next, and the
-        scene has no ``image``.
+        If more than 1 % of the particles move by more than a quarter of a period from one step to
+        the next, or one by more than 0.4, and the scene has no ``image``.
 
     Notes
     -----

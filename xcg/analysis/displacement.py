@@ -131,8 +131,8 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     Warns
     -----
     SceneWarning
-        When it is computed, if a particle moves by more than a quarter of a period between the two
-        frames, and the scene has no ``image``.
+        When it is computed, if more than 1 % of the particles move by more than a quarter of a
+        period between the two frames, or one by more than 0.4, and the scene has no ``image``.
 
     Notes
     -----

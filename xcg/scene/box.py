@@ -18,7 +18,10 @@ from xcg.scene.schema import COMPONENTS, Frame
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
 _TILT_FORMS = "the vectors a, b, c as an array (3, 3), one such array a step, or tilts such as {'xy': 0.01} (m)"
 _SHEARS = tuple(i + j for i in COMPONENTS for j in COMPONENTS if i != j)
-_LARGE_SHARE = 0.25  # of a period that grains move by between steps, from which a warning is given
+# Steps of a random walk are wrapped where some reach a half of the period: many a quarter, or one nearly a half.
+_LARGE_SHARE = 0.25
+_FEW = 0.01  # of the grains may move by more than a quarter
+_NEARLY_HALF = 0.4
 _FAST = 0.25  # change of the tilt from step to step, in periods, from which it is hardly known: a half is two rates
 
 
@@ -252,12 +255,15 @@ class BoxMotion:
         """
         if "image" in frame:
             return
-        share = np.abs(moved).max(axis=0, initial=0.0) / lattice.period
-        if share.max() > _LARGE_SHARE:
+        shares = np.abs(moved) / lattice.period
+        share = shares.max(axis=0, initial=0.0)
+        large = int((shares > _LARGE_SHARE).any(axis=1).sum())
+        if share.max() > _NEARLY_HALF or large > _FEW * len(moved):
             warn_once(
                 f"{results} across a period",
                 f"{source}: particles move by up to {share.max():.2f} of the period along "
-                f"'{COMPONENTS[share.argmax()]}' between two steps; {results} of those that move by half a period "
+                f"'{COMPONENTS[share.argmax()]}' between two steps, {large} of {len(moved)} by more than a quarter; "
+                f"{results} of those that move by half a period "
                 "or more are wrong. Write steps more often, or with images (ix iy iz, or xu yu zu)",
             )
 
