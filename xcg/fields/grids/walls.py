@@ -200,14 +200,14 @@ class Plane(Wall):
     @property
     def _origin(self) -> NDArray:
         """Origin of its two coordinates."""
-        point = vector("point", self.point)
+        point = floats(self.point)
         if self._axis is None:
             return point
         return np.where(np.arange(3) == self._axis, point, 0.0)
 
     def distance(self, points: NDArray) -> NDArray:
         """Distance of points."""
-        return (points - vector("point", self.point)) @ self._frame[0]
+        return (points - floats(self.point)) @ self._frame[0]
 
     def normals_at(self, points: NDArray) -> NDArray:
         """Return normals."""
@@ -221,7 +221,7 @@ class Plane(Wall):
 
     def in_axes(self, axes: NDArray, origin: NDArray) -> Plane:
         """Return the plane in other axes, without bounds of its cells."""
-        point = axes @ (vector("point", self.point) - origin)
+        point = axes @ (floats(self.point) - origin)
         return Plane(point.tolist(), (axes @ self._frame[0]).tolist())
 
     def varies(self, axis: int) -> bool:
@@ -326,7 +326,7 @@ class Cylinder(Wall):
     def _from_axis(self, points: NDArray) -> NDArray:
         """Coordinates of points across and along the axis, (n, 3)."""
         axis, first, second = self._frame
-        from_point = points - vector("point", self.point)
+        from_point = points - floats(self.point)
         return np.stack([from_point @ first, from_point @ second, from_point @ axis], axis=1)
 
     def coordinates(self, points: NDArray) -> NDArray:
@@ -363,7 +363,7 @@ class Cylinder(Wall):
 
     def in_axes(self, axes: NDArray, origin: NDArray) -> Cylinder:
         """Return the cylinder in other axes."""
-        point = axes @ (vector("point", self.point) - origin)
+        point = axes @ (floats(self.point) - origin)
         return replace(self, point=point.tolist(), axis=(axes @ self._frame[0]).tolist())
 
     def varies(self, axis: int) -> bool:
@@ -396,7 +396,7 @@ class Cylinder(Wall):
         angle, z = (a.ravel() for a in np.meshgrid(theta, along, indexing="ij"))
         axis, first, second = self._frame
         radial = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
-        centre = vector("point", self.point) + self.radius * radial + z[:, None] * axis
+        centre = floats(self.point) + self.radius * radial + z[:, None] * axis
         size = 2 * np.pi * self.radius / len(theta) * (high - low) / len(along)
         coords = {
             "theta": (theta, "angle about the axis"),
