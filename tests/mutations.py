@@ -378,7 +378,22 @@ TABLE = [
         "f.granular_temperature * f.density", "test_temperatures_of_a_mixture_are_those_of_its_phases",
     ),
     Mutation(
-        "fields/evaluate.py", "plan.lost_share * kinetic > _LOST", "plan.lost_share > _LOST",
+        "fields/evaluate.py", "first + 2 * second * u + 3 * third * u**2", "first + second * u + third * u**2",
+        "test_the_variation_of_the_flow_within_what_a_node_sees_is_named",
+    ),
+    Mutation(
+        "fields/evaluate.py", "if added > _CONSIDERABLE * (added + true)", "if added > _CONSIDERABLE",
+        "test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows",
+    ),
+    Mutation(
+        "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
+    ),
+    Mutation(
+        "fields/advice.py", "2 * math.pi * float(np.median", "float(np.median",
+        "test_the_floor_in_rings_is_that_of_the_grains_around_the_axis",
+    ),
+    Mutation(
+        "fields/evaluate.py", "if lost > _CONSIDERABLE * true", "if plan.lost_share > _CONSIDERABLE",
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(

@@ -88,10 +88,17 @@ def test_explain_shows_the_floors():
 
 
 def test_unknown_extent_or_weights_have_no_floor():
-    ds = truths.gas(1)
     mixture = truths.gas(1, sizes=(1.0, 2.0))
     assert said(mixture, NAMES, width={1: 1.0, 2: 2.0}, by="species") == []
-    assert said(ds, NAMES, frame=xcg.Cylindrical("z", (6.0, 6.0, 0.0)), axes="r") == []
+
+
+def test_the_floor_in_rings_is_that_of_the_grains_around_the_axis():
+    ds = truths.gas(16)
+    nodes = {"frame": xcg.Cylindrical("z", (6.0, 6.0, 0.0)), "axes": "rz", "bounds": {"r": (2, 4)}}
+    (text,) = said(ds, NAMES[:1], **nodes)
+    floor = float(re.search(r"friction_coefficient of about ([\d.]+)", text)[1])
+    f = ds.cg.coarse_grain(NAMES[:1], **nodes)
+    assert floor == pytest.approx(float(f.friction_coefficient.mean()), rel=0.25)
 
 
 def test_the_warning_of_lost_kinetic_stress_names_a_field_that_takes_it():

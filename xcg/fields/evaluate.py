@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled._jit import for_each
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import takes_stress_of_step
+from xcg.fields.formulas.averages import second_moment, takes_stress_of_step
 from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
@@ -204,7 +204,7 @@ def _warn_of_step(
 ) -> None:
     """Warn of fields of a step that are unknown, impossible, or far from those of averages."""
     if plan.lost_share:
-        _warn_of_loss(plan, frame, lattice, source)
+        _warn_of_kinetic_stress(plan, frame, lattice, source)
         plan.lost_share = 0.0
     if plan.named and plan.options.temperature == "mixture":
         _warn_of_phases(rows, plan.deposit.groups, source)
@@ -259,23 +259,40 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
             )
 
 
-_LOST = 0.05  # of the pressure
+_CONSIDERABLE = 0.05  # share of the pressure
 _UNKNOWN = 0.16  # of normal values, these are negative where the error is as large as the mean
 
 
-def _warn_of_loss(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> None:
-    """Warn where the velocity at a node takes a considerable part of the pressure from the kinetic stress.
+@dataclass(frozen=True)
+class _Pressures:
+    """Parts of the pressure of a step, times volume and dimension (J).
 
-    Without contacts the pressure is not known, and the share is that of the kinetic stress itself,
-    where it was asked for by name.
+    Attributes
+    ----------
+    kinetic, contact : float
+        Of fluctuations, and of contacts.
+    smeared : float
+        Of the variation of the flow within the support of the kernel.
+    averaged : dict
+        Of the variation of the flow along each averaged axis.
+    """
+
+    kinetic: float
+    contact: float
+    smeared: float
+    averaged: Mapping[str, float]
+
+
+def _warn_of_kinetic_stress(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> None:
+    """Warn where the kinetic stress lacks a considerable part of the pressure, or adds one that is no fluctuation.
+
+    It lacks what the velocity at a node takes, as that follows the few grains there; it adds the
+    variation of the flow within what a node sees. Without contacts the pressure is not known, and
+    shares are those of the kinetic stress itself, where it was asked for by name.
     """
     if "contact_i" not in frame and not plan.named:
         return
-    kinetic, contact = _pressures(without_frozen(frame), lattice, source, plan.options.plane)
-    total = kinetic + max(contact, 0.0)
-    if not plan.lost_share * kinetic > _LOST * total:
-        return
-    lost = 100 * plan.lost_share * kinetic / total
+    parts = _pressures_of(plan, without_frozen(frame), lattice, source)
     options = plan.options
     taking = [
         name for name in plan.asked if takes_stress_of_step(registry.row(name, options), options)
@@ -285,39 +302,96 @@ def _warn_of_loss(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> No
     of = "the pressure"
     if "contact_i" not in frame:
         of = "its value"
-    warn_once(
-        "kinetic stress",
-        f"{source}: {names} of a single step lacks kinetic stress of about {lost:.0f} % of "
-        f"{of}, as the velocity at a node follows the {1 / plan.lost_share:.2g} grains there: take the "
-        "time_average of the result, which is about the averaged velocity, average along axes (axes=), or increase "
-        f"width= (it is {plan.kernel.width:.3g})",
-    )
+    width = f"width= (it is {plan.kernel.width:.3g})"
+    true = parts.kinetic + max(parts.contact, 0.0)
+    lost = plan.lost_share * parts.kinetic
+    if lost > _CONSIDERABLE * true:
+        warn_once(
+            "kinetic stress",
+            f"{source}: {names} of a single step lacks kinetic stress of about {100 * lost / true:.0f} % of "
+            f"{of}, as the velocity at a node follows the {1 / plan.lost_share:.2g} grains there: take the "
+            "time_average of the result, which is about the averaged velocity, average along axes (axes=), or increase "
+            f"{width}",
+        )
+    added = parts.smeared + sum(parts.averaged.values())
+    hidden = "".join(a for a, part in parts.averaged.items() if part > 0.3 * added)
+    where = "within the support of the kernel"
+    way_out = f"decrease {width}; density times granular_temperature is the kinetic part without it"
+    if hidden:
+        where = f"along {' and '.join(hidden)}, which fields are averaged over"
+        way_out = f"resolve {hidden} too (axes=), and average after"
+    if added > _CONSIDERABLE * (added + true):
+        warn_once(
+            "variation of the flow",
+            f"{source}: {names}: about {100 * added / (added + true):.0f} % of {of} is no fluctuation but the "
+            f"variation of the flow {where}: {way_out}",
+        )
 
 
-def _pressures(
-    frame: Frame, lattice: Lattice, source: str, plane: Sequence[int]
-) -> tuple[float, float]:
-    """Return the parts of the pressure of a step from fluctuations and from contacts, times the volume.
+def _pressures_of(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> _Pressures:
+    """Return the parts of the pressure of a step.
 
     Fluctuations are those between grains in contact where there are many; else of all grains about
-    the best linear flow, as in a gas.
+    the flow, as in a gas.
     """
     velocity = frame["velocity"]
     mass = frame["mass"]
+    flow, smeared, averaged = _variation_of_flow(plan, frame, lattice)
+    kinetic = float((mass[:, None] * (velocity - flow) ** 2).sum())
     contact = 0.0
     if "contact_i" in frame:
         contacts = Contacts.of(frame, lattice, source)
         sides = (contacts.branch_i - contacts.branch_j) * contacts.force
-        contact = float(sides[:, list(plane)].sum()) / len(plane)
+        contact = float(sides[:, list(plan.options.plane)].sum())
         pairs = (contacts.i >= 0) & (contacts.j >= 0)
         if 2 * np.count_nonzero(pairs) > len(mass):
             relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
-            variance = float((relative**2).sum(axis=1).mean()) / 2
-            return variance * float(mass.sum()) / len(plane), contact
+            kinetic = float((relative**2).sum(axis=1).mean() * mass.sum()) / 2
+    return _Pressures(kinetic, contact, smeared, averaged)
+
+
+def _variation_of_flow(
+    plan: Plan, frame: Frame, lattice: Lattice
+) -> tuple[NDArray, float, dict[str, float]]:
+    """Return the flow at the grains, and ``sum m |V - <V>|^2`` within supports and along averaged axes.
+
+    The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
+    is subtracted, from the squares and the squared derivatives of Legendre polynomials.
+    """
+    grid = plan.deposit.grid
+    velocity = frame["velocity"]
+    position = frame["position"]
+    mass = frame["mass"]
+    count = max(len(mass), 1)
+    of_box = np.zeros_like(velocity)
+    gradient = lattice.gradient_along(~grid.active)
+    if gradient is not None:
+        of_box = (position - lattice.middle) @ gradient.T
     root = np.sqrt(mass)[:, None]
-    flow = root * np.column_stack([np.ones(len(mass)), frame["position"] - frame["position"][:1]])
-    rest = root * velocity - flow @ np.linalg.lstsq(flow, root * velocity, rcond=None)[0]
-    return float((rest**2).sum()) / len(plane), contact
+    places = position - position.mean(axis=0)
+    spread = places.std(axis=0)
+    places = places / np.where(spread > 0, spread, 1.0)
+    powers = [np.ones((len(mass), 1))]
+    powers += [places[:, [k]] ** np.arange(1, 4) for k in plan.options.plane]
+    columns = root * np.concatenate(powers, axis=1)
+    terms = np.linalg.lstsq(columns, root * (velocity - of_box), rcond=None)[0]
+    flow = np.concatenate(powers, axis=1) @ terms
+    noise = float((mass[:, None] * (velocity - of_box - flow) ** 2).sum()) / count
+    smeared = 0.0
+    averaged = {}
+    variance = second_moment(plan.kernel, len(grid.seen))
+    for n, k in enumerate(plan.options.plane):
+        first, second, third = terms[1 + 3 * n : 4 + 3 * n]
+        u = places[:, [k]]
+        if COMPONENTS[k] in grid.seen:
+            slope = first + 2 * second * u + 3 * third * u**2
+            share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0
+            smeared += share * (float((mass[:, None] * slope**2).sum()) - 20 * noise)
+        else:
+            along = first * u + second * u**2 + third * u**3
+            along -= along.mean(axis=0)
+            averaged[COMPONENTS[k]] = max(float((mass[:, None] * along**2).sum()) - 3 * noise, 0.0)
+    return flow + of_box, max(smeared, 0.0), averaged
 
 
 def _warn_of_phases(rows: Mapping[str, NDArray], groups: Sequence[int], source: str) -> None:

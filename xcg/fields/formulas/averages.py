@@ -359,6 +359,15 @@ def squared_integral(kernel: Kernel, seen: int) -> float:
     return float(np.trapezoid(kernel.value(r, seen) ** 2 * shells[seen], dx=step))
 
 
+def second_moment(kernel: Kernel, seen: int) -> float:
+    """Variance of the place of a grain along an axis, as a kernel weighs it in some dimensions (m^2)."""
+    if not seen:
+        return 0.0
+    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
+    shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
+    return float(np.trapezoid(kernel.value(r, seen) * shells, dx=step))
+
+
 def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
     """Add the larger of two errors of each field to an average, and its source: noise or scatter."""
     beside = {}

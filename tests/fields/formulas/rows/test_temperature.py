@@ -1,6 +1,7 @@
 """Granular temperature: what independent velocities leave, brute force over grains, gases of known temperature."""
 
 import itertools
+import re
 import warnings
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import truths
 from tests.brute_force import BruteKernel
 
 NAMES = ["granular_temperature", "directional_temperature", "fluctuation_density", "fluctuation_stress", "density",
@@ -343,12 +345,13 @@ def test_phases_that_are_absent_leave_the_others_known():
 def test_warnings_about_mixtures_name_the_way_out():
     ds, _ = mixture(1)
     with pytest.warns(xcg.SceneWarning, match="masses differ by 8 assumes .* Pass by="):
-        ds.cg.coarse_grain("granular_temperature", axes="z")
+        ds.cg.coarse_grain("granular_temperature")
     with pytest.warns(xcg.SceneWarning, match=r"granular_temperature of phase .*time_average"):
         f = ds.cg.coarse_grain(["granular_temperature", "density"], by="species", for_averages=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ds.cg.coarse_grain(["granular_temperature"], by="species", axes="z")
+        ds.cg.coarse_grain("granular_temperature", axes="z")  # of so many grains little is taken
         scene(300, 8.0, 1, spread=1.1).cg.coarse_grain("granular_temperature", axes="z")
     with pytest.raises(ValueError, match="choose phases after the average"):
         f.sel(phase=["bulk", "1"]).cg.time_average()
@@ -370,3 +373,43 @@ def test_one_step_warns_of_the_kinetic_stress_that_it_lacks():
         gas.cg.coarse_grain(["density", "kinetic_stress"], axes="z")  # many grains at a node
         gas.cg.coarse_grain()  # without contacts and names
         slow.cg.coarse_grain(["pressure", "kinetic_stress"])
+
+
+@pytest.mark.parametrize(
+    ("nodes", "match"),
+    [({"axes": "z", "width": 1.5}, "support"), ({"axes": ""}, "along z, which .* resolve z too")],
+)
+def test_the_variation_of_the_flow_within_what_a_node_sees_is_named(nodes, match):
+    """Of V = sin(2 pi z / L) and T = 0.25 the stress is rho (T + <(V - <V>)^2> / 3)."""
+    ds = truths.couette(1)
+    with pytest.warns(xcg.SceneWarning, match=match) as told:
+        f = ds.cg.coarse_grain(["kinetic_stress", "density", "granular_temperature"], **nodes)
+    (text,) = [str(one.message) for one in told if "variation of the flow" in str(one.message)]
+    named = float(re.search(r"about (\d+) %", text)[1]) / 100
+    trace = sum(f.kinetic_stress.sel(component=a, direction=a) for a in "xyz")
+    added = 1 - float(3 * 0.25 * f.density.mean() / trace.mean())
+    assert named == pytest.approx(added, rel=0.25)
+
+
+def test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*variation of the flow")
+        truths.gas(1).cg.coarse_grain("kinetic_stress")
+        truths.gas(1).cg.coarse_grain("kinetic_stress", axes="")
+        truths.gas(2, rate=2.0).cg.coarse_grain("kinetic_stress", axes="")  # relative to the box
+        truths.couette(1).cg.coarse_grain("kinetic_stress", axes="z", width=0.5)
+        truths.packing(steps=1).cg.coarse_grain(["kinetic_stress", "pressure"])
+        xcg.datasets.open("chute").cg.coarse_grain("pressure", axes="z")
+
+
+@pytest.mark.parametrize("axes", ["rz", "rtz"])
+def test_the_loss_of_kinetic_stress_in_rings_is_named(axes):
+    ds = truths.gas(8)
+    nodes = {"axes": axes, "bounds": {"r": (1.0, 4.0)}, "spacing": 1.5}
+    with pytest.warns(xcg.SceneWarning, match="lacks kinetic stress of about") as told:
+        f = ds.cg.coarse_grain(
+            ["kinetic_stress", "density"], frame=xcg.Cylindrical("z", (6, 6, 0)), **nodes
+        )
+    named = float(re.search(r"of about (\d+) %", str(told[-1].message))[1]) / 100
+    trace = sum(f.kinetic_stress.sel(component=a, direction=a) for a in ("r", "theta", "z"))
+    assert named == pytest.approx(1 - float(trace.mean() / (3 * f.density.mean())), rel=0.3)
