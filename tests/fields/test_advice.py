@@ -36,9 +36,13 @@ def test_the_warning_is_the_same_for_a_lazy_scene_and_reads_nothing():
     assert lazy == said(ds, NAMES) != []
 
 
-def test_fields_that_come_by_default_are_named_once():
-    (text,) = said(truths.packing(count=200, steps=2))
-    assert "friction_coefficient of about 0.3" in text
+def test_fields_that_come_by_default_say_their_floor_by_an_attribute():
+    ds = truths.packing(count=200, steps=2)
+    assert said(ds) == []
+    floor = ds.cg.coarse_grain().friction_coefficient.attrs["floor_of_one_step"]
+    (text,) = said(ds, ["friction_coefficient"])
+    number = re.match(r"about (\d\.\d+) where the true value is 0", floor)[1]
+    assert f"friction_coefficient of about {number}" in text
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,8 @@ from xcg.fields.plan import Plan
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 
-# Shares of the usual value of a field above which its floor is a reason for a warning: of fields
-# that were asked for by name, and of those that come by default.
-_NAMED = 0.2
-_BY_DEFAULT = 1.0
+# Share of the usual value of a field above which its floor is a reason for a warning.
+_CONSIDERABLE = 0.2
 
 
 def advise(scene: Description, plan: Plan, *, named: bool) -> None:
@@ -34,13 +32,15 @@ def advise(scene: Description, plan: Plan, *, named: bool) -> None:
 
 
 def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
-    """Return a warning if norms and eigenvalues of few grains or contacts are noise; "" if they are not."""
+    """Return a warning if norms and eigenvalues of few grains or contacts are noise; "" if they are not.
+
+    Nearly every map has such fields among those that come by default: these say it by an attribute.
+    """
     support = support_of(scene, plan)
-    if support is None:
+    if support is None or not named:
         return ""
     floors = floors_of(plan, support)
-    share = _NAMED if named else _BY_DEFAULT
-    large = [name for name, (floor, usual) in floors.items() if floor > share * usual]
+    large = [name for name, (floor, usual) in floors.items() if floor > _CONSIDERABLE * usual]
     if not large:
         return ""
     values = ", ".join(f"{name} of about {_number(plan, name, floors[name][0])}" for name in large)
@@ -144,6 +144,17 @@ def text_of_floors(scene: Description, plan: Plan) -> str | None:
         f"{name} {_number(plan, name, floor)}" for name, (floor, _) in floors.items()
     )
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
+
+
+def describe_floors(scene: Description, plan: Plan) -> dict[str, str]:
+    """Return the floor of each requested field that has one, in words, for its attributes."""
+    support = support_of(scene, plan)
+    if support is None:
+        return {}
+    return {
+        name: f"about {_number(plan, name, floor)} where the true value is 0"
+        for name, (floor, _) in floors_of(plan, support).items()
+    }
 
 
 def _number(plan: Plan, name: str, floor: float) -> str:

@@ -121,6 +121,8 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
         plan.named = named
         plan.lost_share = advice.lost_share(scene, plan)
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
+    for name, floor in advice.describe_floors(scene, plan).items():
+        result[name].attrs["floor_of_one_step"] = floor
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:
