@@ -76,8 +76,10 @@ def steps_of_random_scenes(count: int) -> xr.Dataset:
         "contact_force",
         "contact_point",
     ]
-    key = {"contact": "contact_i", "particle": "particle_id"}
-    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
+    key: dict[Any, str] = {"contact": "contact_i", "particle": "particle_id"}
+    rows: dict[str, Any] = {
+        n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names
+    }
     return xcg.scene_from_arrays(
         [s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
         time=np.arange(count) * 0.1, **rows,

@@ -658,6 +658,7 @@ def test_traction_times_area_is_the_sum_of_the_forces(name, width):
 
 
 @pytest.mark.filterwarnings("ignore:all .* grains have")  # they touch the wall
+@pytest.mark.filterwarnings("ignore:time_average. normal_traction changes")  # it does
 def test_averages_over_time_are_means_of_the_steps():
     plates = [
         touching(plate(), np.tile([0.5 * k, 0, k + 1], (144, 1)), time=[float(k)]) for k in range(8)

@@ -15,6 +15,9 @@ from tests.brute_force import BruteKernel
 from xcg import SceneError, SceneWarning
 from xcg.scene.lattice import Lattice
 
+# random grains overlap, which their images in other periods hide
+pytestmark = pytest.mark.filterwarnings("ignore:the box is periodic along")
+
 NUMBERS = np.array(list(product(range(-4, 5), repeat=3)))
 BOX = {"x": (0.0, 5.0), "y": (-1.0, 3.0), "z": (0.5, 6.5)}
 LOW, LENGTHS = np.array([0.0, -1.0, 0.5]), np.array([5.0, 4.0, 6.0])

@@ -361,9 +361,9 @@ def _short_period(grains: Particles) -> str | None:
             away = position - position[row]
             touching = 0.5 * _ON_OTHERS * (diameter + diameter[row])
             # the grain itself is one of them
-            before += np.count_nonzero((away**2).sum(axis=1) < touching**2) > 1
+            before += int(np.count_nonzero((away**2).sum(axis=1) < touching**2) > 1)
             moved = grains.lattice.shortest(away)
-            after += np.count_nonzero((moved**2).sum(axis=1) < touching**2) > 1
+            after += int(np.count_nonzero((moved**2).sum(axis=1) < touching**2) > 1)
         if after <= 0.5 * len(rows) or before > 0.1 * len(rows):
             continue
         axis = COMPONENTS[k]

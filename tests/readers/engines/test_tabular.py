@@ -348,5 +348,7 @@ def test_empty_cells_and_names_of_columns_raise(tmp_path):
     ):
         xcg.open_scene(named, density=1.0, names={"ID": "id"})
     unknown = write(tmp_path / "c.csv", "East X,North Y,Up Z,radius\n0,0,0,0.5\n")
-    with pytest.raises(xcg.SceneError, match=r"names={'East X': 'position_x'}"):
+    with pytest.raises(
+        xcg.SceneError, match=r"names={'East X': 'position_x', 'North Y': 'position_y'"
+    ):
         xcg.open_scene(unknown, density=1.0)

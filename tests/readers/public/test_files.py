@@ -288,6 +288,7 @@ def test_runs_in_one_table_are_an_error(tmp_path, times):
 # --- files that are cut off, and tables without names ----------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore:the box is periodic along")  # the grains are not of this box
 def test_a_file_that_is_cut_off_says_which_steps_are_kept(tmp_path):
     rng = np.random.default_rng(0)
     texts = [grains(rng.permutation(20000), step) for step in range(0, 600, 100)]

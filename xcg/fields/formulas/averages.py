@@ -406,7 +406,7 @@ class Jackknife(NamedTuple):
     """Slope over the blocks divided by its error; None below 8 samples."""
     growths: xr.Dataset | None
     """Error of the blocks beyond the largest over theirs, 1 at a plateau; None below 16 samples."""
-    count: int
+    number: int
     """Blocks of drifts and growths."""
 
 
@@ -517,7 +517,7 @@ class _Steadiness:
         from scipy.special import betainc  # slow to import
 
         assert self.blocks.drifts is not None
-        count = self.blocks.count
+        count = self.blocks.number
         t = self.blocks.drifts[name]
         # the two-sided t test
         unexplained = (count - 2) / (count - 2 + t**2)
@@ -549,7 +549,7 @@ class _Steadiness:
                 f"windows, time_average({max(self.steps // 4, 1)})",
             )
         if growth > 0.5:
-            length = self.steps // (2 * self.blocks.count)
+            length = self.steps // (2 * self.blocks.number)
             self.call.warn(
                 "plateau",
                 f"time_average: the error of {name} is too small at {100 * growth:.0f} % of the nodes: it still grows "
