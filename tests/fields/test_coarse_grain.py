@@ -412,7 +412,7 @@ def test_frozen_grains_act_as_walls():
     free = (
         ds.isel(particle=(ds.species == 1).values[0]).drop_vars("frozen").cg.coarse_grain(width=0.8)
     )
-    xr.testing.assert_identical(f.drop_attrs(deep=False), free.drop_attrs(deep=False))
+    xr.testing.assert_identical(f.drop_attrs(), free.drop_attrs())
     assert float(np.abs(f.boundary_force_density).max()) > 0
 
 

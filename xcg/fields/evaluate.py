@@ -260,12 +260,13 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
 
 
 _CONSIDERABLE = 0.05  # share of the pressure
+_SAMPLED = 4_000  # grains and contacts of a step from which its pressures are estimated
 _UNKNOWN = 0.16  # of normal values, these are negative where the error is as large as the mean
 
 
 @dataclass(frozen=True)
 class _Pressures:
-    """Parts of the pressure of a step, times volume and dimension (J).
+    """Parts of the pressure of the sampled grains, times volume and dimension (J).
 
     Attributes
     ----------
@@ -292,7 +293,10 @@ def _warn_of_kinetic_stress(plan: Plan, frame: Frame, lattice: Lattice, source: 
     """
     if "contact_i" not in frame and not plan.named:
         return
-    parts = _pressures_of(plan, without_frozen(frame), lattice, source)
+    free = without_frozen(frame)
+    if not len(free["mass"]):
+        return
+    parts = _pressures_of(plan, free, lattice, source)
     options = plan.options
     taking = [
         name for name in plan.asked if takes_stress_of_step(registry.row(name, options), options)
@@ -316,10 +320,12 @@ def _warn_of_kinetic_stress(plan: Plan, frame: Frame, lattice: Lattice, source: 
     added = parts.smeared + sum(parts.averaged.values())
     hidden = "".join(a for a, part in parts.averaged.items() if part > 0.3 * added)
     where = "within the support of the kernel"
-    way_out = f"decrease {width}; density times granular_temperature is the kinetic part without it"
+    way_out = (
+        f"decrease {width}; the kinetic part without it is density times the granular temperature"
+    )
     if hidden:
         where = f"along {' and '.join(hidden)}, which fields are averaged over"
-        way_out = f"resolve {hidden} too (axes=), and average after"
+        way_out = f"resolve {' and '.join(hidden)} too (axes=), and average after"
     if added > _CONSIDERABLE * (added + true):
         warn_once(
             "variation of the flow",
@@ -329,22 +335,31 @@ def _warn_of_kinetic_stress(plan: Plan, frame: Frame, lattice: Lattice, source: 
 
 
 def _pressures_of(plan: Plan, frame: Frame, lattice: Lattice, source: str) -> _Pressures:
-    """Return the parts of the pressure of a step.
+    """Return the parts of the pressure of a step, from a sample of its grains and contacts.
 
     Fluctuations are those between grains in contact where there are many; else of all grains about
     the flow, as in a gas.
     """
     velocity = frame["velocity"]
-    mass = frame["mass"]
-    flow, smeared, averaged = _variation_of_flow(plan, frame, lattice)
-    kinetic = float((mass[:, None] * (velocity - flow) ** 2).sum())
+    count = len(velocity)
+    every = max(1, count // _SAMPLED)
+    sample = {name: frame[name][::every] for name in ("position", "velocity", "mass")}
+    mass = sample["mass"]
+    flow, smeared, averaged = _variation_of_flow(plan, sample, lattice)
+    kinetic = float((mass[:, None] * (sample["velocity"] - flow) ** 2).sum())
     contact = 0.0
     if "contact_i" in frame:
-        contacts = Contacts.of(frame, lattice, source)
+        rows = max(1, len(frame["contact_i"]) // _SAMPLED)
+        of_contacts = {
+            name: values[::rows]
+            for name, values in frame.items()
+            if name.startswith(("contact", "overlap"))
+        }
+        contacts = Contacts.of(frame | of_contacts, lattice, source)
         sides = (contacts.branch_i - contacts.branch_j) * contacts.force
-        contact = float(sides[:, list(plan.options.plane)].sum())
+        contact = float(sides[:, list(plan.options.plane)].sum()) * rows / every
         pairs = (contacts.i >= 0) & (contacts.j >= 0)
-        if 2 * np.count_nonzero(pairs) > len(mass):
+        if 2 * rows * np.count_nonzero(pairs) > count:
             relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
             kinetic = float((relative**2).sum(axis=1).mean() * mass.sum()) / 2
     return _Pressures(kinetic, contact, smeared, averaged)
@@ -386,12 +401,19 @@ def _variation_of_flow(
         if COMPONENTS[k] in grid.seen:
             slope = first + 2 * second * u + 3 * third * u**2
             share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0
-            smeared += share * (float((mass[:, None] * slope**2).sum()) - 20 * noise)
+            smeared += share * _beyond(float((mass[:, None] * slope**2).sum()), 20 * noise)
         else:
             along = first * u + second * u**2 + third * u**3
             along -= along.mean(axis=0)
-            averaged[COMPONENTS[k]] = max(float((mass[:, None] * along**2).sum()) - 3 * noise, 0.0)
-    return flow + of_box, max(smeared, 0.0), averaged
+            averaged[COMPONENTS[k]] = _beyond(float((mass[:, None] * along**2).sum()), 3 * noise)
+    return flow + of_box, smeared, averaged
+
+
+def _beyond(total: float, noise: float) -> float:
+    """Return a sum of squares less its noise; 0 unless it is well beyond the scatter of that noise."""
+    if total < 4 * noise:
+        return 0.0
+    return total - noise
 
 
 def _warn_of_phases(rows: Mapping[str, NDArray], groups: Sequence[int], source: str) -> None:

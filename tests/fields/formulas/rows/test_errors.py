@@ -127,6 +127,7 @@ def test_the_error_of_a_mean_by_brute_force():
     np.testing.assert_allclose(f.velocity_error.values.ravel(), expected, rtol=1e-10)
 
 
+@pytest.mark.filterwarnings("ignore:time_average. the error of velocity")  # of steps that drift
 def test_an_average_over_steps_has_the_larger_error_and_names_it():
     f = ensemble(226, shear=0.0, draws=64).cg.coarse_grain(
         "velocity", errors=True, width=1.0, for_averages=True
