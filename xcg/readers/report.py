@@ -1,4 +1,4 @@
-"""What an input holds, column by column: read, not needed, or not understood.
+"""Report on the columns of an input: read, not needed, or not understood.
 
 Not understood are columns that resemble a variable which is not read, carry its unit, or are a
 second column of one that is. One warning a file lists them; all others that are not read are in the

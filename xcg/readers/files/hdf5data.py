@@ -46,7 +46,7 @@ def opened(path: str) -> Iterator[h5py.File]:
 
 
 class RecordField:
-    """One field of a dataset of records, as a dataset of its own."""
+    """Field of a dataset of records, read as a dataset."""
 
     def __init__(self, records: h5py.Dataset, field: str) -> None:
         self._records = records
