@@ -149,3 +149,23 @@ def test_a_dataset_larger_than_its_file_raises(tmp_path):
         file.create_dataset("x", (1 << 40, 3), "f8", chunks=(1 << 10, 3))
     with pytest.raises(xcg.SceneError, match=r"a\.h5: 'x' promises .* bytes, and 0 are stored"):
         xcg.open_scene(tmp_path / "a.h5", mapping={"position": "x"}, engine="hdf5")
+
+
+@pytest.mark.parametrize(
+    ("named", "lacking"),
+    [
+        ({"position_x": "x"}, "position_y and position_z"),
+        ({"position_x": "x", "position_y": "y", "velocity_x": "x"}, "velocity_y"),
+        (
+            {"position_x": "x", "position_y": "y", "position_z": "y", "velocity_y": "x"},
+            "velocity_x and velocity_z",
+        ),
+    ],
+)
+def test_components_that_a_mapping_lacks_are_named_with_that_argument(tmp_path, named, lacking):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = np.arange(3.0)
+        file["y"] = np.arange(3.0)
+    with pytest.raises(xcg.SceneError, match=rf"mapping= lacks {lacking}, .*mapping=\{{") as caught:
+        xcg.open_scene(tmp_path / "a.h5", mapping=named)
+    assert "names=" not in str(caught.value)

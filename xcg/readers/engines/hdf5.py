@@ -90,11 +90,27 @@ class Hdf5(Columnar):
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that particles are read from: all of them."""
+        in_space = [axis for axis in COMPONENTS if f"position_{axis}" in ref.columns]
+        _require_mapped(ref, "position", in_space if len(in_space) > 1 else COMPONENTS)
+        if any(f"velocity_{axis}" in ref.columns for axis in COMPONENTS):
+            _require_mapped(ref, "velocity", in_space)
         return super().particle_columns(ref, _by_themselves(ref, options))
 
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
+
+
+def _require_mapped(ref: StepRef, vector: str, axes: Sequence[str]) -> None:
+    """Raise SceneError unless a mapping names the components of a vector along some axes."""
+    lacking = [f"{vector}_{axis}" for axis in axes if f"{vector}_{axis}" not in ref.columns]
+    if lacking:
+        more = ", ".join(f"{name!r}: '...'" for name in lacking)
+        raise SceneError(
+            f"{ref.path}: mapping= lacks {' and '.join(lacking)}, and has {', '.join(ref.columns)}: add "
+            f"the paths of their datasets, mapping={{..., {more}}}, or of one with all components, "
+            f"mapping={{{vector!r}: '...'}}"
+        )
 
 
 def _by_themselves(ref: StepRef, options: ReadOptions) -> ReadOptions:
