@@ -704,6 +704,10 @@ TABLE = [
         "test_few_large_grains_by_volume_have_no_index_and_a_warning",
     ),
     Mutation(
+        "scene/spheres.py", "_UNITS = (1e3, 1e-3)", "_UNITS = (1e2, 1e-2)",
+        "test_points_in_another_unit_are_named_with_it",
+    ),
+    Mutation(
         "scene/sanity.py", "length = high - low\n        far", "length = high\n        far",
         "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
     ),

@@ -491,7 +491,9 @@ def _checked_geometry(
     """Return the normals and overlaps that the data hold, compared with positions and radii."""
     checked = Frame()
     if are_single_spheres(spheres.particles, shape):
-        warn_of_gaps(spheres)
+        # points in another unit have a warning of their own, and lead to other images
+        if "point_is_middle" in frame or spheres.unit_of_points is None:
+            warn_of_gaps(spheres)
         if "contact_normal" in frame:
             checked["contact_normal"] = checked_normals(spheres)
     if "overlap" in frame:

@@ -20,6 +20,7 @@ _MOST = 0.9  # share of the compared contacts that a verdict needs
 _SAME_OVERLAP = 0.25  # relative difference of two columns of overlaps, by their medians
 _UNEQUAL = 1e-3  # difference of radii, over their sum, from which the middle is another point
 _SOFT = 0.2  # largest overlap or gap, over R_i + R_j, of spheres that are taken to touch
+_UNITS = (1e3, 1e-3)  # of mm over m, and of m over mm
 # distance from the surfaces, over the smaller radius, of points that are no contact points
 _ELSEWHERE = 0.4
 _MIDDLE = 0.25  # distance to the middle, over the distance from there to the surfaces
@@ -218,16 +219,36 @@ class SphereContacts:
         off = np.minimum(off_i, off_j) / np.minimum(pairs.radius_i, pairs.radius_j)
         near = np.abs(pairs.overlap) <= _SOFT * pairs.touching
         elsewhere = (off > _ELSEWHERE) & near
-        if not elsewhere.any() or elsewhere.sum() < _MOST * near.sum():
+        few = not elsewhere.any() or elsewhere.sum() < _MOST * near.sum()
+        if few and self.unit_of_points is None:
             return
         row = np.argmax(np.where(near, off, 0.0))
+        way_out = "Map the right columns to contact_point, or"
+        if self.unit_of_points is not None:
+            way_out = (
+                f"Divided by {self.unit_of_points:g} they lie on them, so that they have another unit than "
+                "positions, most likely: give both in one unit, or"
+            )
         warn_once(
             "points elsewhere",
             f"{self.source}: contact points lie off the surfaces of both spheres "
-            f"({self.named(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). "
-            "Map the right columns to contact_point, or drop these by names={'column': None}: points "
-            "then follow from radii",
+            f"({self.named(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). {way_out} drop "
+            "the columns of points by names={'column': None}: points then follow from radii",
         )
+
+    @cached_property
+    def unit_of_points(self) -> float | None:
+        """1000 or 0.001 if points lie on the surfaces once they are divided by that, else None."""
+        rows = self.sample.rows
+        if "contact_point" not in self.contacts or not len(rows):
+            return None
+        i = self.row_i[rows]
+        centre, radius = self.particles["position"][i], self.particles["diameter"][i] / 2
+        for unit in (1.0, *_UNITS):
+            side = self.lattice.shortest(centre - self.contacts["contact_point"][rows] / unit)
+            if (np.abs(_lengths(side) - radius) <= _SOFT * radius).mean() >= _MOST:
+                return None if unit == 1.0 else unit
+        return None
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""

@@ -245,6 +245,31 @@ def test_points_far_from_both_surfaces_are_named(large, centre):
     assert ds.contact_point.values[0, 0].tolist() == point[centre]
 
 
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("unit", [1e3, 1.0, 1e-3])
+def test_points_in_another_unit_are_named_with_it(unit, periodic, recwarn):
+    places = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    position = 0.98e-3 * places + 2e-3
+    away = np.linalg.norm(position[:, None] - position, axis=2)
+    i, j = np.nonzero(np.triu((away > 0) & (away < 1.1e-3)))
+    box = {}
+    if periodic:
+        box = {"box": [[2e-3, 2e-3 + 4 * 0.98e-3]] * 3, "periodic": "xyz"}
+    xcg.scene_from_arrays(
+        position,
+        diameter=1e-3,
+        density=1.0,
+        contact_i=i,
+        contact_j=j,
+        contact_force=position[i] - position[j],
+        contact_point=unit * (position[i] + position[j]) / 2,
+        **box,
+    )
+    messages = [str(w.message) for w in recwarn if issubclass(w.category, SceneWarning)]
+    assert len(messages) == (unit != 1.0)
+    assert all(f"Divided by {unit:g} they lie on them" in text for text in messages)
+
+
 # --- several contacts of a pair, and coincident centres --------------------------------------------------
 
 
