@@ -704,6 +704,23 @@ TABLE = [
         "test_few_large_grains_by_volume_have_no_index_and_a_warning",
     ),
     Mutation(
+        "scene/conform.py", "is_in_memory(ids) and not (ids != PADDING).any()", "False",
+        "test_selections_of_nothing_are_named_with_the_range_of_positions",
+    ),
+    Mutation(
+        "scene/gaps.py", "ids, numbers + shift", "ids, numbers - shift", "test_ids_off_by_one_are_named",
+    ),
+    Mutation(
+        "scene/gaps.py", "gap = -pairs.overlap", "gap = pairs.overlap", "test_ids_off_by_one_are_named",
+    ),
+    Mutation(
+        "scene/normals.py", "np.abs(cosine) < _ANGLE", "cosine < _ANGLE", "test_opposite_normals_are_turned",
+    ),
+    Mutation(
+        "scene/normals.py", "scaled[wrong] /= length", "scaled[wrong] *= length",
+        "test_normals_of_another_length_are_scaled",
+    ),
+    Mutation(
         "scene/spheres.py", "_UNITS = (1e3, 1e-3)", "_UNITS = (1e2, 1e-2)",
         "test_points_in_another_unit_are_named_with_it",
     ),

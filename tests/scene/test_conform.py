@@ -306,9 +306,29 @@ def test_chains_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
 
 def test_scenes_without_particles_are_accepted(scene):
     for none in (scene.isel(particle=[]), scene.chunk(time=1).isel(particle=[])):
-        assert (none.cg.coarse_grain("density", width=0.8).density == 0).all()
+        with pytest.warns(xcg.SceneWarning, match="no particle is left"):
+            assert (none.cg.coarse_grain("density", width=0.8).density == 0).all()
         assert (none.cg.microstructure("coordination_number").coordination_number.isnull()).all()
         assert np.isnan(none.cg.size_statistics().d43).all()
+
+
+def test_selections_of_nothing_are_named_with_the_range_of_positions():
+    scene = xcg.datasets.random_scene(30)
+    z = scene.position.values[0, :, 2]
+    known = f"before, positions were .*z {z.min():.4g} to {z.max():.4g}"
+    for nothing in (
+        scene.isel(particle=[]),
+        scene.cg.select("z > 1e9"),
+        scene.assign(particle_id=scene.particle_id * 0 - 1).assign_attrs(scene.attrs),
+    ):
+        with pytest.warns(xcg.SceneWarning, match=f"no particle is left.*{known}") as caught:
+            f = nothing.cg.coarse_grain("density", axes="z", bounds={"z": (0, 5)}, width=1.0)
+        assert len(caught) == 1
+        assert not f.density.any()
+    with pytest.raises(xcg.SceneError, match="holds for no particle: change"):
+        scene.where(scene.diameter > 1e9, drop=True).cg.coarse_grain("density", axes="z")
+    with pytest.warns(xcg.SceneWarning, match="no step is left"):
+        scene.isel(time=[]).cg.coarse_grain("density", axes="z")
 
 
 def test_mean_stress_of_chosen_particles_is_the_sum_over_their_sides(scene):

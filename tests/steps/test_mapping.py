@@ -187,6 +187,7 @@ def test_tasks_count_the_steps_that_are_left():
         assert [*seen, bar.n] == [4, 6, 8, 10]
 
 
+@pytest.mark.filterwarnings("ignore:coarse_grain. no step is left")
 @pytest.mark.parametrize("lazily", [False, True])
 def test_a_scene_without_steps_has_results_without_steps(lazily):
     scene = steps_of_random_scenes(2)
@@ -206,6 +207,7 @@ def test_what_needs_a_step_says_so(tmp_path):
         lambda: f.cg.movie(tmp_path / "f.gif"),
         lambda: f.cg.spatial_correlation("density"),
         lambda: f.cg.plot("density"),
+        lambda: f.cg.time_average(),
     ):
         with pytest.raises(xcg.SceneError, match="there is no step; select one at least"):
             call()

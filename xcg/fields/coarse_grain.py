@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import xarray as xr
 
+from xcg.common.messages import warn_once
 from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.evaluate import CoarseGraining
@@ -20,6 +21,7 @@ from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
+from xcg.scene.conform import what_is_left_out
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import with_measures
 from xcg.steps.analysis import run
@@ -92,6 +94,8 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
     request = request_like(request)
     walls = walls_of(request)
     frame = request.frame
+    if nothing := what_is_left_out(ds):
+        warn_once("nothing left", f"coarse_grain: {nothing}; fields are those of no grain")
     ds, request = prepare(ds, request)
     given = request.given()
     if frame is not None:

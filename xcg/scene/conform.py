@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import Once, SceneError, active_call, did_you_mean
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.schema import (
@@ -279,6 +280,25 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     return scene.assign(changed)
 
 
+def what_is_left_out(ds: xr.Dataset) -> str:
+    """Return that a selection left no step or no particle, with the range of positions before, else ""."""
+    if not {"particle", "time"} <= set(ds.sizes) or "particle_id" not in ds:
+        return ""
+    if ds.sizes["particle"] and not ds.sizes["time"]:
+        return "no step is left, as of a selection of times that holds for none"
+    ids = ds.variables["particle_id"]
+    padded = is_in_memory(ids) and not (ids != PADDING).any()
+    # a scene that never had particles has no range
+    if not {"particle_lower", "particle_upper"} <= set(ds.attrs) or not (padded or not ids.size):
+        return ""
+    edges = zip(COMPONENTS, ds.attrs["particle_lower"], ds.attrs["particle_upper"], strict=True)
+    ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in edges)
+    return (
+        "no particle is left, as of a selection whose condition holds for none: before, positions were "
+        f"{ranges}"
+    )
+
+
 # --- dimensions ------------------------------------------------------------------------------------------
 
 
@@ -420,6 +440,11 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
     spread = [str(d) for d in array.dims if d not in expected]
     if not lacking and not spread:
         return array.transpose(*expected)
+    if spread and not array.size:
+        raise SceneError(
+            f"'{array.name}' holds no row, as after ds.where(condition, drop=True) with a condition that holds for "
+            "no particle: change the condition, or select by ds.cg.select, which keeps steps"
+        )
     size = array.size / max(array.sizes.get("time", 1), 1)
     if lacking == ["time"] and not spread:
         raise SceneError(

@@ -31,7 +31,7 @@ from xcg.fields.formulas.variables import row_of_result
 from xcg.fields.sums.kernels import Kernel, kernel_of
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.facts import require_facts, with_facts
-from xcg.scene.frame import with_time
+from xcg.scene.frame import require_steps, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import SKIPPED
 from xcg.steps.labels import format_call, provenance
@@ -142,7 +142,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     Raises
     ------
     SceneError
-        If results of different options were joined, or the result has lost its options.
+        If results of different options were joined, or the result has lost its options or has no
+        step.
     ValueError
         If there is no time, the window does not fit, or a sum that a ratio needs is not in the
         result.
@@ -151,6 +152,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     f, noise = _without_noise(f)
     if "time" not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
+    require_steps(f, "time_average")
     count = f.sizes["time"]
     check("window", window, whole(1, count), optional=True, hint=", the number of steps")
     check("every", every, whole(1, count), hint=", the number of steps")
