@@ -550,6 +550,14 @@ TABLE = [
         "test_normal_stress_differences_are_those_of_flow_gradient_and_vorticity",
     ),
     Mutation(
+        "fields/formulas/rows/rheology.py", "(major - middle) + (major - minor)", "(major - middle)",
+        "test_the_lode_angle_of_known_stresses",
+    ),
+    Mutation(
+        "fields/formulas/rows/rheology.py", "f.stress, -f.shear_rate_tensor, o", "f.stress, f.shear_rate_tensor, o",
+        "test_angles_between_axes_of_tensors_that_are_turned_against_each_other",
+    ),
+    Mutation(
         "scene/box.py", "share.max() > _LARGE_SHARE", "share.max() > 2 * _LARGE_SHARE",
         "test_grains_that_may_have_crossed_half_a_period_are_named",
     ),

@@ -24,6 +24,7 @@ ALONG_AXES = ("first_normal_stress_difference", "second_normal_stress_difference
 OTHERS = {
     "directional_temperature",
     *ALONG_AXES,
+    "lode_angle",  # of three axes only
     *DIRECTED,
     *(name for name in xcg.FIELDS if name.endswith("_error")),
 }

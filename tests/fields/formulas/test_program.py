@@ -17,8 +17,9 @@ from xcg.fields.formulas.field import Gradient, Options, Temperature
 from xcg.fields.formulas.registry import _made_up
 from xcg.fields.formulas.rows import orientation
 
-# scenes here hold no directors, and axes of tensors are found by NumPy, see test_orientation
-LISTED = [name for name in registry.listed() if name not in orientation.ROWS]
+# scenes here hold no directors, and axes of tensors are found by NumPy, see test_orientation and test_rheology
+OF_NUMPY = {*orientation.ROWS, "lode_angle", "stress_strain_rate_angle", "stress_fabric_angle"}
+LISTED = [name for name in registry.listed() if name not in OF_NUMPY]
 ALL = tuple(
     name for name in LISTED if not (registry.FIELDS[name].option or registry.FIELDS[name].paired)
 )

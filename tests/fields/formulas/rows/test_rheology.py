@@ -1,9 +1,13 @@
 """Pressures, magnitudes and dimensionless numbers, from their definitions."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import xcg
+from xcg.fields.formulas.field import Options
 
 
 def whole_and(**options):
@@ -98,6 +102,83 @@ def test_a_layer_has_no_second_normal_stress_difference():
     x, y = (f.stress.sel(component=a, direction=a) for a in "xy")
     np.testing.assert_allclose(f.first_normal_stress_difference, y - x, rtol=1e-12)
     assert f.second_normal_stress_difference.isnull()
+
+
+def angle_of(name, options=None, **tensors):
+    return xcg.FIELDS[name].compute(SimpleNamespace(**tensors), None, options or Options())
+
+
+@pytest.mark.parametrize(("principal", "degrees"), [
+    ((5.0, 2.0, 2.0), 0.0), ((5.0, 5.0, 2.0), 60.0), ((3.0, 2.0, 1.0), 30.0), ((1.0, 0.0, -1.0), 30.0),
+    ((-1.0, -2.0, -2.0), 0.0), ((2.0, 2.0, 2.0), np.nan), ((0.0, 0.0, 0.0), np.nan), ((np.nan, 1.0, 1.0), np.nan),
+])  # fmt: skip
+def test_the_lode_angle_of_known_stresses(principal, degrees):
+    turn = Rotation.random(random_state=3).as_matrix()
+    stress = turn @ np.diag(principal) @ turn.T
+    lode = angle_of("lode_angle", stress=np.stack([stress, 1e6 * stress]))
+    np.testing.assert_allclose(np.rad2deg(lode), degrees, atol=1e-6)
+
+
+def test_the_lode_angle_has_the_invariants_of_the_deviator():
+    """cos 3 theta = (3 sqrt 3 / 2) J3 / J2^(3/2)."""
+    f = xcg.datasets.random_scene(150, seed=6).cg.coarse_grain(
+        ["stress", "lode_angle"], width=0.9, spacing=1.3
+    )
+    stress = f.stress.values
+    stress = (stress + np.swapaxes(stress, -1, -2)) / 2
+    deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
+    j2, j3 = (deviator**2).sum((-2, -1)) / 2, np.linalg.det(deviator)
+    np.testing.assert_allclose(np.cos(3 * f.lode_angle), 1.5 * np.sqrt(3) * j3 / j2**1.5, rtol=1e-9)
+    assert f.lode_angle.min() >= 0
+    assert f.lode_angle.max() <= np.pi / 3
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-6, 20.0, 90.0, 130.0])
+@pytest.mark.parametrize("dims", [(0, 1, 2), (0, 2), (2, 0)])
+def test_angles_between_axes_of_tensors_that_are_turned_against_each_other(degrees, dims):
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    stress = np.diag([3.0, 1.0, 0.5])
+    options = Options(shear_axes=None if len(dims) == 3 else dims)
+    expected = min(degrees, 180 - degrees)
+    compression = turn @ np.diag([-0.2, 0.1, 0.1]) @ turn.T
+    angle = angle_of(
+        "stress_strain_rate_angle", options, stress=stress, shear_rate_tensor=compression
+    )
+    np.testing.assert_allclose(np.rad2deg(angle), expected, rtol=1e-7, atol=1e-12)
+    fabric = turn @ np.diag([0.5, 0.3, 0.2]) @ turn.T
+    angle = angle_of("stress_fabric_angle", options, stress=stress, contact_fabric=fabric)
+    np.testing.assert_allclose(np.rad2deg(angle), expected, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "fabric", [np.eye(3) / 3, np.diag([0.4, 0.4, 0.2]), np.full((3, 3), np.nan)]
+)
+def test_an_angle_to_a_tensor_without_major_axis_is_nan(fabric):
+    turn = Rotation.random(random_state=3).as_matrix()
+    fabric = turn @ fabric @ turn.T
+    assert np.isnan(
+        angle_of("stress_fabric_angle", stress=np.diag([3.0, 1, 0]), contact_fabric=fabric)
+    )
+
+
+@pytest.mark.parametrize("layer", [False, True])
+def test_angles_between_axes_of_a_scene(layer):
+    if layer:
+        ds = xcg.datasets.open("biaxial").isel(time=[-1])
+    else:
+        ds = xcg.datasets.random_scene(150, seed=6)
+    names = ["stress", "shear_rate_tensor", "contact_fabric", "lode_angle",
+             "stress_strain_rate_angle", "stress_fabric_angle"]  # fmt: skip
+    f = ds.cg.coarse_grain(names).isel(time=0)
+    f = f.isel({a: f.sizes[a] // 2 for a in ds.attrs["plane"]})
+    plane = ["xyz".index(a) for a in ds.attrs["plane"]]
+    tensors = (f.stress, -f.shear_rate_tensor, f.contact_fabric)
+    symmetric = [(tensor.values + tensor.values.T)[plane][:, plane] for tensor in tensors]
+    major = [np.linalg.eigh(tensor)[1][:, -1] for tensor in symmetric]
+    for name, other in zip(names[-2:], major[1:], strict=True):
+        np.testing.assert_allclose(np.cos(f[name]), abs(major[0] @ other), rtol=1e-9)
+        assert f[name].attrs["units"] == "1"
+    assert bool(f.lode_angle.isnull()) == layer
 
 
 def test_the_inertial_number_takes_the_chosen_size():

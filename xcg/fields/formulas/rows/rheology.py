@@ -9,11 +9,13 @@ coefficient: Jop, Forterre & Pouliquen (2006), Nature 441, 727. Inertial number:
 Eur. Phys. J. E 14, 341, and da Cruz et al. (2005), Phys. Rev. E 72, 021309. Fluidity: Kamrin & Koval
 (2012), Phys. Rev. Lett. 108, 178301. Viscous number and relative viscosity: Boyer, Guazzelli &
 Pouliquen (2011), Phys. Rev. Lett. 107, 188301. Granular viscosity: Jop et al. (2006). Normal stress
-differences: Weinhart, Hartkamp, Thornton & Luding (2013), Phys. Fluids 25, 070605.
+differences, and angles between the axes of stress, strain rate and fabric: Weinhart, Hartkamp,
+Thornton & Luding (2013), Phys. Fluids 25, 070605. Lode angle: Lode (1926), Z. Physik 36, 913.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -51,6 +53,49 @@ def _normal_stress_difference(first: int, f: Any, s: Any, o: Options) -> NDArray
     order = (*axes, 3 - sum(axes))
     low, high = order[first], order[first + 1]
     return f.stress[..., high, high] - f.stress[..., low, low]
+
+
+_TIE = 1e-9  # what is rounding of a difference of principal values, relative to the largest
+
+
+def _principal(tensor: NDArray, axes: Sequence[int]) -> tuple[NDArray, NDArray]:
+    """Return principal values (..., n) of the symmetric part, rising, and axes (..., n, n) in columns.
+
+    Values are NaN where the tensor is unknown.
+    """
+    inside = tensor[..., axes, :][..., axes]
+    inside = (inside + np.swapaxes(inside, -1, -2)) / 2
+    known = np.isfinite(inside).all(axis=(-2, -1))[..., None]
+    values, vectors = np.linalg.eigh(np.where(known[..., None], inside, 0.0))
+    return np.where(known, values, np.nan), vectors
+
+
+def _lode_angle(f: Any, s: Any, o: Options) -> NDArray:
+    if len(o.plane) < 3:
+        return np.nan * f.stress[..., 0, 0]
+    minor, middle, major = np.moveaxis(_principal(f.stress, o.plane)[0], -1, 0)
+    is_shear = major - minor > _TIE * np.maximum(abs(major), abs(minor))
+    angle = np.arctan2(np.sqrt(3) * (middle - minor), (major - middle) + (major - minor))
+    return np.where(is_shear, angle, np.nan)
+
+
+def _angle_of_major_axes(a: NDArray, b: NDArray, o: Options) -> NDArray:
+    """Return the angle between the axes of the largest principal values of two tensors.
+
+    It is within 0 and pi / 2, and NaN where a tensor has no major axis: its two largest values are equal.
+    """
+    axes = o.shear_axes or o.plane
+    if len(axes) < 2:
+        return np.nan * a[..., 0, 0]
+    major, is_unique = [], []
+    for tensor in (a, b):
+        values, vectors = _principal(tensor, axes)
+        major.append(vectors[..., -1])
+        is_unique.append(values[..., -1] - values[..., -2] > _TIE * abs(values).max(axis=-1))
+    cosine = (major[0] * major[1]).sum(axis=-1, keepdims=True)
+    # arccos of the cosine would lose half of the digits of small angles
+    sine = np.linalg.norm(major[0] - cosine * major[1], axis=-1)
+    return np.where(is_unique[0] & is_unique[1], np.arctan2(sine, abs(cosine[..., 0])), np.nan)
 
 
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
@@ -114,6 +159,28 @@ ROWS: dict[str, Field] = {
         compute=partial(_normal_stress_difference, 1),
         fields=("stress",),
         additive=True,
+        default=False,
+    ),
+    "lode_angle": Field(
+        long_name="Lode angle of the stress, in radians: 0 in triaxial compression, pi / 3 in extension",
+        formula="tan theta_L = sqrt(3) (sigma_2 - sigma_3) / (2 sigma_1 - sigma_2 - sigma_3), principal stresses "
+        "sigma_1 >= sigma_2 >= sigma_3, compression positive; NaN where they are equal, and in 2D",
+        compute=_lode_angle,
+        fields=("stress",),
+        default=False,
+    ),
+    "stress_strain_rate_angle": Field(
+        long_name="angle between the axes of largest stress and of fastest compression, in radians",
+        formula="angle of the major axes of sigma and -Gamma, 0 to pi / 2, in shear_dims if set; NaN without such axes",
+        compute=lambda f, s, o: _angle_of_major_axes(f.stress, -f.shear_rate_tensor, o),
+        fields=("stress", "shear_rate_tensor"),
+        default=False,
+    ),
+    "stress_fabric_angle": Field(
+        long_name="angle between the axes of largest stress and of most contacts, in radians",
+        formula="angle of the major axes of sigma and <n n>, 0 to pi / 2, in shear_dims if set; NaN without such axes",
+        compute=lambda f, s, o: _angle_of_major_axes(f.stress, f.contact_fabric, o),
+        fields=("stress", "contact_fabric"),
         default=False,
     ),
     "friction_coefficient": Field(
