@@ -42,7 +42,8 @@ defines S, $\Theta$ and $N_\mathrm{left}$. In a one-layer scene D = 2, and trace
   of what one grain contributes to rho on average.
 - Friction coefficient and inertial number are NaN where p <= 0.
 - Fields under *Displacement and strain* compare two steps; [`ds.cg.displacement`](displacement.md) computes them.
-- `viscous_number` and `relative_viscosity` need `fluid_viscosity=`. `concentration`, `segregation_flux`,
+- `viscous_number` and `relative_viscosity` need `fluid_viscosity=`, `sliding_share` and
+  `friction_mobilisation` need `friction=`. `concentration`, `segregation_flux`,
   `interphase_force` and `contact_stress_by_pair` need `by=`.
 
 [Theory](theory.md) derives the formulas and lists [variants of definitions](theory.md#variants-of-definitions). [Custom

@@ -298,7 +298,7 @@ TABLE = [
         "test_anisotropies_of_a_plane",
     ),
     Mutation(
-        "fields/formulas/rows/contacts.py", "(d - 1) * s.sliding_contacts", "d * s.sliding_contacts",
+        "fields/formulas/rows/contacts.py", "(d - 1) * s.load_bearing_sliding", "d * s.load_bearing_sliding",
         "test_redundancy_factor_of_a_lattice test_sums_over_contacts_equal_brute_force",
     ),
     Mutation(
@@ -544,6 +544,10 @@ TABLE = [
         "test_pairs_equal_those_of_brute_force",
     ),
     # --- structure and rheology ---
+    Mutation(
+        "fields/formulas/rows/contacts.py", "mean_of(s.force_slopes, s.pushing_contacts) / o.friction",
+        "mean_of(s.force_slopes, s.pushing_contacts)", "test_sums_over_contacts_equal_brute_force",
+    ),
     Mutation(
         "fields/formulas/rows/rheology.py", "low, high = order[first], order[first + 1]",
         "high, low = order[first], order[first + 1]",

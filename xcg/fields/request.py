@@ -151,8 +151,8 @@ class SharedOptions:
         Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and
         ``relative_viscosity``.
     friction : float, optional
-        Coefficient of friction between the grains, for ``redundancy_number``: contacts at Coulomb's
-        limit slide.
+        Coefficient of friction between the grains, for ``redundancy_number``, ``sliding_share`` and
+        ``friction_mobilisation``: contacts at Coulomb's limit slide.
     by_pair : bool
         Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the
         dimension ``other_phase``, the phases and then "wall". Its sum over them is the contact

@@ -204,13 +204,20 @@ def test_numbers_with_units_of_their_own_are_told():
     xcg.register_field("twice", lambda f, s, o: 2 * f.fraction, fields="fraction", units="1")
 
 
+def test_an_own_field_may_take_the_mobilisation_of_friction():
+    xcg.register_field(
+        "unmobilised", lambda f, s, o: 1 - f.friction_mobilisation, fields="friction_mobilisation"
+    )
+    assert xcg.FIELDS["unmobilised"].units == "1"
+
+
 @pytest.mark.parametrize("k", range(3), ids=["length", "mass", "time"])
 @pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
 def test_all_formulas_have_the_dimensions_of_their_units(gradient, k):
     """Fields of moments in a unit half as large are larger by the power of that unit."""
 
     def fields_in(factor):
-        options = Options(gradient=gradient, fluid_viscosity=factor ** (-1, 1, -1)[k])
+        options = Options(gradient=gradient, fluid_viscosity=factor ** (-1, 1, -1)[k], friction=0.4)
         names = registry.listed(registered=False)
         if gradient != "least_squares":
             names = [name for name in names if name not in OF_FITS]

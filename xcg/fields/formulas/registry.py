@@ -29,7 +29,7 @@ from xcg.fields.formulas.rows import (
     orientation,
     rheology,
 )
-from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
+from xcg.fields.sums.moments import MOMENTS, Moment, load_bearing_sliding, sliding_contacts
 from xcg.scene.facts import RENAMED, SETUP
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
@@ -216,8 +216,11 @@ def moments_of(fields: Iterable[str], options: Options) -> dict[str, Moment]:
     """Return the moments needed for some fields, by name: of `MOMENTS`, or of fields from outside xcg."""
     rows = ChainMap({}, *(one.moments for one in options.own), MOMENTS)
     if options.friction is not None:
-        column = partial(sliding_contacts, options.friction)
-        rows["sliding_contacts"] = replace(MOMENTS["sliding_contacts"], column=column)
+        for name, column in (
+            ("sliding_contacts", sliding_contacts),
+            ("load_bearing_sliding", load_bearing_sliding),
+        ):
+            rows[name] = replace(MOMENTS[name], column=partial(column, options.friction))
     return {
         name: rows[name]
         for field in order_of(fields, options)
@@ -469,7 +472,7 @@ def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...
 
 def _try_out(name: str, row: Field) -> _Trial:
     """Return the field, computed from made-up moments."""
-    options = Options(fluid_viscosity=1.0, own=(OwnRow(name, row),))
+    options = Options(fluid_viscosity=1.0, friction=1.0, own=(OwnRow(name, row),))
     moments = _made_up(moments_of((name,), options))
     of_some = {moment: a[:, 2:4] for moment, a in moments.items() if moment != "reference"}
     of_some["reference"] = moments["reference"][2:4]

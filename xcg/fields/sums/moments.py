@@ -61,7 +61,24 @@ def sliding_contacts(friction: float | None, frame: Frame, contacts: Contacts) -
     slides = (contacts.normal_force > 0) & (
         tangential >= AT_LIMIT * friction * contacts.normal_force
     )
-    return (slides & contacts.between_load_bearing).astype(float)
+    return slides.astype(float)
+
+
+def load_bearing_sliding(friction: float | None, frame: Frame, contacts: Contacts) -> NDArray:
+    """Return 1 for each contact between load-bearing grains that slides, else 0; (n,)."""
+    return sliding_contacts(friction, frame, contacts) * contacts.between_load_bearing
+
+
+def pushing_contacts(frame: Frame, contacts: Contacts) -> NDArray:
+    """Return 1 for each contact whose normal force pushes, else 0; (n,)."""
+    return (contacts.normal_force > 0).astype(float)
+
+
+def slopes_of_forces(frame: Frame, contacts: Contacts) -> NDArray:
+    """Return tangential over normal force of each contact that pushes, else 0; (n,)."""
+    tangential = np.linalg.norm(contacts.tangential_force, axis=1)
+    pushes = contacts.normal_force > 0
+    return np.where(pushes, tangential / np.where(pushes, contacts.normal_force, 1.0), 0.0)
 
 
 def branch_length(frame: Frame, contacts: Contacts) -> NDArray:
@@ -389,6 +406,16 @@ MOMENTS: dict[str, Moment] = {
     ),
     "sliding_contacts": _at_contacts(
         _FORCE, "1, where it slides", column=partial(sliding_contacts, None), optional=_NORMAL
+    ),
+    "load_bearing_sliding": _at_contacts(
+        _FORCE, "1, where it slides, between grains of z > 1", column=partial(load_bearing_sliding, None),
+        optional=_NORMAL,
+    ),
+    "pushing_contacts": _at_contacts(
+        _FORCE, "1, where f . n > 0", column=pushing_contacts, optional=_NORMAL
+    ),
+    "force_slopes": _at_contacts(
+        _FORCE, "|f_t| / f . n, where f . n > 0", column=slopes_of_forces, optional=_NORMAL
     ),
     "normals": _at_contacts(
         (), "n n", (3, 3), column=partial(normals, one_a_contact), layout=_SYMMETRIC, optional=_NORMAL,

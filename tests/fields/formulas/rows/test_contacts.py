@@ -18,7 +18,8 @@ ANISOTROPIES = [
 SPLIT = ["strong_contact_stress", "weak_contact_stress"]
 GRAINS = ["load_bearing_number_density", "mechanical_coordination_number", "redundancy_number"]
 DENSITIES = ["contact_number_density", "branch_length_density", "normal_force_density"]
-ALL = [*TENSORS, *ANISOTROPIES, "fabric_stress", *SPLIT, *GRAINS, *DENSITIES]
+SLIDING = ["pushing_contact_number_density", "sliding_share", "friction_mobilisation"]
+ALL = [*TENSORS, *ANISOTROPIES, "fabric_stress", *SPLIT, *GRAINS, *DENSITIES, *SLIDING]
 
 
 # --- distributions with known anisotropies ---------------------------------------------------------------
@@ -177,8 +178,12 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
     z = np.array([len(p) for p in partners])
     load_bearing = z >= 2
     both = load_bearing[i] & (load_bearing[j] | (j < 0))
-    slides = both & (along > 0) & (np.linalg.norm(across, axis=1) >= 0.999 * friction * along)
+    pushes = along > 0
+    mobilised = np.linalg.norm(across, axis=1) / np.where(pushes, friction * along, np.inf)
+    at_limit = mobilised >= 0.999
+    slides = both & at_limit
     assert slides.any()
+    assert not pushes.all()
     assert (both & ~slides).any()
     kernel = BruteKernel("lucy", 0.8, dimension, len(axes)) if axes else None
     grains, contacts = (weights(ds, kernel, f, places, extent) for places in (position, point))
@@ -238,6 +243,9 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
                 "redundancy_number": over(
                     psi @ (both * (dimension - (dimension - 1) * slides)), per_grain * sums
                 ),
+                "pushing_contact_number_density": psi @ pushes,
+                "sliding_share": over(psi @ at_limit, psi @ pushes),
+                "friction_mobilisation": over(psi @ mobilised, psi @ pushes),
             }  # fmt: skip
         for name, value in expected.items():
             close(g[name], value, name)
@@ -309,6 +317,14 @@ def test_redundancy_factor_of_a_lattice():
         ds.cg.coarse_grain("redundancy_number", friction=-1)
 
 
+@pytest.mark.parametrize("name", ["sliding_share", "friction_mobilisation"])
+def test_mobilised_friction_needs_its_coefficient(name):
+    ds = xcg.datasets.random_scene(60, seed=12)
+    with pytest.raises(ValueError, match=f"{name} needs the argument friction="):
+        ds.cg.coarse_grain(name)
+    assert ds.cg.coarse_grain(name, axes="", friction=0.4)[name].notnull().all()
+
+
 @pytest.mark.parametrize("lattice", [xcg.datasets.simple_cubic, xcg.datasets.face_centred_cubic])
 def test_equal_forces_are_all_weak(lattice):
     """Normal forces that are the same but for rounding, on either side of their mean."""
@@ -344,6 +360,10 @@ def test_averages_are_ratios_of_averaged_sums():
         n_c.mean("time") > 0
     )
     xr.testing.assert_allclose(mean.contact_fabric, total.transpose(*mean.contact_fabric.dims))
+    pushing = f.pushing_contact_number_density
+    slides = (f.sliding_share.fillna(0.0) * pushing).mean("time")
+    share = (slides / pushing.mean("time")).where(pushing.mean("time") > 0)
+    xr.testing.assert_allclose(mean.sliding_share, share.transpose(*mean.sliding_share.dims))
     lazy = ds.chunk(time=1).cg.coarse_grain(ALL, by="species", width=0.9, spacing=0.8, friction=0.4)
     assert lazy.contact_fabric.chunks is not None
     xr.testing.assert_equal(lazy.compute(), f[list(lazy)])

@@ -63,7 +63,7 @@ def _redundancy(f: Any, s: Any, o: Options) -> NDArray:
     d = o.dimension
     constraints = o.dimension * s.load_bearing_contacts
     if o.sliding:
-        constraints = constraints - (d - 1) * s.sliding_contacts
+        constraints = constraints - (d - 1) * s.load_bearing_sliding
     return ratio(constraints, d * (d + 1) / 2 * s.load_bearing)
 
 
@@ -242,6 +242,28 @@ _ROWS: dict[str, Field] = {
         moments=("load_bearing_contacts", "load_bearing"),
         weight="load_bearing_number_density",
     ),
+    "pushing_contact_number_density": sum_of(
+        "pushing_contacts",
+        units="m^-3",
+        long_name="number density of contacts that push",
+        formula="sum_c Psi(r - c) over f.n > 0",
+    ),
+    "sliding_share": mean_of_sums(
+        "sliding_contacts",
+        "pushing_contacts",
+        long_name="share of contacts that slide, of contacts that push",
+        formula="sum_c s_c Psi(r - c) / sum_c Psi(r - c) over f.n > 0, s_c = 1 if |f_t| = friction f.n",
+        weight="pushing_contact_number_density",
+        option="friction",
+    ),
+    "friction_mobilisation": Field(
+        long_name="mean mobilisation of the friction of contacts that push",
+        formula="sum_c |f_t| / (friction f.n) Psi(r - c) / sum_c Psi(r - c) over f.n > 0",
+        compute=lambda f, s, o: mean_of(s.force_slopes, s.pushing_contacts) / o.friction,
+        moments=("force_slopes", "pushing_contacts"),
+        weight="pushing_contact_number_density",
+        option="friction",
+    ),
     "interphase_force": sum_of(
         "pair_force",
         rank=1,
@@ -287,7 +309,7 @@ WAYS: dict[str, tuple[str, dict[Any, Field]]] = {
         {
             True: replace(
                 ROWS["redundancy_number"],
-                moments=("load_bearing_contacts", "sliding_contacts", "load_bearing"),
+                moments=("load_bearing_contacts", "load_bearing_sliding", "load_bearing"),
             ),
         },
     ),
