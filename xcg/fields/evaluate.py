@@ -389,7 +389,9 @@ def _variation_of_flow(
     powers = [np.ones((len(mass), 1))]
     powers += [places[:, [k]] ** np.arange(1, 4) for k in plan.options.plane]
     columns = root * np.concatenate(powers, axis=1)
-    terms = np.linalg.lstsq(columns, root * (velocity - of_box), rcond=None)[0]
+    # normal equations: an orthogonal fit takes longer than the stress, and the columns are of one size
+    right = columns.T @ (root * (velocity - of_box))
+    terms = np.linalg.lstsq(columns.T @ columns, right, rcond=None)[0]
     flow = np.concatenate(powers, axis=1) @ terms
     noise = float((mass[:, None] * (velocity - of_box - flow) ** 2).sum()) / count
     smeared = 0.0
