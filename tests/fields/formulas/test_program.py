@@ -199,7 +199,11 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
             gradient=gradient, deviatoric=deviatoric, temperature=temperature, friction=friction, size=size,
             diameter=1.0, shape=(5, 1, 1), spacing=(1.0, 0.0, 0.0), fluid_viscosity=1.0, by="species", lag=1,
         )  # fmt: skip
-        names = tuple(registry._ROWS)
+        names = tuple(
+            name
+            for name in registry._ROWS
+            if friction is not None or registry.row(name, options).option != "friction"
+        )
         for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
             if temperature == "mixture" and phases.stop:
                 continue

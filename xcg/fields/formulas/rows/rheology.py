@@ -171,14 +171,16 @@ ROWS: dict[str, Field] = {
     ),
     "stress_strain_rate_angle": Field(
         long_name="angle between the axes of largest stress and of fastest compression, in radians",
-        formula="angle of the major axes of sigma and -Gamma, at most a right one, in shear_dims if set; NaN without such axes",
+        formula="angle of the major axes of sigma and -Gamma, at most a right one, in shear_dims if set; "
+        "NaN without such axes",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, -f.shear_rate_tensor, o),
         fields=("stress", "shear_rate_tensor"),
         default=False,
     ),
     "stress_fabric_angle": Field(
         long_name="angle between the axes of largest stress and of most contacts, in radians",
-        formula="angle of the major axes of sigma and <n n>, at most a right one, in shear_dims if set; NaN without such axes",
+        formula="angle of the major axes of sigma and <n n>, at most a right one, in shear_dims if set; "
+        "NaN without such axes",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, f.contact_fabric, o),
         fields=("stress", "contact_fabric"),
         default=False,
