@@ -36,8 +36,8 @@ def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
 
     Nearly every map has such fields among those that come by default: these say it by an attribute.
     """
-    support = support_of(scene, plan)
-    if support is None or not named:
+    support = support_of(scene, plan) if named else None
+    if support is None:
         return ""
     floors = floors_of(plan, support)
     large = [name for name, (floor, usual) in floors.items() if floor > _CONSIDERABLE * usual]
@@ -126,8 +126,8 @@ def lost_share(scene: Description, plan: Plan) -> float:
     takes = any(
         takes_stress_of_step(registry.row(name, plan.options), plan.options) for name in plan.asked
     )
-    support = support_of(scene, plan)
-    if not takes or support is None:
+    support = support_of(scene, plan) if takes else None
+    if support is None:
         return 0.0
     return 1.0 / support.grains
 
@@ -148,6 +148,8 @@ def text_of_floors(scene: Description, plan: Plan) -> str | None:
 
 def describe_floors(scene: Description, plan: Plan) -> dict[str, str]:
     """Return the floor of each requested field that has one, in words, for its attributes."""
+    if all(registry.row(name, plan.options).floor is None for name in plan.asked):
+        return {}
     support = support_of(scene, plan)
     if support is None:
         return {}
