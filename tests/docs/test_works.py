@@ -5,6 +5,7 @@ import runpy
 import numpy as np
 import pytest
 
+from docs import lattice
 from tests import ROOT
 
 
@@ -28,3 +29,23 @@ def test_an_erodible_bed_speeds_up_from_above_and_heats_up_from_below():
     assert first["kernel"].interp(z=11.0) > 2 * first["kernel"].interp(z=2.0)
     speed = f.velocity.sel(component="x").interp(z=8.0)
     assert speed[-9:].mean() > 2 * speed[:9].mean()
+
+
+def test_fields_of_the_strained_lattice_are_its_closed_forms():
+    ds, closed = lattice.lattice(), lattice.exact()
+    wide = lattice.at_point(ds, "lucy", 3 * lattice.DIAMETER)
+    for name, value in closed.items():
+        assert wide[name] == pytest.approx(value, rel=1e-5, abs=1e-6), name
+    spread = lattice.second_moment(lattice.KERNELS[0](3 * lattice.DIAMETER, dimension=3))
+    flow = closed["volume_fraction"] * lattice.DENSITY * lattice.RATE**2 * spread
+    assert wide["kinetic_stress"] == pytest.approx(flow, rel=1e-4)
+    # contacts by centres of grains: of a step function, a part is lost
+    kernel = lattice.KERNELS[2](3 * lattice.DIAMETER, dimension=3)
+    assert lattice.by_centres(ds, kernel) < 0.96 * closed["contact_stress"]
+
+
+@pytest.mark.parametrize("program", [lattice.mercury, lattice.lammps])
+def test_nodes_of_other_programs_have_what_they_printed(program):
+    printed = program()
+    for name, values in printed.sweep(np.array([printed.width])).items():
+        assert values == pytest.approx(printed.fields[name], rel=1e-11), name
