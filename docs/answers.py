@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pyvista
+import xarray as xr
 from matplotlib import pyplot as plt
 from PIL import Image
 
@@ -39,6 +40,26 @@ def flow() -> None:
     mean = ds.cg.coarse_grain(axes="z").cg.time_average()
     mean.cg.plot("velocity", component="x")
     save("average")
+
+
+def compare() -> None:
+    """Draw the difference of two runs, and a law of discharge, as the page does."""
+    ds = xcg.datasets.open("plane_shear")
+    fields = ["density", "velocity"]
+    a = ds.isel(time=slice(0, 8)).cg.coarse_grain(fields, axes="z").cg.time_average()
+    b = ds.isel(time=slice(8, 17)).cg.coarse_grain(fields, like=a).cg.time_average()
+    xcg.compare(a, b).cg.plot("velocity", component="x")
+    save("compare")
+    rates = []
+    for opening in (4, 5, 6):
+        q = xcg.datasets.open(f"hopper_{opening}").cg.flow_rate(xcg.Plane((9, 0, 6), (0, 0, -1)))
+        rates.append(q.cg.time_average().assign_coords(opening=float(opening)))
+    constants = {"density": 0.9 * 4, "diameter": 1.0, "gravity": 1.0, "exponent": 1.5}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", xcg.SceneWarning)  # three points for two parameters
+        law = xr.concat(rates, "opening").cg.fit_law("beverloo", constants=constants)
+    law.cg.plot()
+    save("beverloo")
 
 
 def heap() -> None:
@@ -87,7 +108,7 @@ def main() -> None:
     """Draw all pictures."""
     warnings.simplefilter("ignore")
     legible({}, "")
-    for draw in (flow, heap, biaxial, view):
+    for draw in (flow, compare, heap, biaxial, view):
         draw()
 
 

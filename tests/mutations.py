@@ -637,6 +637,18 @@ TABLE = [
         "test_parameters_are_within_two_errors_in_95_of_100_draws",
     ),
     Mutation(
+        "analysis/fit_law.py", "(2 * step[k])", "step[k]",
+        "test_the_band_of_a_line_is_that_of_its_formula",
+    ),
+    Mutation(
+        "analysis/compare.py", "of_before**2 + of_after**2", "of_after**2 - of_before**2",
+        "test_the_difference_of_repeated_runs_scatters_by_its_error",
+    ),
+    Mutation(
+        "analysis/compare.py", "of_before * after * scale", "of_before",
+        "test_the_relative_error_is_that_of_the_ratio",
+    ),
+    Mutation(
         "analysis/fit_law.py", "(2 * step)", "step", "test_errors_of_x_count_by_the_slope_of_the_law",
     ),
     Mutation(

@@ -6,6 +6,7 @@ from .analysis.balance import balance
 from .analysis.bond_order import bond_order
 from .analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from .analysis.chain_selection import BoxRegion, Region, Sphere, select_chains
+from .analysis.compare import compare
 from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
 from .analysis.correlations import spatial_correlation, time_correlation
@@ -90,6 +91,7 @@ __all__ = [
     "choose_width",
     "coarse_grain",
     "coarsen",
+    "compare",
     "contact_graph",
     "contact_history",
     "contact_value",

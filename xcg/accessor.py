@@ -39,6 +39,9 @@ _OTHER_NAMES = {
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
+    "difference": "compare",
+    "subtract": "compare",
+    "minus": "compare",
     "principal_stress": "principal",
     "eigenvalues": "principal",
     "slope": "fit_slope",
@@ -189,6 +192,7 @@ class CoarseGrainAccessor:
     spatial_correlation = Method("xcg.analysis.correlations", RESULT)
     time_correlation = Method("xcg.analysis.correlations", RESULT)
     free_surface = Method("xcg.analysis.shallow", RESULT)
+    compare = Method("xcg.analysis.compare", RESULT)
     fit_law = Method("xcg.analysis.fit_law", RESULT)
     fit_slope = Method("xcg.analysis.shallow", RESULT)
     plot = Method("xcg.analysis.plots", SCENE, RESULT)

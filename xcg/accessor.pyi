@@ -9,6 +9,7 @@ from xcg.analysis.balance import balance
 from xcg.analysis.bond_order import bond_order
 from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from xcg.analysis.chain_selection import select_chains
+from xcg.analysis.compare import compare
 from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
 from xcg.analysis.correlations import spatial_correlation, time_correlation
@@ -109,6 +110,7 @@ class CoarseGrainAccessor:
     spatial_correlation = _Bound(spatial_correlation)
     time_correlation = _Bound(time_correlation)
     free_surface = _Bound(free_surface)
+    compare = _Bound(compare)
     fit_law = _Bound(fit_law)
     fit_slope = _Bound(fit_slope)
     plot = _Bound(plot)

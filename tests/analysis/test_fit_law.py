@@ -242,3 +242,37 @@ def test_points_without_an_error_among_others_are_left_out_with_a_warning():
     with pytest.warns(xcg.SceneWarning, match="1 of 24 points have no standard error"):
         fit = xcg.fit_law(_result("phi_of_I", x, y, volume_fraction=sigma), "phi_of_I")
     assert int(fit.point_count) == 23
+
+
+def test_the_band_of_a_line_is_that_of_its_formula():
+    """The variance of a + b x is C_aa + 2 x C_ab + x^2 C_bb."""
+    rng = np.random.default_rng(2)
+    x = np.linspace(1.0, 3.0, 20)
+    f = xr.Dataset({"q": ("z", x), "g": ("z", 2 + 3 * x + rng.normal(0, 0.1, 20))})
+    f = f.assign(g_error=("z", np.full(20, 0.1)))
+    fit = xcg.fit_law(f, lambda x, a, b: a + b * x, x="q", y="g")
+    places, c = fit.curve_x.to_numpy(), fit.covariance.to_numpy()
+    np.testing.assert_allclose(fit.curve, fit.a.item() + fit.b.item() * places)
+    variance = c[0, 0] + 2 * places * c[0, 1] + places**2 * c[1, 1]
+    np.testing.assert_allclose(fit.curve_error, variance**0.5, rtol=1e-6)
+    np.testing.assert_array_equal(fit.fit_y, f.g)
+    np.testing.assert_array_equal(fit.fit_y_error, f.g_error)
+
+
+def test_the_picture_of_a_fit_has_points_curve_and_band():
+    plt = pytest.importorskip("matplotlib.pyplot")
+    numbers = np.geomspace(1e-3, 0.5, 12)
+    mu = 0.38 + (0.64 - 0.38) / (1 + 0.28 / numbers) * (1 + 0.01 * (-1.0) ** np.arange(12))
+    f = xr.Dataset({"inertial_number": ("z", numbers), "friction_coefficient": ("z", mu)})
+    fit = xcg.fit_law(f, "mu_of_I")
+    ax = fit.cg.plot()
+    points, curve = ax.lines
+    np.testing.assert_array_equal(points.get_ydata(), mu)
+    assert len(curve.get_xdata()) == 200
+    x = curve.get_xdata()
+    law = fit.mu_s.item() + (fit.mu_2 - fit.mu_s).item() / (1 + fit.I_0.item() / x)
+    np.testing.assert_allclose(curve.get_ydata(), law)
+    assert ax.get_xscale() == "log"
+    assert "inertial number" in ax.get_xlabel()
+    assert len(ax.collections) >= 1
+    plt.close("all")

@@ -813,3 +813,11 @@ def test_a_scene_without_contacts_raises():
     ds = xcg.datasets.random_scene(20, seed=1)
     with pytest.raises(xcg.SceneError, match="wall_stress needs"):
         ds.drop_vars("contact_force").cg.wall_stress(FLOOR)
+
+
+def test_rates_of_flow_are_averaged_over_time_with_their_errors():
+    q = xcg.datasets.open("hopper_6").cg.flow_rate(xcg.Plane((9, 0, 6), (0, 0, -1)))
+    mean = q.cg.time_average().compute()
+    rate = q.mass_flow_rate.to_numpy()
+    assert mean.mass_flow_rate.item() == pytest.approx(rate.mean())
+    assert mean.mass_flow_rate_error.item() >= 0.99 * rate.std(ddof=1) / len(rate) ** 0.5

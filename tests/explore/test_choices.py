@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from xcg.explore.choices import MOST_GRAINS, NODES_OF_ERRORS, Choice, pictures_of
@@ -154,11 +155,19 @@ def test_errors_are_those_of_choose_width():
     found = pictures.errors(choice)
     np.testing.assert_allclose(found["total"], np.hypot(found["bias"], found["noise"]), rtol=1e-12)
     spacing = np.ptp(pictures.range_of("z")) / NODES_OF_ERRORS["profile"]
-    expected = ds.isel(time=[1, 2]).cg.choose_width(
-        "velocity", axes="z", frames=1, sample=2, spacing=spacing
-    )
+    expected = ds.isel(time=[1]).cg.choose_width("velocity", axes="z", frames=1, spacing=spacing)
     np.testing.assert_array_equal(found["noise"], expected["velocity_noise"])
     np.testing.assert_allclose(found["width"], expected["width"] / pictures.size, rtol=1e-12)
+
+
+def test_a_pressure_that_rises_in_time_is_no_noise():
+    """Errors of a step do not depend on the next one."""
+    ds = xcg.datasets.open("plane_shear").isel(time=[3, 4]).load()
+    rising = ds.assign(contact_force=ds.contact_force * xr.DataArray([1.0, 2.0], dims="time"))
+    choice = Choice("pressure", "profile", ("z",))
+    errors = [pictures_of(scene).errors(choice) for scene in (ds, rising)]
+    assert set(errors[0]) == {"width", "bias with noise"}
+    np.testing.assert_array_equal(errors[0]["bias with noise"], errors[1]["bias with noise"])
 
 
 def test_a_field_without_an_error_of_one_step_still_has_a_bias():

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -15,14 +15,21 @@ from numpy.typing import NDArray
 
 from xcg.analysis.laws import LAWS, Law
 from xcg.analysis.shallow import nodes_a_support
+from xcg.common import drawing
 from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import call_of, provenance
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 # rounds of the effective variance: each takes the slope of the law from the fit before
 _ROUNDS = 4
+_SMOOTH = 200  # places of a curve
+_LOGARITHMIC = 10.0  # last over first x, from which a curve is drawn over a logarithm
+CURVE = "curve"  # variable of a fit that pictures draw
 _FREEDOM = 3  # degrees of freedom below which a warning is given
 
 
@@ -63,7 +70,10 @@ def fit_law(
         Each parameter and its standard error by name (``mu_s``, ``mu_s_error``, ...),
         ``covariance`` (parameter, other_parameter), ``chi_squared``, the sum of squared residuals
         over squared errors (NaN without errors), ``degrees_of_freedom``, ``point_count``, and
-        ``fitted``, the law at each `x`. The attribute ``law`` names the law that was fitted and
+        ``fitted``, the law at each `x`. ``curve`` (curve_x) is the law at 200 places between the
+        ends of `x`, and ``curve_error`` its standard error; ``fit_x``, ``fit_y``, ``fit_x_error``
+        and ``fit_y_error`` are the points that were fitted. ``law.cg.plot()`` draws them.
+        The attribute ``law`` names the law that was fitted and
         ``formula`` has its formula.
 
     Raises
@@ -165,6 +175,7 @@ def fit_law(
     if "units" in f[row.y].attrs:
         curve.attrs["units"] = f[row.y].attrs["units"]
     data["fitted"] = curve
+    data |= _drawn(points, fit, f[row.x], f[row.y])
     of_parameters = ("parameter", "other_parameter")
     result = xr.Dataset(data, {dim: list(fit.names) for dim in of_parameters})
     if not isinstance(law, str):
@@ -193,6 +204,85 @@ def _parameters(fit: _Fit, row: Law, count: int, system: str) -> dict[str, Any]:
     about = {"long_name": "covariance"}
     data["covariance"] = (("parameter", "other_parameter"), fit.covariance, about)
     return data
+
+
+def _drawn(
+    points: _Points, fit: _Fit, of_x: xr.DataArray, of_y: xr.DataArray
+) -> dict[str, xr.Variable]:
+    """Return the points of a fit and its curve with standard errors, for pictures."""
+    low, high = float(points.x.min()), float(points.x.max())
+    places = np.linspace(low, high, _SMOOTH)
+    if low > 0 and high > _LOGARITHMIC * low:
+        places = np.geomspace(low, high, _SMOOTH)
+    values = fit.values
+    curve = fit.function(places, *values)
+    # derivatives by each parameter, by central differences
+    slopes = np.empty((len(values), len(places)))
+    for k, deviation in enumerate(fit.errors):
+        step = np.zeros(len(values))
+        step[k] = 1e-4 * deviation if 0 < deviation < np.inf else 1e-6 * max(1.0, abs(values[k]))
+        above, below = (fit.function(places, *(values + sign * step)) for sign in (1, -1))
+        slopes[k] = (above - below) / (2 * step[k])
+    error = np.sqrt(np.einsum("kn,kl,ln->n", slopes, fit.covariance, slopes).clip(0))
+    columns = {
+        "curve_x": ("curve_x", places, of_x),
+        "curve": ("curve_x", curve, of_y),
+        "curve_error": ("curve_x", error, of_y),
+        "fit_x": ("fit_point", points.x, of_x),
+        "fit_y": ("fit_point", points.y, of_y),
+        "fit_x_error": ("fit_point", points.x_error, of_x),
+        "fit_y_error": ("fit_point", points.y_error, of_y),
+    }
+    data = {}
+    for name, (dim, numbers, source) in columns.items():
+        text = drawing.long_name_of(source, str(source.name))
+        if name.endswith("_error"):
+            text = f"standard error of {text}"
+        about = {"long_name": text}
+        if "units" in source.attrs:
+            about["units"] = source.attrs["units"]
+        data[name] = xr.Variable(dim, numbers, about)
+    return data
+
+
+def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
+    """Draw the points of a fit, the law, and its band of one standard error.
+
+    Parameters
+    ----------
+    fit : xarray.Dataset
+        What `fit_law` returned.
+    ax : matplotlib.axes.Axes
+        Where to draw.
+    **options
+        For the line of matplotlib.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    x, y = fit["fit_x"].to_numpy(), fit["fit_y"].to_numpy()
+    x_error, y_error = (fit[f"fit_{axis}_error"].to_numpy() for axis in "xy")
+    errors: dict[str, Any] = {}
+    if np.isfinite(y_error).all():
+        errors["yerr"] = y_error
+    if x_error.any():
+        errors["xerr"] = x_error
+    ax.errorbar(x, y, **errors, fmt="o", color="C0", label="points")
+    numbers = []
+    for name in map(str, fit["parameter"].to_numpy()):
+        numbers.append(f"{name} = {float(fit[name]):.3g} ± {float(fit[f'{name}_error']):.2g}")
+    label = "\n".join([fit.attrs["law"], *numbers])
+    places, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
+    (line,) = ax.plot(places, curve, **{"color": "black", "label": label, **options})
+    error = fit["curve_error"].to_numpy()
+    ax.fill_between(places, curve - error, curve + error, color=line.get_color(), alpha=0.2, lw=0)
+    if places[0] > 0 and places[-1] > _LOGARITHMIC * places[0]:
+        ax.set_xscale("log")
+    drawing.set_label(ax.xaxis, drawing.label_of(fit["fit_x"], "fit_x"))
+    drawing.set_label(ax.yaxis, drawing.label_of(fit["fit_y"], "fit_y"))
+    ax.legend()
+    return ax
 
 
 def _law_of(law: str | Callable[..., NDArray], x: str | None, y: str | None) -> Law:

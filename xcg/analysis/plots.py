@@ -6,7 +6,7 @@ import inspect
 import os
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
@@ -15,7 +15,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.compare import COMPARED, ERROR
 from xcg.analysis.film import Film
+from xcg.analysis.fit_law import CURVE, draw_fit
 from xcg.analysis.grain_plots import draw_grains
 from xcg.common import drawing
 from xcg.common.checks import POSITIVE, check, check_choice, extra
@@ -43,7 +45,6 @@ FRAME = (7.0, 5.0)  # inches of a movie
 _DENSITIES = ("sample_count", "density", "volume_fraction", "number_density")
 _ARROW = "arrow_"
 _AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
-ERROR = "_error"  # what `time_average` adds to the name of a field
 
 
 def plot(
@@ -74,6 +75,10 @@ def plot(
     z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume, the slice in the
     middle of its shortest axis is drawn.
 
+    Of a comparison (`compare`) both values and the difference are drawn, side by side in maps, and
+    one above the other in profiles. Of a fit (`fit_law`) the points, the law and its band of one
+    standard error are drawn.
+
     Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
     Their colours show a variable of the particles.
 
@@ -101,7 +106,7 @@ def plot(
         "smooth" interpolates linearly between the nodes of a map that are known; "flat" gives each
         node one colour.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
+        Where to draw; a new figure by default. Of a comparison only the difference is drawn there.
     cmap : str, optional
         Colours of a map, by the names of matplotlib. By default "viridis", or "RdBu_r" with white
         for zero where both signs matter: of the 2nd and the 98th percentile of the numbers that are
@@ -128,8 +133,8 @@ def plot(
     TypeError
         If matplotlib has no such option.
     ValueError
-        If the result has no such field, no axes to draw along, or a part has to be named, or an
-        argument is wrong.
+        If the result has no such field, no axes to draw along, a part has to be named, a standard
+        error is negative, or an argument is wrong.
 
     Examples
     --------
@@ -148,8 +153,23 @@ def plot(
             raise TypeError(f"plot: {error}") from None
         drawing.set_title(ax, _title(picture))
         return ax
+    if CURVE in f:
+        return draw_fit(f, ax or drawing.new_axes(), **options)
     choice = _Shown(field, component, direction, phase, at, arrows, shading)
-    frames = _Frames.of([choice.picture(f, index)], shading, ends, options)
+    if COMPARED in f.attrs and ax is None:
+        return _plot_compared(f, choice, index, ends, options)
+    return _plot_step(choice.picture(f, index), shading, ax, ends, options)
+
+
+def _plot_step(
+    numbers: xr.Dataset,
+    shading: Shading,
+    ax: Axes | None,
+    ends: Mapping[str, Any],
+    options: Mapping[str, Any],
+) -> Axes:
+    """Draw the numbers of one step."""
+    frames = _Frames.of([numbers], shading, ends, options)
     (picture,) = frames.pictures
     ax = ax or drawing.new_axes(ratio=frames.ratio)
     try:
@@ -158,6 +178,56 @@ def plot(
         raise TypeError(f"plot: {error}") from None
     drawing.set_title(ax, _title(picture))
     return ax
+
+
+def _plot_compared(
+    f: xr.Dataset,
+    choice: _Shown,
+    index: int,
+    ends: Mapping[str, Any],
+    options: Mapping[str, Any],
+) -> Axes:
+    """Draw both values of a comparison and their difference in a new figure; return the last axes."""
+    name = choice.field or f.attrs[COMPARED][0]
+    if name not in f.attrs[COMPARED]:
+        return _plot_step(choice.picture(f, index), choice.shading, None, ends, options)
+    choice = replace(choice, field=name)
+    before, after = (choice.picture(_side_of(f, side), index) for side in ("a", "b"))
+    # the difference of densities is zero where both runs have the same, and not in air alone
+    others = [other for other in _DENSITIES if other != name]
+    difference = choice.picture(f.drop_vars(others, errors="ignore"), index)
+    pyplot = extra("matplotlib.pyplot", "plot", "drawing")
+    wide, high = pyplot.rcParams["figure.figsize"]
+    if len(axes_of(difference)) == 1:
+        figure, axes = pyplot.subplots(1, 2, figsize=(1.6 * wide, high), layout="constrained")
+        runs = xr.concat([before, after], xr.Variable("run", ["a", "b"]), combine_attrs="override")
+        _plot_step(runs, choice.shading, axes[0], ends, options)
+        _plot_step(difference, choice.shading, axes[1], ends, options)
+        zero = axes[1].axhline
+        if axes_of(difference) == ["z"]:
+            zero = axes[1].axvline
+        zero(0.0, color="0.5", lw=0.8, zorder=0)
+    else:
+        frames = _Frames.of([after, before], choice.shading, ends, options)
+        wide, high = drawing.size_of_figure((wide, high), frames.ratio or 1.0)
+        figure, axes = pyplot.subplots(1, 3, figsize=(2.6 * wide, high), layout="constrained")
+        frames.draw(before, axes[0])
+        frames.draw(after, axes[1])  # with the colour bar of both
+        _plot_step(difference, choice.shading, axes[2], dict.fromkeys(ends), {})
+        axes[1].set_title("b")
+    axes[0].set_title("a" if len(axes) == 3 else "a and b")
+    axes[-1].set_title("b \N{MINUS SIGN} a")
+    if title := _title(difference):
+        figure.suptitle(title)
+    return axes[-1]
+
+
+def _side_of(f: xr.Dataset, side: str) -> xr.Dataset:
+    """Return the values of one side of a comparison under the names of their fields."""
+    names: dict[str, str] = {}
+    for name in f.attrs[COMPARED]:
+        names |= {f"{name}_{side}{end}": f"{name}{end}" for end in ("", ERROR)}
+    return f[[name for name in names if name in f]].rename({n: names[n] for n in names if n in f})
 
 
 # Options of other plotting functions, with what to do in place of them.
@@ -625,6 +695,8 @@ class _Frames:
         """
         name = pictures[0].attrs["drawn"]
         axes = axes_of(pictures[0])
+        for picture in pictures:
+            _check_errors(picture)
         values = _known(picture[name] for picture in pictures)
         drawn = values
         note = ""
@@ -784,6 +856,16 @@ class _Frames:
             scale=self.fastest / apart,
             width=0.006,
         )
+
+
+def _check_errors(picture: xr.Dataset) -> None:
+    """Raise ValueError if a standard error is negative: it is the difference of two errors."""
+    for name in picture:
+        if str(name).endswith(ERROR) and bool((picture[name] < 0).any()):
+            raise ValueError(
+                f"plot: {name} is negative, {float(picture[name].min()):.3g} at its lowest, and no "
+                "standard error is: b - a subtracts errors, too; xcg.compare(a, b) adds them in squares"
+            )
 
 
 def _fastest(picture: xr.Dataset) -> float:

@@ -175,6 +175,7 @@ def _rate(
     rate = sum((flux[name] for name in names[1:]), start=flux[names[0]]).drop_attrs(deep=False)
     rate.attrs["units"] = units_in(_UNITS[flow], scene.setup.unit_system)
     rate.attrs["long_name"] = f"flow rate of {flow} along the normal"
+    rate.attrs["source"] = "velocity"  # a sum over particles, which averages take as it is
     comments = []
     if flow in ("momentum", "energy") and "contact_force" not in scene.columns:
         comments.append("carried by particles alone, as the scene holds no contact forces")

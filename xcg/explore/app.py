@@ -39,8 +39,7 @@ def explore(ds: xr.Dataset) -> Explorer:
     Parameters
     ----------
     ds : xarray.Dataset
-        A scene or a result, lazy or in memory. Only the step that is shown is read and computed;
-        the errors also take the next one.
+        A scene or a result, lazy or in memory. Only the step that is shown is read and computed.
 
     Returns
     -------

@@ -325,21 +325,21 @@ class ScenePictures(Pictures):
     def errors(self, choice: Choice) -> dict[str, NDArray]:
         """Return bias, noise and total error of one step against ``width`` (in d43), by name.
 
-        They are as in `choose_width`. The noise of a field without an error of a single step
-        comes from this step and the next one. A scene of one step has ``bias with noise``: the bias
-        of `width_sweep`, which the noise of few grains adds to.
+        They are as in `choose_width`, of the scatter of grains about the mean at each node. A field
+        without such an error, as stress and density, has ``bias with noise``: the bias of
+        `width_sweep`, which the noise of few grains adds to.
         """
-        steps = self._read(max(0, min(choice.time, self.steps - 2)), 2)
+        step = self._step(choice.time)
         request = self._request(choice)
         names = {"axes", "at", "extent"}
         nodes = {key: value for key, value in request.items() if key in names}
         far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
         nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
-        if self.steps > 1 or f"{choice.field}_error" in FIELDS:
-            sweep = choose_width(steps, choice.field, frames=1, sample=2, **nodes)
+        if f"{choice.field}_error" in FIELDS:
+            sweep = choose_width(step, choice.field, frames=1, **nodes)
             parts = {part: sweep[f"{choice.field}_{part}"] for part in ("bias", "noise", "total")}
         else:
-            sweep = width_sweep(steps, SWEPT, [choice.field, "number_density"], **nodes)
+            sweep = width_sweep(step, SWEPT, [choice.field, "number_density"], **nodes)
             bias = sweep[f"{choice.field}_bias"]
             field = sweep[choice.field]
             weight = sweep["number_density"].where(field.notnull() & bias.notnull(), 0.0)

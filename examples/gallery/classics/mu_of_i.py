@@ -36,11 +36,9 @@ points = {"friction_coefficient": ("run", mu), "friction_coefficient_error": ("r
 fit = xcg.fit_law(xr.Dataset(points, {"inertial_number": ("run", number)}), "mu_of_I_line")
 da_cruz = 0.25 + 1.1 * np.array(number)
 
-fig, ax = plt.subplots()
-I = np.geomspace(0.01, 0.4, 100)
-ax.errorbar(number, mu, error, fmt="o", label="simulation")
-ax.semilogx(number, fit.fitted, "k-", label="line, fitted")
-ax.semilogx(I[I < 0.25], 0.25 + 1.1 * I[I < 0.25], "k--", label="da Cruz et al.")
+ax = fit.cg.plot()
+I = np.geomspace(0.01, 0.25, 100)
+ax.semilogx(I, 0.25 + 1.1 * I, "k--", label="da Cruz et al.")
 ax.set(
     xlabel="inertial number $I$",
     ylabel=r"friction $\mu$",
