@@ -273,6 +273,13 @@ def test_a_trend_warns_where_it_exceeds_three_of_its_errors():
         }  # fmt: skip
 
 
+def test_errors_of_equal_lazy_averages_have_equal_names():
+    """Their tasks hold what the warnings say, not the graphs of all errors."""
+    f = as_result(np.random.default_rng(4).normal(size=(8, 5))).chunk(time=4)
+    names = [f.cg.time_average().density_error.data.name for _ in range(2)]
+    assert names[0] == names[1]
+
+
 @pytest.mark.parametrize("steps", [8, 24, 64])
 def test_steady_series_are_silent(steps):
     """Warnings are errors here: thousands of nodes, few blocks, and fields that do not change at all."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -503,10 +504,8 @@ class _Steadiness:
         if growth is None:
             growth = xr.zeros_like(drift)
 
-        def warn(values: NDArray, drift: NDArray, growth: NDArray) -> NDArray:
-            self._warn(name, float(np.max(drift)), float(np.max(growth)))
-            return values
-
+        # without the blocks: their graph would be pickled for each name
+        warn = partial(_warned, self.call, name, self.steps, self.blocks.number)
         attrs = error.attrs
         error = xr.apply_ufunc(
             warn, error, drift.variable, growth.variable, dask="parallelized", output_dtypes=[float]
@@ -541,24 +540,37 @@ class _Steadiness:
         count = known.sum(nodes)
         return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
 
-    def _warn(self, name: str, drift: float, growth: float) -> None:
-        if drift > 0.5:
-            self.call.warn(
-                "drift",
-                f"time_average: {name} changes over the {self.steps} steps by more than three errors of this change "
-                f"at {100 * drift:.0f} % of the nodes, so that mean and error depend on where the series starts: leave "
-                f"its start out, f.isel(time=slice({(self.steps + 1) // 2}, None)).cg.time_average(), or take moving "
-                f"windows, time_average({max(self.steps // 4, 1)})",
-            )
-        if growth > 0.5:
-            length = self.steps // (2 * self.blocks.number)
-            self.call.warn(
-                "plateau",
-                f"time_average: the error of {name} is too small at {100 * growth:.0f} % of the nodes: it still grows "
-                f"from blocks of {length} steps to blocks of {2 * length}, as steps are repeated or correlated over "
-                "longer times. Average over a longer series, or leave repeated steps out, f.isel(time=slice(None, "
-                f"None, {2 * length}))",
-            )
+
+def _warned(
+    call: Once,
+    name: str,
+    steps: int,
+    blocks: int,
+    errors: NDArray,
+    drift: NDArray,
+    growth: NDArray,
+) -> NDArray:
+    """Return the errors of a field; warn if most nodes have a drift or no plateau of the error."""
+    share_of_drift = float(np.max(drift))
+    share_of_growth = float(np.max(growth))
+    if share_of_drift > 0.5:
+        call.warn(
+            "drift",
+            f"time_average: {name} changes over the {steps} steps by more than three errors of this change "
+            f"at {100 * share_of_drift:.0f} % of the nodes, so that mean and error depend on where the series starts: "
+            f"leave its start out, f.isel(time=slice({(steps + 1) // 2}, None)).cg.time_average(), or take moving "
+            f"windows, time_average({max(steps // 4, 1)})",
+        )
+    if share_of_growth > 0.5:
+        length = steps // (2 * blocks)
+        call.warn(
+            "plateau",
+            f"time_average: the error of {name} is too small at {100 * share_of_growth:.0f} % of the nodes: it still "
+            f"grows from blocks of {length} steps to blocks of {2 * length}, as steps are repeated or correlated over "
+            "longer times. Average over a longer series, or leave repeated steps out, f.isel(time=slice(None, "
+            f"None, {2 * length}))",
+        )
+    return errors
 
 
 def _by_elements(function: Callable, *arrays: object) -> xr.DataArray:
