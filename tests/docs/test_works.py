@@ -5,7 +5,7 @@ import runpy
 import numpy as np
 import pytest
 
-from docs import lattice
+from docs import lattice, nine_grains
 from tests import ROOT
 
 
@@ -49,3 +49,37 @@ def test_nodes_of_other_programs_have_what_they_printed(program):
     printed = program()
     for name, values in printed.sweep(np.array([printed.width])).items():
         assert values == pytest.approx(printed.fields[name], rel=1e-11), name
+
+
+@pytest.mark.parametrize("turn", [0, 1, 30])
+def test_nine_grains_have_straight_chains_where_stresses_have_an_axis(turn):
+    def found(along_rows, **options):
+        ds = nine_grains.nine_grains(along_rows, turn)
+        return nine_grains.chains(ds.cg.force_chains(**options).compute())
+
+    assert found(1.0, alpha=90) == [tuple(range(1, 10))]
+    assert found(1.0, alpha=45) == []
+    assert found(1.01, alpha=45) == [(1, 2, 3), (7, 8, 9)]
+    # grains of equal stress are equally good beginnings
+    assert len(found(1.0, alpha=90, algorithm="peters2005")) in (2, 3)
+    assert found(1.01, alpha=90, algorithm="peters2005") == [(1, 2, 3), (7, 8, 9)]
+
+
+def test_chains_of_a_compressed_box_grow_in_number_and_then_merge_into_one():
+    script = runpy.run_path(str(ROOT / "examples" / "compression.py"))
+    ds = script["open_box"]()
+    fc = ds.cg.force_chains(alpha=90).compute()
+    count = fc.chain_count.values
+    assert count.max() > 2 * count[0]
+    assert (count[-8:] == 1).all()
+    assert fc.length_max[-1] > 990
+    # the pressure is the virial of all contacts over the volume of the box
+    x, force = ds.position.values[-1], ds.contact_force.values[-1]
+    kept = ds.contact_i.values[-1] >= 0
+    row = {key: k for k, key in enumerate(ds.particle_id.values[-1])}
+    i, j = ([row[key] for key in ds[name].values[-1][kept]] for name in ("contact_i", "contact_j"))
+    edge = np.diff(ds.box.values[-1])[:, 0]
+    branch = x[i] - x[j]
+    branch -= edge * np.rint(branch / edge)
+    virial = (branch * force[kept]).sum() / 3 / edge.prod()
+    assert script["pressure"](ds).values[-1] == pytest.approx(virial, rel=1e-6)
