@@ -60,9 +60,27 @@ def test_walls_with_numbers_of_their_own_are_named():
 
 def test_positions_of_few_digits_are_named():
     grains, contacts = _lattice()
-    cut = grains.assign(**{axis: (0.1 * grains[axis]).round(1) for axis in "xyz"}, radius=0.045)
+    # 0.14 apart, and 0.1 or 0.2 with one decimal
+    places = {axis: (0.14 / _SPACING * grains[axis]).round(1) for axis in "xyz"}
+    cut = grains.assign(**places, radius=0.07)
     with pytest.warns(SceneWarning, match="positions have 1 decimals"):
         _open(cut, contacts)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1e-3])
+def test_sizes_in_another_unit_than_positions_are_named(factor):
+    grains, contacts = _lattice()
+    sizes = grains.assign(radius=factor * grains.radius)
+    with pytest.warns(SceneWarning, match=f"{_SPACING / factor:.3g} times R_i .* another unit"):
+        _open(sizes, contacts)
+
+
+def test_whole_numbers_of_places_are_no_rounding():
+    grains, contacts = _lattice()
+    places = grains.assign(**{axis: grains[axis] / _SPACING for axis in "xyz"}, radius=0.51)
+    mixed = np.random.default_rng(1).permutation(grains.id)
+    with pytest.warns(SceneWarning, match="ids are of other grains"):
+        _open(places.assign(id=mixed), contacts)
 
 
 def test_a_missing_periodic_axis_is_named():

@@ -47,6 +47,12 @@ def test_normals_of_another_length_are_scaled(length):
     np.testing.assert_allclose(_normal_force(scene), 7.0)
 
 
+def test_normals_of_zero_follow_from_positions():
+    with pytest.warns(SceneWarning, match="2 of 2 contacts is zero"):
+        scene = _scene([0, 0, 0])
+    np.testing.assert_allclose(_normal_force(scene), 7.0)
+
+
 def test_opposite_normals_are_turned():
     with pytest.warns(SceneWarning, match="from contact_i to contact_j"):
         scene = _scene([0, 0, 1])

@@ -4,6 +4,7 @@ import re
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import xcg
@@ -303,3 +304,23 @@ def test_periodic_axes_against_the_header_warn():
     with pytest.warns(xcg.SceneWarning, match="periodic='xyz', but the header .* names 'xy'"):
         xcg.open_scene(path, periodic="xyz")
     xcg.open_scene(path, periodic="y")  # fewer may be meant
+
+
+@pytest.mark.parametrize("prefix", ["half", "whole"])
+@pytest.mark.parametrize("columns", [{"volume": 2.0944}, {"mass": 2094.4, "density": 1000.0}])
+def test_volumes_that_are_not_those_of_the_axes_are_named(prefix, columns):
+    factor = {"half": 1.0, "whole": 2.0}[prefix]
+    names = {
+        f"{prefix}_axis_{a}": factor * length
+        for a, length in zip("xyz", (0.5, 1.0, 1.0), strict=True)
+    }
+    table = pd.DataFrame({"id": [1], "x": [0.0], "y": [0.0], "z": [0.0]}).assign(**columns)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.scene_from_table(table.assign(**names))
+    other = {"half": "whole", "whole": "half"}[prefix]
+    mistaken = {name.replace(prefix, other): length for name, length in names.items()}
+    with pytest.warns(
+        xcg.SceneWarning, match=f"times those of the half-axes .* names=.*'{prefix}_axis_x'"
+    ):
+        xcg.scene_from_table(table.assign(**mistaken))

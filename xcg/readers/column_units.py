@@ -1,4 +1,4 @@
-"""Units in the names of columns, such as ``x [mm]``, ``Velocity X (cm/s)`` and ``radius_um``."""
+"""Units in the names of columns, such as ``x [mm]``, ``Velocity X (cm/s)``, ``x/mm`` and ``radius_um``."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from functools import lru_cache
 
 from xcg.scene.schema import Powers
 
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*)[\])]\s*$", re.DOTALL)
-_SUFFIX = re.compile(  # x_mm, vx_mm_s, rho_kg_m3
-    r"^(.+?)_([A-Za-zµμ][A-Za-z0-9µμ^/-]*(?:_(?:s|min|h|c?m[23]))?)$"
+_BRACKETS = re.compile(r"^(.*?)[\s/]*[\[({<]([^\[\](){}<>]*)[\])}>]\s*$", re.DOTALL)
+_SEPARATED = re.compile(r"^(.+?)(?:\s*[/,:|]\s*|\s+in\s+)(.+)$")  # x/mm, "x, mm", x in mm
+_SUFFIX = re.compile(  # x_mm, vx_mm_s, rho_kg_m3, x mm
+    r"^(.+?)[_ ]([A-Za-zµμ][A-Za-z0-9µμ^/-]*(?:_(?:s|min|h|c?m[23]))?)$"
 )
 _FACTOR = re.compile(r"([A-Za-zµμ°]+)(-?\d)?")
 _PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
@@ -94,20 +95,21 @@ def parse_unit(text: str) -> tuple[float, Powers] | None:
 
 @lru_cache(maxsize=1 << 12)
 def unit_of(column: str) -> ColumnUnit | None:
-    """Return the unit in the name of a column, in brackets at its end or as its ending; None without a known one."""
+    """Return the unit in the name of a column, in brackets, behind a sign or at its end; None if unknown."""
     match = _BRACKETS.match(column)
-    in_brackets = match is not None
-    if match is None:
-        match = _SUFFIX.match(column)
-    if match is None or not match[1].strip():
-        return None
-    text = match[2]
-    if not in_brackets:
-        text = text.replace("_", "/", 1)
-    unit = parse_unit(text)
-    if unit is None or (not in_brackets and text in _AMBIGUOUS):
-        return None
-    return ColumnUnit(match[1].strip(), match[2], *unit, in_brackets=in_brackets)
+    if match is not None:
+        unit = parse_unit(match[2])
+        if unit is None or not match[1].strip():
+            return None
+        return ColumnUnit(match[1].strip(), match[2], *unit)
+    for pattern in (_SEPARATED, _SUFFIX):
+        match = pattern.match(column)
+        text = match[2] if match is not None else ""
+        unit = parse_unit(text.replace("_", "/", 1))
+        is_ambiguous = pattern is _SUFFIX and text in _AMBIGUOUS
+        if match is not None and unit is not None and not is_ambiguous:
+            return ColumnUnit(match[1].strip(), text, *unit, in_brackets=False)
+    return None
 
 
 def names_unknown_unit(column: str) -> bool:
@@ -115,5 +117,5 @@ def names_unknown_unit(column: str) -> bool:
     match = _BRACKETS.match(column) or _SUFFIX.match(column)
     if match is None or unit_of(column) is not None:
         return False
-    in_brackets = column.rstrip().endswith(("]", ")"))
+    in_brackets = column.rstrip().endswith(("]", ")", "}", ">"))
     return match[2] == "cm" or (in_brackets and re.fullmatch(r"[^\W\d]\S*", match[2]) is not None)

@@ -92,6 +92,7 @@ def scene_from_table(
     read_options = _read_options(names, options)
     table, start = _with_seconds(_table(particles), "particles", read_options, options.get("units"))
     refs = {"particles": [_ref_of(table, "particles")]}
+    engines = {"particles": _InMemory(table)}
     grains = _frames(table, "particles", read_options.of_kind("particles"), contacts=False)
     steps = sorted(grains)
     clock, _ = grains[steps[0]]
@@ -115,10 +116,14 @@ def scene_from_table(
         table = _at_steps(table, clock_of(tuple(table.columns), of_kind.names), steps)
         table = _with_vectors(table, grains, of_kind, lattices)
         refs["contacts"] = [_ref_of(table, "contacts")]
+        engines["contacts"] = _InMemory(table)
         arrays |= _contacts(table, steps, of_kind)
     _check_arguments(options, arrays)
-    for kind, (ref,) in refs.items():
-        _warn_of_columns(ref, read_options.of_kind(kind), options)
+    known = [name for name, value in options.items() if value is not None]
+    for kind, engine in engines.items():
+        ref, of_kind = refs[kind][0], read_options.of_kind(kind)
+        warn_of_columns(engine, ref, of_kind, contacts=kind == "contacts", known=known)
+        warn_of_unread_clock(ref, of_kind)
     scene = scene_from_arrays(**(options | arrays))
     if contacts is not None:
         of_grains, of_contacts = refs["particles"][0], refs["contacts"][0]
@@ -349,13 +354,6 @@ def _frames(
         read = engine.read_contacts if contacts else engine.read_particles
         frames[next(iter(clock_of_step.values()), 0.0)] = clock_of_step, read(ref, options)
     return frames
-
-
-def _warn_of_columns(ref: StepRef, options: ReadOptions, arguments: Mapping[str, Any]) -> None:
-    """Warn of columns that are not understood, as for files."""
-    known = [name for name, value in arguments.items() if value is not None]
-    warn_of_columns(Table(), ref, options, contacts=ref.path == "contacts", known=known)
-    warn_of_unread_clock(ref, options)
 
 
 class _InMemory(Table):

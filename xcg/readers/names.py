@@ -164,14 +164,14 @@ PARTICLES: Mapping[str, Names] = {
     ),
     "frozen": Names("frozen"),
     # of LAMMPS' compute property/atom, LIGGGHTS and OVITO
-    "quat_w": Names("quat w, quat 1, orientation w"),
-    "quat_x": Names("quat i, quat 2, quat x, orientation x"),
-    "quat_y": Names("quat j, quat 3, quat y, orientation y"),
-    "quat_z": Names("quat k, quat 4, quat z, orientation z"),
+    "quat_w": Names("quat w, quat 1, orientation w", "=q1 =cq1"),
+    "quat_x": Names("quat i, quat 2, quat x, orientation x", "=q2 =cq2"),
+    "quat_y": Names("quat j, quat 3, quat y, orientation y", "=q3 =cq3"),
+    "quat_z": Names("quat k, quat 4, quat z, orientation z", "=q4 =cq4"),
     "half_axis": Names("half axis ?, aspherical shape ?, semi axis ?", "semi* half", "whole_axis"),
     "whole_axis": Names("whole axis ?, shape ?", "shape", "half_axis"),
-    "exponent_1": Names("exponent 1, block 1, blockiness 1"),
-    "exponent_2": Names("exponent 2, block 2, blockiness 2"),
+    "exponent_1": Names("exponent 1, block 1, blockiness 1, roundness 1"),
+    "exponent_2": Names("exponent 2, block 2, blockiness 2, roundness 2"),
 }
 CONTACTS: Mapping[str, Names] = {
     "contact_i": Names(
@@ -233,7 +233,16 @@ _OF_CODES: Mapping[str, Mapping[str, str]] = {
     # its axes of superquadrics are halves, where those of LAMMPS are whole
     "liggghts": {"half_axis": "half axis ?, shape ?", "whole_axis": "whole axis ?"},
 }
-_OF_LIGGGHTS = {"blockiness1", "blockiness2", "quat1", "quat2", "quat3", "quat4"}
+_OF_LIGGGHTS = {
+    "blockiness1",
+    "blockiness2",
+    "roundness1",
+    "roundness2",
+    "quat1",
+    "quat2",
+    "quat3",
+    "quat4",
+}
 OF_MFIX: Slots = {
     "contact_i": ("forcechainglobalid1", "particleid1"),
     "contact_j": ("forcechainglobalid2", "particleid2"),
@@ -410,6 +419,9 @@ _OTHER_VECTORS = (
     "end",
     "heat",
 )
+_OF_VELOCITY = re.compile(
+    "v(?!ec|ir|is|ol|or|ar)"
+)  # no vector, virial, volume, vorticity, variance
 _TOLD_BY_UNITS = {"density", "velocity"}  # units of nothing else
 _OF_PARAVIEW = {
     "pointid", "cellid", "celltype", "blockname", "blocknumber", "vtkoriginalpointids",
@@ -449,19 +461,40 @@ def resembles(column: str, names: Names) -> bool:
     stems = tuple(hint[:-1] for hint in hints if hint.endswith("*"))
     words = words_of(column)
     unit = unit_of(column)
-    whole = {canonical(column), canonical(unit.stem) if unit is not None else ""}
+    plain = canonical(_OF_LAMMPS.sub("", column))
+    whole = {canonical(column), plain, canonical(unit.stem) if unit is not None else ""}
     if any("=" + name in hints for name in whole):
         return True
-    if _OF_LAMMPS.match(column) and canonical(_OF_LAMMPS.sub("", column)) in aliases_of(names):
+    if _OF_LAMMPS.match(column) and plain in aliases_of(names):
         return True
     return any(word in hints or (stems and word.startswith(stems)) for word in words)
 
 
-def _vectors_of(columns: Iterable[str]) -> list[str]:
-    """Return the canonical names of vectors of three columns, without their axes."""
-    names = {*canonical_columns(columns)}
+def vectors_among(columns: Iterable[str]) -> list[tuple[str, dict[str, str]]]:
+    """Return the canonical name of each vector, without its axis, and its columns by axis.
+
+    Columns of a vector differ by a letter x, y, z, of which one may be missing, or by a number from
+    0 or 1 on. Components of tensors, as xx, xy and xz, and four numbered columns are none.
+    """
+    names = list(dict.fromkeys(columns))
+    vectors: list[tuple[str, dict[str, str]]] = []
+    for column in names:
+        for place, letter in enumerate(column):
+            for axes in ("xyz", "XYZ", "012", "123"):
+                parts = {
+                    axis: column[:place] + mark + column[place + 1 :]
+                    for axis, mark in zip(COMPONENTS, axes, strict=True)
+                }
+                present = {axis: name for axis, name in parts.items() if name in names}
+                is_first = column == next(iter(present.values()), "") and letter in axes
+                if is_first and len(present) >= (2 if axes.isalpha() else 3):
+                    stem = _OF_LAMMPS.sub("", column[:place] + column[place + 1 :])
+                    vectors.append((canonical(stem), present))
+    counts = Counter(chain(*(parts.values() for _, parts in vectors)))
     return [
-        name[:-1] for name in sorted(names) if {name[:-1] + axis for axis in COMPONENTS} <= names
+        (stem, parts)
+        for stem, parts in vectors
+        if all(counts[column] == 1 for column in parts.values())
     ]
 
 
@@ -493,13 +526,21 @@ def resembling(
         for column in candidates:
             unit = unit_of(column)
             of_another = unit is not None and unit.in_brackets and unit.powers != powers
-            if not of_another and resembles(column, names):
-                likely.setdefault(column, variable)
-    if contacts and "tangential_force" in lacking:  # of any name, where the force is the normal one
-        for stem in _vectors_of(candidates):
-            for column in candidates:
-                if canonical(column)[:-1] == stem and not stem.startswith(_OTHER_VECTORS):
-                    likely.setdefault(column, "tangential_force")
+            is_alias = not aliases_of(names).isdisjoint(words_of(column))
+            if not of_another and resembles(column, names) and (is_alias or column not in likely):
+                likely[column] = variable
+    for stem, parts in vectors_among(candidates):
+        meant = ""
+        # of any name, where the force is the normal one
+        if contacts and "tangential_force" in lacking and not stem.startswith(_OTHER_VECTORS):
+            meant = "tangential_force"
+        elif not contacts and "velocity" in lacking and _OF_VELOCITY.match(stem):
+            meant = "velocity"
+        for column in parts.values() if meant else ():
+            likely.setdefault(column, meant)
+    of_quaternion = [name for name, variable in likely.items() if variable.startswith("quat_")]
+    if len(of_quaternion) < 4:
+        likely = {name: meant for name, meant in likely.items() if name not in of_quaternion}
     for column in candidates:
         unit = unit_of(column)
         for variable in _TOLD_BY_UNITS & lacking.keys():

@@ -14,7 +14,7 @@ from itertools import chain
 
 from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers.assigned import lacks, magnitudes_among
-from xcg.readers.column_units import names_unknown_unit, unit_of
+from xcg.readers.column_units import names_unknown_unit
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.files.vtkheader import OF_CELLS
@@ -25,15 +25,12 @@ from xcg.readers.names import (
     canonical,
     powers_of_slot,
     resembling,
+    vectors_among,
 )
 from xcg.readers.wall_columns import WALL_ARRAY
 from xcg.scene.schema import COMPONENTS
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
-_AXIS = re.compile(
-    r"(?<![A-Za-z])[xyzXYZ](?![A-Za-z])|(?<=[a-z])[xyzXYZ]$|(?<=[\[_:])[123ijk](?=\]?$)"
-)
-_BY_NUMBER = dict(zip("123ijk", 2 * COMPONENTS, strict=True))
 
 
 @dataclass(frozen=True)
@@ -145,14 +142,27 @@ class Report:
         suspects = self._suspects()
         if self.whole_vectors or not suspects:
             return ""
-        target = "contact_force_x"
-        if not self.contacts:
+        if self.contacts:
+            has_normal = "normal_force_x" in self.read.values()
+            vector = "tangential_force" if has_normal else "contact_force"
+            example = self._mapped(suspects, vector)
+            example = example or f", for example names={{{suspects[0]!r}: '{vector}_x'}}"
+        else:
             target = "my_" + re.sub(r"\W+", "_", suspects[0]).strip("_").lower()
+            example = f", for example names={{{suspects[0]!r}: {target!r}}}"
         return (
-            f"columns {' '.join(suspects)} look like forces or contacts with walls and are not read; map them, for "
-            f"example names={{{suspects[0]!r}: {target!r}}}, or drop them by names={{{suspects[0]!r}: None}}. Contacts "
-            "with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
+            f"columns {' '.join(suspects)} look like forces or contacts with walls and are not read; map "
+            f"them{example}, or drop them by names={{{suspects[0]!r}: None}}. Contacts with walls are rows of "
+            "the files of contacts (contacts=, walls=), with the grain as contact_i"
         )
+
+    @staticmethod
+    def _mapped(columns: Iterable[str], vector: str) -> str:
+        """Return the mapping of the first vector among columns, as the middle of a message; "" without one."""
+        for _, parts in vectors_among(columns):
+            mapping = {column: f"{vector}_{axis}" for axis, column in parts.items()}
+            return f", for example names={mapping}"
+        return ""
 
     def _second_columns(self) -> list[str]:
         """Name columns that are called as a variable that another one fills."""
@@ -179,14 +189,12 @@ class Report:
             return ""
         listed = ", ".join(f"{name!r} ({variable_name}?)" for name, variable_name in likely.items())
         example = ""
-        for column, meant in reversed(likely.items()):
-            unit = unit_of(column)
-            axis = _AXIS.search(unit.stem if unit is not None else column)
-            if self.whole_vectors or f"{meant}_x" not in ALL_SLOTS:
-                example = f", for example names={{{column!r}: {meant!r}}}"
-            elif axis:
-                component = _BY_NUMBER.get(axis[0], axis[0].lower())
-                example = f", for example names={{{column!r}: '{meant}_{component}'}}"
+        column, meant = next(iter(likely.items()))
+        if self.whole_vectors or f"{meant}_x" not in ALL_SLOTS:
+            example = f", for example names={{{column!r}: {meant!r}}}"
+        else:
+            alike = [name for name, variable_name in likely.items() if variable_name == meant]
+            example = self._mapped(alike, meant)
         doubt = ""
         if any(canonical(name) == "tx" for name in likely):
             doubt = " (tx may also be a torque or a direction)"

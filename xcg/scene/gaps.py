@@ -21,6 +21,9 @@ _TOUCHING = 0.02  # of R_i + R_j; a smaller gap is closed
 _CLOSED = 0.9  # share of the contacts that other ids close
 _FEW_WALLS = 6  # numbers of walls
 _DIGITS = 6  # decimals of positions that are looked at
+_AS_DEEP = 0.25  # overlaps as large as gaps, over the gaps: rounding makes both
+_ALIKE = 0.1  # scatter of distances over R_i + R_j, where sizes have another unit
+_FAR = 1.5  # least distance over R_i + R_j there
 _SAME_VOLUME = 1e-2  # of volumes of spheres
 
 
@@ -80,8 +83,17 @@ def _cause(contacts: SphereContacts, pairs: Pairs, across: NDArray) -> str:
                 f"{'lowered' if shift < 0 else 'raised'} by 1 (xcg.scene_from_table), or particle_id= that "
                 "begins as theirs do"
             )
+    distances = 1.0 - pairs.overlap / pairs.touching
+    factor = float(np.median(distances))
+    if factor > _FAR and (np.abs(distances / factor - 1) <= _ALIKE).mean() >= _CLOSED:
+        return (
+            f"centres are {factor:.3g} times R_i + R_j apart, nearly all of them: sizes have another unit than "
+            "positions, or are half as large (radii that were read as diameters); give both in one unit"
+        )
     decimals = _decimals(contacts.particles["position"])
-    if decimals is not None and (pairs.overlap[across] >= -4 * 0.1**decimals).all():
+    deep = (pairs.overlap > _GAP * pairs.touching).sum()
+    is_rounding = deep >= _AS_DEEP * across.sum()
+    if is_rounding and decimals is not None and (pairs.overlap[across] >= -4 * 0.1**decimals).all():
         return (
             f"positions have {decimals} decimals, and gaps are as large as their rounding: write positions "
             "with more digits"

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once
+from xcg.scene.rows import unit_vectors
 from xcg.scene.spheres import SphereContacts
 
 _LENGTH = 1e-3  # difference of the length of a unit vector from 1
@@ -57,9 +58,21 @@ def checked_normals(contacts: SphereContacts) -> NDArray:
 
 
 def _of_unit_length(contacts: SphereContacts) -> NDArray:
-    """Return the normals divided by their lengths, with a warning if these are not 1."""
+    """Return the normals divided by their lengths, with a warning if these are not 1.
+
+    Normals of pairs that are zero are those of the branches.
+    """
     normal = contacts.contacts["contact_normal"]
     length = np.sqrt(np.einsum("nk,nk->n", normal, normal))
+    pairs = contacts.pairs(np.flatnonzero(length == 0))
+    if pairs.rows.size:
+        warn_once(
+            "normals of zero",
+            f"{contacts.source}: 'contact_normal' of {pairs.rows.size} of {len(length)} contacts is zero "
+            f"({contacts.named(pairs.rows[0])}), and is taken from positions",
+        )
+        normal = normal.copy()
+        normal[pairs.rows] = unit_vectors(pairs.branch)
     wrong = np.flatnonzero((np.abs(length - 1) > _LENGTH) & (length > 0))
     if not wrong.size:
         return normal

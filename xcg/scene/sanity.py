@@ -18,6 +18,7 @@ from xcg.common.messages import warn_user
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame, Setup
+from xcg.scene.superquadrics import superquadric_integrals
 
 FEW = 20  # grains or contacts that are too few for a verdict
 _SAMPLE = 4096  # rows looked at, spread over all
@@ -28,6 +29,7 @@ _CROWD = 8  # nearest grains that are looked at
 
 _SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
 _MOST_FILLED = 100.0  # grains in the cube of a diameter, also of glued ones that overlap
+_SHAPE = 0.02  # error of volumes of half-axes and exponents of three digits
 _DIGITS = 5e-3  # error of products of masses, sizes and densities of three digits
 _VARIED = 0.02  # scatter of diameters by which d^2 and d^3 differ
 
@@ -410,6 +412,30 @@ def _contradiction(grains: Particles) -> str | None:
     )
 
 
+def _volumes_of_shapes(grains: Particles) -> str | None:
+    """Check that volumes are those of ellipsoids or superquadrics of the half-axes."""
+    sample = grains.sample
+    axes = [f"half_axis_{axis}" for axis in COMPONENTS]
+    if not {"volume", *axes} <= set(sample):
+        return None
+    n1, n2 = (sample.get(name, 2.0) for name in ("exponent_1", "exponent_2"))
+    volume, _, _ = superquadric_integrals(n1, n2)
+    for name in axes:
+        volume = volume * sample[name]
+    ratio = float(np.median(sample["volume"] / volume))
+    if abs(ratio - 1) <= _SHAPE:
+        return None
+    way_out = "check the units of the columns, or drop the wrong one, names={'column': None}"
+    if abs(ratio / 8 - 1) <= _SHAPE:
+        way_out = "the columns of whole axes hold half-axes: map them, names={'shapex': 'half_axis_x', ...}"
+    elif abs(ratio * 8 - 1) <= _SHAPE:
+        way_out = "the columns of half-axes hold whole axes: map them, names={'shapex': 'whole_axis_x', ...}"
+    return (
+        f"volumes, or masses over densities, are {ratio:.4g} times those of the half-axes (the median; in the first "
+        f"row {sample['volume'][0]:.6g}, and {axes[0]} is {sample[axes[0]][0]:.6g}): {way_out}"
+    )
+
+
 def _with_dimension(setup: Setup) -> str:
     return " and dimension=2" if setup.dimension == 3 else ""
 
@@ -538,6 +564,7 @@ _OF_LENGTHS: tuple[Check, ...] = (
 )
 _OF_MASSES: tuple[Check, ...] = (
     _contradiction,
+    _volumes_of_shapes,
     _large_volumes,
     _discs,
     _layer,

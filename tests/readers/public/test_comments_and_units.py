@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -114,3 +115,18 @@ def test_scenes_without_sizes_name_a_way_that_works(tmp_path):
     twice = xcg.coarse_grain(mapped, ["density", "volume_fraction"], axes="x", width=1.0)
     for name in ("density", "volume_fraction"):
         np.testing.assert_allclose(fields[name] * 500**3, twice[name], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "form", ["{}/mm", "{}, mm", "{} in mm", "{}:mm", "{} {{mm}}", "{} mm", "{} <mm>"]
+)
+@pytest.mark.filterwarnings("error")
+def test_units_behind_a_sign_are_read(form):
+    table = pd.DataFrame({"id": [1], "x": [3.0], "y": [0.0], "z": [0.0], "radius": [0.5]})
+    named = table.rename(columns={name: form.format(name) for name in table.columns[1:]})
+    ds = xcg.scene_from_table(named, density=1.0)
+    np.testing.assert_allclose(ds.position[0], [[3e-3, 0, 0]])
+    np.testing.assert_allclose(ds.diameter, 1e-3)
+    mapped = table.rename(columns={"x": form.format("Ort")})
+    ds = xcg.scene_from_table(mapped, names={form.format("Ort"): "position_x"}, density=1.0)
+    np.testing.assert_allclose(ds.position[0, 0, 0], 3e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import warnings
 
@@ -154,19 +155,40 @@ def test_columns_that_resemble_a_variable_are_named(tmp_path, column, meant):
 
 @pytest.mark.parametrize(
     "columns",
-    ["spin_r_x spin_r_y spin_r_z", "V:mean:x V:mean:y V:mean:z"],
-)
+    [
+        "spin_r_x spin_r_y spin_r_z", "V:mean:x V:mean:y V:mean:z", "U:0 U:1 U:2", "dx/dt dy/dt dz/dt",
+        "f_vave[1] f_vave[2] f_vave[3]", "Vit.X Vit.Y Vit.Z", "xv yv zv",
+    ],
+)  # fmt: skip
 def test_the_advice_for_components_can_be_followed(tmp_path, columns):
     path = tmp_path / "p.csv"
     path.write_text("id,x,y,z," + columns.replace(" ", ",") + "\n1,0,0,0,1,2,3\n")
     with pytest.warns(xcg.SceneWarning, match="resemble variables") as warned:
         xcg.open_scene(path)
-    advice = re.search(r"for example names=\{'(.*?)': '(.*?)'\}", str(warned[0].message))
-    variable = advice[2].removesuffix("_x")
-    assert advice[1] == columns.split()[0]
-    names = {column: f"{variable}_{column[-1]}" for column in columns.split()}
+    advice = re.search(r"for example names=(\{.*?\})", str(warned[0].message))
+    names = ast.literal_eval(advice[1])
+    assert [*names] == columns.split()
     ds = xcg.open_scene(path, names=names)
+    variable = next(iter(names.values())).removesuffix("_x")
     np.testing.assert_array_equal(ds[variable][0, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [["stress_xx", "stress_xy", "stress_xz"], ["vor_x", "vor_y", "vor_z"], ["q[1]", "q[2]"]],
+)
+@pytest.mark.filterwarnings("error")
+def test_tensors_and_vectors_of_other_names_are_no_velocities(tmp_path, columns):
+    path = tmp_path / "p.csv"
+    path.write_text(",".join(["id,x,y,z", *columns]) + "\n1,0,0,0" + ",5" * len(columns) + "\n")
+    xcg.open_scene(path)
+
+
+def test_four_numbers_of_a_quaternion_are_named(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("id,x,y,z,c_q[1],c_q[2],c_q[3],c_q[4]\n1,0,0,0,1,0,0,0\n")
+    with pytest.warns(xcg.SceneWarning, match=r"'c_q\[1\]' .quat_w.*'c_q\[4\]' .quat_z"):
+        xcg.open_scene(path)
 
 
 @pytest.mark.parametrize(

@@ -522,6 +522,13 @@ def test_contacts_of_liggghts_may_begin_with_the_number_of_the_row(tmp_path, opt
         xcg.open_scene(grains, dumps.write(tmp_path / "few.dump", few), density=1.0)
 
 
+@pytest.mark.parametrize("column", ["R", "size", "Diameter (contact) [mm]"])
+def test_sizes_beside_volumes_of_a_table_in_memory_are_named(column):
+    table = pd.DataFrame({"id": [1, 2], "x": [0.0, 9.0], "y": 0.0, "z": 0.0, "volume": 8.0})
+    with pytest.warns(xcg.SceneWarning, match=re.escape(repr(column))):
+        xcg.scene_from_table(table.assign(**{column: 0.5}), density=1.0)
+
+
 # --- clean controls --------------------------------------------------------------------------------
 
 CLEAN = {
