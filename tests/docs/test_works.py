@@ -82,3 +82,16 @@ def test_chains_of_a_compressed_box_grow_in_number_and_then_merge_into_one():
     branch -= edge * np.rint(branch / edge)
     virial = (branch * force[kept]).sum() / 3 / edge.prod()
     assert script["pressure"](ds).values[-1] == pytest.approx(virial, rel=1e-6)
+
+
+def test_phases_of_the_mixture_and_of_the_pile_are_those_put_in():
+    script = runpy.run_path(str(ROOT / "examples" / "pile.py"))
+    mixed = script["mixture"]().cg.find_phases()
+    assert mixed.attrs["phase_diameter"] == pytest.approx([2e-3, 2e-3, 4e-3, 4e-3], rel=0.02)
+    assert mixed.attrs["phase_density"] == pytest.approx([2500, 4500] * 2, rel=0.02)
+    ds = script["open_pile"]()
+    assert ds.attrs["phase_diameter"] == pytest.approx([1.0, 1.5, 2.0])
+    f = script["profile"](ds)
+    parts = f.isel(phase=f.phase != "bulk").contact_stress.sum("phase")
+    bulk = f.contact_stress.sel(phase="bulk")
+    np.testing.assert_allclose(parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()))
