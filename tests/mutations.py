@@ -378,22 +378,37 @@ TABLE = [
         "f.granular_temperature * f.density", "test_temperatures_of_a_mixture_are_those_of_its_phases",
     ),
     Mutation(
-        "fields/evaluate.py", "first + 2 * second * u + 3 * third * u**2", "first + second * u + third * u**2",
+        "fields/pressures.py", "first + 2 * second * u + 3 * third * u * u", "first + second * u + third * u * u",
         "test_the_variation_of_the_flow_within_what_a_node_sees_is_named",
     ),
     Mutation(
-        "fields/evaluate.py", "if added > _CONSIDERABLE * (added + true)", "if added > _CONSIDERABLE",
+        "fields/pressures.py", "variance / spread[k] ** 2", "variance / spread[k]",
+        "test_a_linear_shear_adds_its_covariance_within_the_support",
+    ),
+    Mutation(
+        "fields/pressures.py", "along -= along.mean(axis=0)", "along -= along[0]",
+        "test_an_averaged_axis_adds_the_variance_of_the_flow_along_it",
+    ),
+    Mutation(
+        "fields/pressures.py", "* rows / every", "* rows", "test_pressures_of_a_crystal_that_fluctuates",
+    ),
+    Mutation(
+        "fields/advice.py", "if not added > _CONSIDERABLE * (added + true)", "if not added > _CONSIDERABLE",
         "test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows",
     ),
     Mutation(
         "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
     ),
     Mutation(
+        "fields/advice.py", "zip(plan.deposit.groups, shares[1:]", "zip(plan.deposit.groups, shares[:-1]",
+        "test_the_share_of_unknown_temperatures_is_that_of_the_nodes",
+    ),
+    Mutation(
         "fields/advice.py", "2 * math.pi * float(np.median", "float(np.median",
         "test_the_floor_in_rings_is_that_of_the_grains_around_the_axis",
     ),
     Mutation(
-        "fields/evaluate.py", "if lost > _CONSIDERABLE * true", "if plan.lost_share > _CONSIDERABLE",
+        "fields/advice.py", "if not lost > _CONSIDERABLE * true", "if not 1 / plan.support.grains > _CONSIDERABLE",
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(

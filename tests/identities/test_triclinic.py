@@ -12,7 +12,7 @@ from xcg import SceneError, SceneWarning
 
 DATA = ROOT / "examples" / "data" / "lammps_triclinic"
 RATE = 0.5
-pytestmark = pytest.mark.filterwarnings("ignore:.*too few particles per node:xcg.SceneWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.*a node sees:xcg.SceneWarning")
 
 
 @pytest.fixture(scope="module")

@@ -224,13 +224,18 @@ class Once:
         message : str
             Its text, which may name the step.
         """
+        if self.is_new(about):
+            warn_user(message)
+
+    def is_new(self, about: str) -> bool:
+        """Return whether this is the first time that the call asks about something."""
         with self._lock:
             if (self.key, about) in self._said:
-                return
+                return False
             self._said[self.key, about] = None
             if len(self._said) > self.REMEMBERED:
                 del self._said[next(iter(self._said))]
-        warn_user(message)
+        return True
 
     @contextmanager
     def active(self) -> Iterator[None]:

@@ -1,56 +1,63 @@
-"""Warnings about requests whose fields are noise or in another unit, from scene and plan; nothing is read."""
+"""Warnings about fields of single steps that are noise or in another unit: at the call, and of a computed step."""
 
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
-from xcg.common.messages import warn_once
+from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import second_moment, squared_integral, takes_stress_of_step
 from xcg.fields.formulas.field import Support
 from xcg.fields.plan import Plan
+from xcg.fields.pressures import Pressures, pressures_of
 from xcg.fields.sums.kernels import Kernel
+from xcg.scene.conform import what_is_left_out
 from xcg.scene.description import Description
+from xcg.scene.frame import without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import Frame
 
-# Share of the usual value of a field above which its floor is a reason for a warning.
-_CONSIDERABLE = 0.2
+# --- at the call, from scene and plan; nothing is read -----------------------------------------------
 
 
-def advise(scene: Description, plan: Plan, *, named: bool) -> None:
-    """Warn of fields whose values in single steps are far from those of averages, or from the truth.
+def advise(ds: xr.Dataset, scene: Description, plan: Plan, *, named: bool | None) -> None:
+    """Warn of empty scenes, and of fields that are far from the truth; tell the plan what its steps warn of.
 
-    `named` is whether they were asked for by name.
+    `named` is whether fields were asked for by name; None is for functions that measure the noise
+    of single steps, which are not told of it.
     """
+    if nothing := what_is_left_out(ds):
+        warn_once("nothing left", f"coarse_grain: {nothing}; fields are those of no grain")
+    if named is None:
+        return
+    plan.named = named
+    if _depends_on_support(plan):
+        plan.support = support_of(scene, plan)
     if plan.is_narrow:
         return  # the plan has warned of the cause
     for about, advice in _ADVICE.items():
-        text = advice(scene, plan, named)
+        text = advice(scene, plan)
         if text:
             warn_once(about, text)
 
 
-def _few_grains(scene: Description, plan: Plan, named: bool) -> str:
-    """Return a warning if norms and eigenvalues of few grains or contacts are noise; "" if they are not.
-
-    Nearly every map has such fields among those that come by default: these say it by an attribute.
-    """
-    support = support_of(scene, plan) if named else None
-    if support is None:
-        return ""
-    floors = floors_of(plan, support)
-    large = [name for name, (floor, usual) in floors.items() if floor > _CONSIDERABLE * usual]
-    if not large:
-        return ""
-    values = ", ".join(f"{name} of about {_number(plan, name, floors[name][0])}" for name in large)
-    return (
-        f"single steps show {values} where the true value is 0, as a node sees only about {support.text()}: take the "
-        f"time_average of the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
-    )
+def _depends_on_support(plan: Plan) -> bool:
+    """Return whether a requested field of single steps depends on how many grains a node sees."""
+    options = plan.options
+    rows = [registry.row(name, options) for name in plan.asked]
+    if any(row.floor is not None for row in rows) or {*_OF_ONE_VARIANCE} & {*plan.asked}:
+        return True
+    return any(takes_stress_of_step(row, options) for row in rows)
 
 
-def _without_friction(scene: Description, plan: Plan, named: bool) -> str:
+def _without_friction(scene: Description, plan: Plan) -> str:
     """Return a warning if a redundancy counts sliding contacts as sticking; "" if it does not."""
     if "redundancy_number" not in plan.asked or plan.options.sliding:
         return ""
@@ -67,7 +74,7 @@ _ALIKE = 2.0
 _BIAS = 0.05
 
 
-def _mixed_masses(scene: Description, plan: Plan, named: bool) -> str:
+def _mixed_masses(scene: Description, plan: Plan) -> str:
     """Return a warning if a temperature was asked for of grains of different masses together; "" if not.
 
     Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
@@ -75,13 +82,13 @@ def _mixed_masses(scene: Description, plan: Plan, named: bool) -> str:
     """
     fields = [name for name in _OF_ONE_VARIANCE if name in plan.asked]
     smallest = scene.sizes.get("dmin", 0.0)
-    if not named or not fields or plan.options.temperature != "unbiased" or not smallest > 0:
+    if not plan.named or not fields or plan.options.temperature != "unbiased" or not smallest > 0:
         return ""
     masses = (scene.sizes["dmax"] / smallest) ** 3
     if masses <= _ALIKE:
         return ""
     # at most the share that the fit of velocity and gradient takes, if only the slow grains lose it
-    support = support_of(scene, plan)
+    support = plan.support
     if support is not None and (1 + len(plan.deposit.grid.seen)) / support.grains < _BIAS:
         return ""
     return (
@@ -94,7 +101,7 @@ def _mixed_masses(scene: Description, plan: Plan, named: bool) -> str:
 _LONG = 50.0  # extents of the scene by which extent= is in another unit, most likely
 
 
-def _long_extent(scene: Description, plan: Plan, named: bool) -> str:
+def _long_extent(scene: Description, plan: Plan) -> str:
     """Return a warning if the length of an average is many times that of the scene; "" if it is not."""
     if scene.cylindrical:
         return ""
@@ -112,24 +119,12 @@ def _long_extent(scene: Description, plan: Plan, named: bool) -> str:
 
 _OF_ONE_VARIANCE = ("granular_temperature", "directional_temperature", "mixture_temperature")
 
-# what a warning is about, and a function of scene, plan and whether fields were named
+# what a warning is about, and a function of scene and plan
 _ADVICE = {
-    "few grains": _few_grains,
     "redundancy without friction": _without_friction,
     "mixed masses": _mixed_masses,
     "long extent": _long_extent,
 }
-
-
-def lost_share(scene: Description, plan: Plan) -> float:
-    """Return the share of the kinetic stress that single steps lack, 1 / N_eff; 0 if no requested field takes it."""
-    takes = any(
-        takes_stress_of_step(registry.row(name, plan.options), plan.options) for name in plan.asked
-    )
-    support = support_of(scene, plan) if takes else None
-    if support is None:
-        return 0.0
-    return 1.0 / support.grains
 
 
 def text_of_floors(scene: Description, plan: Plan) -> str | None:
@@ -146,16 +141,13 @@ def text_of_floors(scene: Description, plan: Plan) -> str | None:
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
 
 
-def describe_floors(scene: Description, plan: Plan) -> dict[str, str]:
+def describe_floors(plan: Plan) -> dict[str, str]:
     """Return the floor of each requested field that has one, in words, for its attributes."""
-    if all(registry.row(name, plan.options).floor is None for name in plan.asked):
-        return {}
-    support = support_of(scene, plan)
-    if support is None:
+    if plan.support is None:
         return {}
     return {
         name: f"about {_number(plan, name, floor)} where the true value is 0"
-        for name, (floor, _) in floors_of(plan, support).items()
+        for name, (floor, _) in floors_of(plan, plan.support).items()
     }
 
 
@@ -242,3 +234,202 @@ def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
     squares = np.trapezoid(psi**2 * shells, dx=step)
     components = seen * (dimension + 1 - 2 / dimension)
     return math.sqrt(float(squares) * components / number) / second_moment(kernel, seen)
+
+
+# --- of a computed step ------------------------------------------------------------------------------
+
+_CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
+_CONSIDERABLE = 0.05  # share of the pressure
+_UNKNOWN = 0.16  # of normal values, these are negative where the error is as large as the mean
+
+_TURN = threading.Lock()  # so that the first step of several threads warns of all effects
+# means of squared fluctuations
+_TEMPERATURES = (
+    "granular_temperature",
+    "directional_temperature",
+    "d2min",
+    "nonaffine_covariance",
+    "self_diffusion",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedStep:
+    """Fields of one step, and what they were computed from.
+
+    Attributes
+    ----------
+    plan : Plan
+        Plan of the call.
+    frame, lattice, source
+        The step: variables, box, and its name.
+    fields : mapping
+        Arrays (nodes, phases, ...) by name.
+    reached : int
+        Number of nodes that grains reach.
+    scale : float
+        1 / (extents of the averaged axes x thickness of the layer).
+    """
+
+    plan: Plan
+    frame: Frame
+    lattice: Lattice
+    source: str
+    fields: Mapping[str, NDArray]
+    reached: int
+    scale: float
+
+    def warn(self) -> None:
+        """Warn of fields that are unknown, impossible, or far from those of averages; once for each cause."""
+        if not self.plan.is_narrow:  # else the plan has warned of the cause
+            with _TURN:
+                self._warn()
+
+    def _warn(self) -> None:
+        plan = self.plan
+        call = active_call()
+        effects = self._unknown_temperatures()
+        # extent=1 m asks for an integral in place of an average: no warning
+        if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
+            effects |= self._fraction()
+        if plan.support is not None and call.is_new("pressures"):
+            effects |= self._lost_stress()
+        if plan.support is not None and (plan.named or effects):
+            effects |= self._floors()
+        texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
+        if not texts:
+            return
+        seen = "too few grains"
+        if plan.support is not None:
+            seen = f"only about {plan.support.text()}"
+        warn_user(
+            f"{self.source}: a node sees {seen}, so that in a single step {'; '.join(texts)}: take the time_average of "
+            f"the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
+        )
+
+    def _floors(self) -> dict[str, str]:
+        """Return which norms and eigenvalues are noise, unless all are small."""
+        assert self.plan.support is not None
+        texts = [
+            f"{name} is about {_number(self.plan, name, floor)}"
+            for name, (floor, usual) in floors_of(self.plan, self.plan.support).items()
+            if floor > _CONSIDERABLE_FLOOR * usual
+        ]
+        if not texts:
+            return {}
+        return {"floors": f"{', '.join(texts)} where the true value is 0"}
+
+    def _unknown_temperatures(self) -> dict[str, str]:
+        """Return which temperatures are NaN at most nodes, or at many nodes of a phase."""
+        plan = self.plan
+        effects: dict[str, str] = {}
+        if plan.options.temperature == "biased":
+            return effects
+        for name in (name for name in _TEMPERATURES if name in self.fields):
+            values = self.fields[name]
+            known = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
+            if 2 * known < self.reached:
+                effects[name] = f"{name} is NaN at {self.reached - known} of {self.reached} nodes"
+        if not plan.named or plan.options.temperature != "mixture" or "density" not in self.fields:
+            return effects
+        reached = self.fields["density"] > 0
+        count = np.maximum(reached.sum(axis=0), 1)
+        for name in ("granular_temperature", "mixture_temperature"):
+            if name not in self.fields:
+                continue
+            lost = reached & ~np.isfinite(self.fields[name])
+            shares = lost.sum(axis=0) / count
+            phases = [
+                f"{100 * share:.0f} % of the nodes of phase {group}"
+                for group, share in zip(plan.deposit.groups, shares[1:], strict=True)
+                if share > _UNKNOWN
+            ]
+            if phases:
+                effects[f"{name} of phases"] = (
+                    f"{name} is NaN, as its error is larger, at {' and '.join(phases)}"
+                )
+        return effects
+
+    def _fraction(self) -> dict[str, str]:
+        """Return where the volume fraction is above 1 as one grain fills a node; warn if that is not the cause."""
+        fraction = self.fields["volume_fraction"]
+        if not fraction.max(initial=0.0) > 1.0:
+            return {}
+        node = int(fraction.max(axis=1).argmax())
+        grid = self.plan.deposit.grid
+        index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
+        at_node = []
+        for name, coord in grid.coords.items():
+            value = float(coord.isel({dim: index[str(dim)] for dim in coord.dims}))
+            at_node.append(f"{name} = {value:.4g}")
+        place = ", ".join(at_node) or "the only node"
+        largest = self.frame["volume"].max(initial=0.0) * self.scale
+        kernel = self.plan.kernel
+        alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
+        text = f"the volume fraction is {fraction.max():.3g} at {place}"
+        if alone > 0.5:
+            cause = (
+                f"as one of the largest grains alone adds up to {alone:.3g} (by= and width={{group: width}} give each "
+                "group its own)"
+            )
+            return {"volume fraction": f"{text}, {cause}"}
+        warn_once(
+            "volume fraction",
+            f"{self.source}: {text}: grains overlap, or their sizes, or the length of an average (extent=, "
+            "thickness=), are not right",
+        )
+        return {}
+
+    def _lost_stress(self) -> dict[str, str]:
+        """Return how much of the pressure the kinetic stress lacks; warn if it adds what is no fluctuation.
+
+        It lacks what the velocity at a node takes, as that follows the few grains there; it adds the
+        variation of the flow within what a node sees. Without contacts the pressure is not known, and
+        shares are those of the kinetic stress itself, where it was asked for by name.
+        """
+        plan = self.plan
+        assert plan.support is not None
+        has_contacts = "contact_i" in self.frame
+        options = plan.options
+        taking = [
+            name
+            for name in plan.asked
+            if takes_stress_of_step(registry.row(name, options), options)
+        ]
+        free = without_frozen(self.frame)
+        if not taking or not len(free["mass"]) or not (has_contacts or plan.named):
+            return {}
+        parts = pressures_of(plan, free, self.lattice)
+        usual = [name for name in ("kinetic_stress", "stress", "pressure") if name in taking]
+        names = ", ".join(usual or taking[:1])
+        whole = "the pressure" if has_contacts else "it"
+        true = parts.kinetic + max(parts.contact, 0.0)
+        self._warn_of_variation(parts, true, names, whole)
+        lost = parts.kinetic / plan.support.grains
+        if not lost > _CONSIDERABLE * true:
+            return {}
+        verb = "lack" if ", " in names else "lacks"
+        share = f"about {100 * lost / true:.0f} % of {whole}"
+        return {
+            "lost stress": f"{names} {verb} {share}, as the velocity at a node follows these grains"
+        }
+
+    def _warn_of_variation(self, parts: Pressures, true: float, names: str, whole: str) -> None:
+        """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow."""
+        added = parts.smeared + sum(parts.averaged.values())
+        if not added > _CONSIDERABLE * (added + true):
+            return
+        hidden = "".join(a for a, part in parts.averaged.items() if part > 0.3 * added)
+        where = "within the support of the kernel"
+        way_out = (
+            f"decrease width= (it is {self.plan.kernel.width:.3g}); the kinetic part without it is density times the "
+            "granular temperature"
+        )
+        if hidden:
+            where = f"along {' and '.join(hidden)}, which fields are averaged over"
+            way_out = f"resolve {' and '.join(hidden)} too (axes=), and average after"
+        warn_once(
+            "variation of the flow",
+            f"{self.source}: {names}: about {100 * added / (added + true):.0f} % of {whole} is no fluctuation but the "
+            f"variation of the flow {where}: {way_out}",
+        )

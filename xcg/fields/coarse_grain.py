@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import xarray as xr
 
-from xcg.common.messages import warn_once
 from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.evaluate import CoarseGraining
@@ -21,7 +20,6 @@ from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
-from xcg.scene.conform import what_is_left_out
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import with_measures
 from xcg.steps.analysis import run
@@ -94,8 +92,6 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
     request = request_like(request)
     walls = walls_of(request)
     frame = request.frame
-    if nothing := what_is_left_out(ds):
-        warn_once("nothing left", f"coarse_grain: {nothing}; fields are those of no grain")
     ds, request = prepare(ds, request)
     given = request.given()
     if frame is not None:
@@ -120,13 +116,8 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )
-    if advise:
-        advice.advise(scene, plan, named=named)
-        plan.named = named
-        plan.lost_share = advice.lost_share(scene, plan)
+    advice.advise(ds, scene, plan, named=named if advise else None)
     result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
-    for name, floor in advice.describe_floors(scene, plan).items():
-        result[name].attrs["floor_of_one_step"] = floor
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:

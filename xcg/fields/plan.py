@@ -15,7 +15,7 @@ from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages, squared_integral
-from xcg.fields.formulas.field import Options, Quantity
+from xcg.fields.formulas.field import Options, Quantity, Support
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
@@ -77,8 +77,8 @@ class Plan:
         Values that single steps show where the true one is 0. Estimated by `explain` alone.
     named : bool
         Whether the fields were asked for by name.
-    lost_share : float
-        Share of the kinetic stress that single steps lack, until a step was checked for it.
+    support : Support, optional
+        Effective numbers of a node, where fields of single steps depend on them and they are known.
     walls : str, optional
         What the accessible fraction takes. Measured by `explain` alone.
 
@@ -102,7 +102,7 @@ class Plan:
     effective_count: float | None = None
     floors: str | None = None
     named: bool = False
-    lost_share: float = 0.0
+    support: Support | None = None
     walls: str | None = None
 
     def __post_init__(self) -> None:

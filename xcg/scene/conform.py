@@ -287,7 +287,7 @@ def what_is_left_out(ds: xr.Dataset) -> str:
     if ds.sizes["particle"] and not ds.sizes["time"]:
         return "no step is left, as of a selection of times that holds for none"
     ids = ds.variables["particle_id"]
-    padded = is_in_memory(ids) and not (ids != PADDING).any()
+    padded = is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()
     # a scene that never had particles has no range
     if not {"particle_lower", "particle_upper"} <= set(ds.attrs) or not (padded or not ids.size):
         return ""
@@ -324,6 +324,8 @@ def without_empty_chunks(values: xr.Variable) -> xr.Variable:
 
     dask leaves empty chunks in slices by a stride, and cannot index such arrays.
     """
+    if is_in_memory(values):
+        return values
     steps = values.chunksizes.get("time", ())
     if 0 in steps and any(steps):
         return values.chunk(time=tuple(n for n in steps if n))

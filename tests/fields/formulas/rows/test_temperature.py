@@ -237,7 +237,7 @@ def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
         f.compute()
     (warning,) = found
     assert issubclass(warning.category, xcg.SceneWarning)
-    assert "too few particles per node" in str(warning.message)
+    assert re.search(r"granular_temperature is NaN at \d+ of \d+ nodes", str(warning.message))
     assert warning.filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -346,7 +346,7 @@ def test_warnings_about_mixtures_name_the_way_out():
     ds, _ = mixture(1)
     with pytest.warns(xcg.SceneWarning, match="masses differ by 8 assumes .* Pass by="):
         ds.cg.coarse_grain("granular_temperature")
-    with pytest.warns(xcg.SceneWarning, match=r"granular_temperature of phase .*time_average"):
+    with pytest.warns(xcg.SceneWarning, match=r"granular_temperature is NaN, as .*time_average"):
         f = ds.cg.coarse_grain(["granular_temperature", "density"], by="species", for_averages=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -359,17 +359,17 @@ def test_warnings_about_mixtures_name_the_way_out():
 
 def test_one_step_warns_of_the_kinetic_stress_that_it_lacks():
     gas, _ = mixture(1, equal_energy=False)
-    with pytest.warns(xcg.SceneWarning, match=r"kinetic_stress of a single step lacks .* % of its"):
+    with pytest.warns(xcg.SceneWarning, match=r"kinetic_stress lacks about \d+ % of it,"):
         gas.cg.coarse_grain("kinetic_stress")
     packing = xcg.datasets.dense_packing()
     lazy = packing.chunk(time=1).cg.coarse_grain("pressure")
-    with pytest.warns(xcg.SceneWarning, match="pressure of a single step lacks .* of the pressure"):
+    with pytest.warns(xcg.SceneWarning, match=r"pressure lacks about \d+ % of the pressure"):
         lazy.compute()
     slow = packing.assign(
         velocity=1e-3 * packing.velocity, contact_force=1e3 * packing.contact_force
     )
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", ".*lacks kinetic stress")
+        warnings.filterwarnings("error", ".*(lack|lacks) about")
         gas.cg.coarse_grain(["density", "kinetic_stress"], axes="z")  # many grains at a node
         gas.cg.coarse_grain()  # without contacts and names
         slow.cg.coarse_grain(["pressure", "kinetic_stress"])
@@ -406,10 +406,10 @@ def test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows():
 def test_the_loss_of_kinetic_stress_in_rings_is_named(axes):
     ds = truths.gas(8)
     nodes = {"axes": axes, "bounds": {"r": (1.0, 4.0)}, "spacing": 1.5}
-    with pytest.warns(xcg.SceneWarning, match="lacks kinetic stress of about") as told:
+    with pytest.warns(xcg.SceneWarning, match="lacks about") as told:
         f = ds.cg.coarse_grain(
             ["kinetic_stress", "density"], frame=xcg.Cylindrical("z", (6, 6, 0)), **nodes
         )
-    named = float(re.search(r"of about (\d+) %", str(told[-1].message))[1]) / 100
+    named = float(re.search(r"lacks about (\d+) %", str(told[-1].message))[1]) / 100
     trace = sum(f.kinetic_stress.sel(component=a, direction=a) for a in ("r", "theta", "z"))
     assert named == pytest.approx(1 - float(trace.mean() / (3 * f.density.mean())), rel=0.3)

@@ -1,0 +1,126 @@
+"""Parts of the pressure of one step, estimated from a sample of its grains and contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.averages import second_moment
+from xcg.fields.plan import Plan
+from xcg.scene.contacts import Contacts
+from xcg.scene.lattice import Lattice
+from xcg.scene.rows import rows_of
+from xcg.scene.schema import COMPONENTS, Frame
+
+_SAMPLED = 2_000  # grains and contacts of a step from which its pressures are estimated
+
+
+@dataclass(frozen=True)
+class Pressures:
+    """Parts of the pressure of the sampled grains, times volume and dimension (J).
+
+    Attributes
+    ----------
+    kinetic, contact : float
+        Of fluctuations, and of contacts.
+    smeared : float
+        Of the variation of the flow within the support of the kernel.
+    averaged : dict
+        Of the variation of the flow along each averaged axis.
+    """
+
+    kinetic: float
+    contact: float
+    smeared: float
+    averaged: Mapping[str, float]
+
+
+def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
+    """Return the parts of the pressure of a step, from a sample of its grains and contacts.
+
+    Fluctuations are those between grains in contact where there are many; else of all grains about
+    the flow, as in a gas.
+    """
+    velocity = frame["velocity"]
+    count = len(velocity)
+    every = max(1, count // _SAMPLED)
+    sample = {name: frame[name][::every] for name in ("position", "velocity", "mass")}
+    mass = sample["mass"]
+    flow, smeared, averaged = variation_of_flow(plan, sample, lattice)
+    kinetic = float((mass[:, None] * (sample["velocity"] - flow) ** 2).sum())
+    contact = 0.0
+    if "contact_i" in frame:
+        rows = max(1, len(frame["contact_i"]) // _SAMPLED)
+        key_i = frame["contact_i"][::rows]
+        key_j = frame["contact_j"][::rows]
+        point = frame["contact_point"][::rows]
+        force = np.zeros_like(point)
+        if "contact_force" in frame:
+            force = frame["contact_force"][::rows]
+        # without the checks of `Contacts.of`, which the sums have made
+        i = rows_of(frame["particle_id"], key_i)
+        j = rows_of(frame["particle_id"], key_j)
+        contacts = Contacts(i, j, force, point, frame["position"], lattice, key_i, key_j, None)
+        sides = (contacts.branch_i - contacts.branch_j) * contacts.force
+        contact = float(sides[:, list(plan.options.plane)].sum()) * rows / every
+        pairs = (contacts.i >= 0) & (contacts.j >= 0)
+        if 2 * rows * np.count_nonzero(pairs) > count:
+            relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
+            kinetic = float((relative**2).sum(axis=1).mean() * mass.sum()) / 2
+    return Pressures(kinetic, contact, smeared, averaged)
+
+
+def variation_of_flow(
+    plan: Plan, frame: Frame, lattice: Lattice
+) -> tuple[NDArray, float, dict[str, float]]:
+    """Return the flow at the grains, and ``sum m |V - <V>|^2`` within supports and along averaged axes.
+
+    The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
+    is subtracted, from the squares and the squared derivatives of Legendre polynomials.
+    """
+    grid = plan.deposit.grid
+    position = frame["position"]
+    mass = frame["mass"]
+    of_box = np.zeros_like(position)
+    gradient = lattice.gradient_along(~grid.active)
+    if gradient is not None:
+        of_box = (position - lattice.middle) @ gradient.T
+    velocity = frame["velocity"] - of_box
+    places = (position - position.mean(axis=0)).T
+    spread = places.std(axis=1)
+    places = places / np.where(spread > 0, spread, 1.0)[:, None]
+    powers = [np.ones(len(mass))]
+    for k in plan.options.plane:
+        u = places[k]
+        powers += [u, u * u, u * u * u]
+    columns = np.stack(powers)
+    weighted = mass * columns
+    # normal equations: an orthogonal fit takes longer than the stress, and the columns are of one size
+    terms = np.linalg.lstsq(weighted @ columns.T, weighted @ velocity, rcond=None)[0]
+    flow = columns.T @ terms
+    noise = float((mass @ (velocity - flow) ** 2).sum()) / max(len(mass), 1)
+    smeared = 0.0
+    averaged = {}
+    variance = second_moment(plan.kernel, len(grid.seen))
+    for n, k in enumerate(plan.options.plane):
+        first, second, third = terms[1 + 3 * n : 4 + 3 * n]
+        u = places[k][:, None]
+        if COMPONENTS[k] in grid.seen:
+            slope = first + 2 * second * u + 3 * third * u * u
+            share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0
+            smeared += share * _beyond(float((mass @ slope**2).sum()), 20 * noise)
+        else:
+            along = first * u + second * (u * u) + third * (u * u * u)
+            along -= along.mean(axis=0)
+            averaged[COMPONENTS[k]] = _beyond(float((mass @ along**2).sum()), 3 * noise)
+    return flow + of_box, smeared, averaged
+
+
+def _beyond(total: float, noise: float) -> float:
+    """Return a sum of squares less its noise; 0 unless it is well beyond the scatter of that noise."""
+    if total < 4 * noise:
+        return 0.0
+    return total - noise
