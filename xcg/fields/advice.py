@@ -369,8 +369,8 @@ class ComputedStep:
         text = f"the volume fraction is {fraction.max():.3g} at {place}"
         if alone > 0.5:
             cause = (
-                f"as one of the largest grains alone adds up to {alone:.3g} (by= and width={{group: width}} give each "
-                "group its own)"
+                f"as the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g} (by= "
+                "and width={group: width} give each group its own)"
             )
             return {"volume fraction": f"{text}, {cause}"}
         warn_once(
