@@ -324,3 +324,19 @@ def test_volumes_that_are_not_those_of_the_axes_are_named(prefix, columns):
         xcg.SceneWarning, match=f"times those of the half-axes .* names=.*'{prefix}_axis_x'"
     ):
         xcg.scene_from_table(table.assign(**mistaken))
+
+
+@pytest.mark.parametrize("periodic", ["", "xy"])
+def test_a_box_in_a_smaller_unit_than_positions_is_named(periodic):
+    ds = xcg.datasets.random_scene(100, seed=1)
+    position, diameter = ds.position.values[0], ds.diameter.values[0]
+    given = {"diameter": diameter, "density": 2500.0, "periodic": periodic}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.scene_from_arrays(
+            position, box=[[0, 60], [0, 60], [0, 1e4]], **given
+        )  # a tall, wide one
+    with pytest.warns(
+        xcg.SceneWarning, match="times or more as long as the extent .* units of box"
+    ):
+        xcg.scene_from_arrays(position, box=[[0, 5000]] * 3, **given)

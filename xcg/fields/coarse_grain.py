@@ -12,7 +12,7 @@ import xarray as xr
 from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.evaluate import CoarseGraining
-from xcg.fields.grids.frames import in_frame, is_cylindrical
+from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame, is_cylindrical
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import about_strays, check_size
 from xcg.fields.like import request_like, with_nodes_of
@@ -188,7 +188,10 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
         asked = replace(asked, by_body=None)
     if asked.frame is not None:
         if not is_cylindrical(ds):
-            ds = in_frame(with_measures(ds), asked.frame)
+            ds = with_measures(ds)
+            if isinstance(asked.frame, Cylindrical):
+                check_axis(ds, asked.frame)
+            ds = in_frame(ds, asked.frame)
         if not is_cylindrical(ds):
             return ds, replace(asked, frame=None)
         letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places

@@ -558,3 +558,14 @@ def resembling_clock(columns: Iterable[str]) -> list[str]:
         if of_clock and words <= _CLOCK_WORDS | _BESIDE_CLOCK_WORDS and canonical(column) != "T":
             likely.append(column)
     return likely
+
+
+def times_by_unit(columns: Iterable[str]) -> list[str]:
+    """Return the column that resembles a time, and names a unit of time in brackets; nothing if there are two."""
+    times = []
+    for column in resembling_clock(columns):
+        unit = unit_of(column)
+        is_time = unit is not None and unit.in_brackets and unit.powers == powers_of_slot("time")
+        if is_time and "step" not in canonical(column):
+            times.append(column)
+    return times if len(times) == 1 else []

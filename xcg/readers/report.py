@@ -143,8 +143,9 @@ class Report:
         if self.whole_vectors or not suspects:
             return ""
         if self.contacts:
-            has_normal = "normal_force_x" in self.read.values()
-            vector = "tangential_force" if has_normal else "contact_force"
+            slots = {*self.read.values()}
+            is_other_part = "normal_force_x" in slots and "tangential_force_x" not in slots
+            vector = "tangential_force" if is_other_part else "contact_force"
             example = self._mapped(suspects, vector)
             example = example or f", for example names={{{suspects[0]!r}: '{vector}_x'}}"
         else:

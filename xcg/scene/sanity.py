@@ -58,6 +58,7 @@ _OTHER_ORDER = (
 )
 _EDGE = 0.02  # of the length of the box, by which grains may lie outside
 _OVERFULL = 30.0  # volume of the grains over that of the box, also of glued ones that overlap
+_WIDE = 50.0  # length of a box over the extent of the grains along each axis
 _FLAT_BOX = 3.0  # diameters: a thinner box is meant as the thickness of a layer
 
 _MOVED = 0.05  # least share of the grains outside periodic edges
@@ -342,6 +343,25 @@ def _overfilled_box(grains: Particles) -> str | None:
     )
 
 
+def _wide_box(grains: Particles) -> str | None:
+    """Check that the grains are not lost in a box that is many times longer than their extent along all axes."""
+    if grains.count < FEW or len(grains.edges) < len(grains.plane):
+        return None
+    position = grains.frame["position"]
+    room = 0.0 if np.isnan(grains.diameter) else grains.diameter
+    lengths = {k: high - low for k, (low, high) in grains.edges.items()}
+    ratio = min(length / (np.ptp(position[:, k]) + room) for k, length in lengths.items())
+    if not ratio > _WIDE:
+        return None
+    k = next(iter(lengths))
+    low, high = grains.edges[k]
+    return (
+        f"the box is {ratio:.3g} times or more as long as the extent of the grains along all of its axes (along "
+        f"{COMPONENTS[k]!r} it is {low:.4g} to {high:.4g}, and grains lie at {position[:, k].min():.4g} to "
+        f"{position[:, k].max():.4g}): check the units of box and positions, or give box="
+    )
+
+
 def _short_period(grains: Particles) -> str | None:
     """Check that grains outside periodic edges do not lie on others once they are moved inside.
 
@@ -559,6 +579,7 @@ _OF_LENGTHS: tuple[Check, ...] = (
     _factor_of_sizes,
     _order_of_axes,
     _grains_outside,
+    _wide_box,
     _overfilled_box,
     _short_period,
 )

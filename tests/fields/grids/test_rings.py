@@ -1,6 +1,6 @@
 """Fields in cylindrical axes: rigid rotation, explicit turning, averages over theta, mass, polar coordinates."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -398,3 +398,14 @@ def test_on_the_axis_the_part_along_it_is_that_of_cartesian_axes(axes):
             known = on_axis[name].notnull().sum([*along])
             np.testing.assert_array_equal(known, 1)
     assert f.sel(r=0.5).notnull().all()
+
+
+@pytest.mark.parametrize(
+    "options", [{"origin": (1000, 2, 0)}, {"axis": "x", "origin": (0, 2, -900)}]
+)
+def test_an_axis_far_from_the_particles_is_named(options):
+    ds = xcg.datasets.simple_cubic(4)
+    call = partial(ds.cg.coarse_grain, "density", axes="r", width=0.5)
+    with pytest.raises(ValueError, match=r"axis of the cylinder is 9\d\d(\.\d)? m .*origin="):
+        call(frame=xcg.Cylindrical(**options))
+    call(frame=xcg.Cylindrical(origin=(-9, 2, 0)))  # of a part of a ring

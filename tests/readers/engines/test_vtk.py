@@ -138,6 +138,13 @@ def test_contacts_as_lines_are_read(tmp_path, mode):
     np.testing.assert_allclose(ds.contact_point[0], [[0.7, 0, 0]] * 2, rtol=1e-6)
 
 
+def test_contacts_as_lines_that_are_opened_as_grains_are_named(tmp_path):
+    ends = [[[0, 0, 0], [1, 0, 0]]]
+    write_lines(tmp_path / "fc_1.vtp", ends, id1=[7], id2=[3], force=[[0, 0, -7.0]])
+    with pytest.warns(xcg.SceneWarning, match="those of contacts as lines.* contacts="):
+        xcg.open_scene(tmp_path / "fc_1.vtp")
+
+
 def test_lines_among_other_cells_are_read(tmp_path):
     """Data of cells are those of all kinds of cells, one after the other."""
     write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1])

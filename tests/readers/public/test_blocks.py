@@ -127,3 +127,53 @@ def test_a_line_of_text_below_the_rows_is_named(tmp_path, line):
 def test_quoted_names_hold_separators(tmp_path):
     names = "id,\"('pos', 'x')\",\"('pos', 'y')\",\"('pos', 'z')\",radius"
     np.testing.assert_array_equal(opened(tmp_path, f"{names}\n{ROWS}").position[0], PLACES)
+
+
+@pytest.mark.parametrize(
+    "head", ["My code\ntime = 500 ms\n\n", "% t = 0.5 s\n% ", "# time = 0.5 s\n# "]
+)
+@pytest.mark.parametrize("suffix", ["txt", "dat", "csv"])
+@pytest.mark.filterwarnings("error")
+def test_texts_of_any_suffix_are_recognised_below_lines_with_the_time(tmp_path, head, suffix):
+    text = head + "id x y z radius\n5 0.1 0.2 0.3 0.05\n2 0.4 0.5 0.6 0.05\n"
+    ds = opened(tmp_path, text, f"p.{suffix}")
+    np.testing.assert_array_equal(ds.position[0], PLACES)
+    assert ds.time.values.tolist() == [0.5]
+
+
+def test_units_below_the_names_of_a_text_are_recognised(tmp_path):
+    ds = opened(tmp_path, "id x y z radius\n- mm mm mm mm\n5 1 2 3 .5\n", "p.txt")
+    np.testing.assert_allclose(ds.position[0], [[1e-3, 2e-3, 3e-3]])
+
+
+@pytest.mark.parametrize("end", [";;;;;\n", ";;;;;\n;;;;;", "\n; ; ;;;\n\n"])
+@pytest.mark.parametrize("row_end", ["", ";"])
+@pytest.mark.filterwarnings("error")
+def test_rows_of_separators_at_the_end_are_none(tmp_path, end, row_end):
+    lines = ["time;id;x;y;z;radius", "0;1;0;0;0;.5", "2;1;1;0;0;.5"]
+    text = "".join(line + row_end + "\n" for line in lines) + end
+    for eol in ("\n", "\r\n"):
+        ds = opened(tmp_path, text.replace("\n", eol)).load()
+        np.testing.assert_array_equal(ds.position[:, 0, 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize("sign", [";", "\t", " "])
+def test_the_call_for_decimal_commas_can_be_pasted(tmp_path, sign):
+    rows = ["id x y z radius", "1 0,5 0 0 0,25", "2 1,5 0 0 0,25"]
+    text = "\n".join(row.replace(" ", sign) for row in rows) + "\n"
+    with pytest.raises(xcg.SceneError, match="decimal commas") as error:
+        opened(tmp_path, text, "p.csv").load()
+    call = str(error.value).partition("read by pandas: ")[2]
+    ds = eval(call, {"xcg": xcg, "pandas": pd})  # as a user pastes it
+    np.testing.assert_array_equal(ds.position[0, :, 0], [0.5, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("column", "seconds"), [("Zeit [s]", 2.0), ("Temps (ms)", 2e-3), ("elapsed time [s]", 2.0)]
+)
+@pytest.mark.filterwarnings("error")
+def test_times_in_another_language_are_told_by_their_unit(tmp_path, column, seconds):
+    ds = opened(tmp_path, f"{column};id;x;y;z;radius\n0;1;0;0;0;.5\n2;1;1;0;0;.5\n")
+    assert ds.time.values.tolist() == [0.0, seconds]
+    with pytest.warns(xcg.SceneWarning, match="all rows are one step"):
+        opened(tmp_path, "elapsed step time [s];id;x;y;z;radius\n0.1;1;0;0;0;.5\n0.1;2;1;0;0;.5\n")

@@ -20,6 +20,7 @@ from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading,
 CYLINDRICAL = "cylindrical"
 _PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given
 _NO_PLACE = (0.0, 0.0, 0.0)
+_FAR_AXIS = 10.0  # extents of the particles from their middle, beyond which no axis of theirs is
 _PLACES = ("position", "contact_point")
 _LATTICE = ("lattice", "lattice_velocity")
 _SAME = 1e-12  # rounding of directions
@@ -261,6 +262,28 @@ class Cylindrical:
         if x is None and Rotated(z=z).axes[2][0] > 1.0 - _PARALLEL**2:
             x = (0.0, 1.0, 0.0)
         return Rotated(z=z, x=x, origin=self.origin)
+
+
+def check_axis(ds: xr.Dataset, frame: Cylindrical) -> None:
+    """Raise ValueError for an axis that is farther from the particles than ten times their extent.
+
+    Scenes whose extent is not known pass.
+    """
+    low, high = (ds.attrs.get(f"particle_{end}") for end in ("lower", "upper"))
+    if low is None or high is None:
+        return
+    rotated = frame.rotated
+    across = rotated.axes[:2] @ (corners(low, high) - np.asarray(rotated.origin)).T
+    extent = np.ptp(across, axis=1).max()
+    distance = np.linalg.norm(across.mean(axis=1))
+    if distance > _FAR_AXIS * extent > 0:
+        ranges = ", ".join(
+            f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip(COMPONENTS, low, high, strict=True)
+        )
+        raise ValueError(
+            f"the axis of the cylinder is {distance:.4g} m from the middle of the particles ({ranges}): give a point "
+            f"on the axis, origin= (now {tuple(frame.origin)}), in m, and its direction, axis= (now {frame.axis!r})"
+        )
 
 
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:

@@ -19,7 +19,7 @@ from xcg.readers.assigned import assign
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import suffix_of
-from xcg.readers.files.blocks import scan_blocks
+from xcg.readers.files.blocks import row_below_text, scan_blocks, time_of
 from xcg.readers.files.table import (
     TableIndex,
     first_row,
@@ -29,7 +29,13 @@ from xcg.readers.files.table import (
     scan_parquet,
 )
 from xcg.readers.files.text import first_lines
-from xcg.readers.names import CLOCK_SLOTS, columns_by_name, factor_of, resembling_clock
+from xcg.readers.names import (
+    CLOCK_SLOTS,
+    columns_by_name,
+    factor_of,
+    resembling_clock,
+    times_by_unit,
+)
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
 from xcg.scene.times import read_times, without_noise
@@ -96,9 +102,15 @@ def _has_header(path: str) -> bool:
     if not first_lines(path):
         return False
     try:
-        names, words = first_row(path)
+        return _begins_a_table(path, *first_row(path)) or _begins_a_table(
+            path, *row_below_text(path)
+        )
     except SceneError:  # a line without an end
         return False
+
+
+def _begins_a_table(path: str, names: tuple[str, ...], words: Sequence[str]) -> bool:
+    """Return whether names of columns are those of positions or contacts, above numbers."""
     if len(words) not in (len(names), len(names) + 1):  # one more: an index without a name
         return False
     row = dict(zip(reversed(names), reversed(words), strict=False))
@@ -115,6 +127,10 @@ def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[st
     by_name = columns_by_name([name for name in columns if name not in given], CLOCK_SLOTS)
     by_caller = {slot: name for name, slot in given.items() if name in columns}
     clock = by_name | {slot: name for slot, name in by_caller.items() if slot is not None}
+    if not clock.keys() & CLOCK_SLOTS.keys():  # in another language, told by its unit
+        times = times_by_unit(name for name in columns if name not in given)
+        if times:
+            clock["time"] = times[0]
     # the time, if there is one, separates the steps
     return {slot: clock[slot] for slot in CLOCK_SLOTS if slot in clock}
 
@@ -146,6 +162,7 @@ def _steps(
         yield from _steps_of(table, path, given, convert=convert)
     if not below_text:
         table = scan_csv(path, of_clock, in_order)
+        table = replace(table, time=time_of(table.comments, convert=convert))
         yield from _steps_of(table, path, given, convert=convert)
 
 

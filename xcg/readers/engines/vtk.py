@@ -138,11 +138,17 @@ class Vtk(Engine):
         first = refs[0]
         of_cells = [array for array in first.columns if array.endswith(OF_CELLS)]
         if of_cells:
-            arrays = ", ".join(array.removesuffix(OF_CELLS) for array in of_cells)
-            warn_user(
-                f"{first.path}: arrays of cells are not read ({arrays}); they are arrays of grains only where each "
-                "point has one vertex, in .vtk, .vtp and .vtu files. If they belong to grains, write arrays of points"
+            arrays = [array.removesuffix(OF_CELLS) for array in of_cells]
+            cause = (
+                "they are arrays of grains only where each point has one vertex, in .vtk, .vtp and .vtu files. If "
+                "they belong to grains, write arrays of points"
             )
+            if {"contact_i", "contact_j"} <= columns_by_name(arrays, self.CONTACT_SLOTS).keys():
+                cause = (
+                    "they are those of contacts as lines, most likely, whose ends were read as grains: give this file "
+                    "as contacts=, beside that of the grains"
+                )
+            warn_user(f"{first.path}: arrays of cells are not read ({', '.join(arrays)}); {cause}")
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def scan_blocks(
         number = tables = 0
         while line := scanner.line():
             number += 1
-            time = _time_of(line, time, convert=convert)
+            time = time_of([line], time, convert=convert)
             if line.strip() != header.strip():
                 if tables and any(map(is_number, cells_of(line)[:1])):
                     raise SceneError(
@@ -100,6 +100,18 @@ def scan_blocks(
             columns = clock_columns(b"".join(rows), names, clock, separator, path)
             yield TableIndex(names, len(rows), columns, np.array(starts), separator, time)
             time = None
+
+
+def row_below_text(path: str) -> tuple[tuple[str, ...], list[str]]:
+    """Return the names of the columns below a text, or above units, and the words of the first row; else nothing."""
+    with scanned(path) as scanner:
+        head = scanner.sample(PIECE).split(b"\n")[:_MOST_TEXT]
+    place = _place_of_names(head)
+    if place is None:
+        return (), []
+    _, names = split_header(_plain(head[place]).decode("utf-8-sig", "replace"))
+    row = head[place + 1 + bool(_units(head[place + 1]))]
+    return names, [cell.decode("utf-8", "replace") for cell in cells_of(row)]
 
 
 def _next_line(scanner: Scanner) -> bytes:
@@ -147,13 +159,12 @@ def _units(line: bytes) -> list[str]:
     return ["" if word in ("", "-", "1", "#") else word for word in words]
 
 
-def _time_of(line: bytes, time: float | None, *, convert: bool) -> float | None:
-    """Return the time in a line of text, else the one before."""
-    match = _TIME.fullmatch(line.decode("utf-8", "replace").strip())
-    if match is None:
-        return time
-    above, value, below = match.groups()
-    unit = parse_unit(below or above or "s")
-    if unit is None or unit[1] != (0, 0, 1):
-        return time
-    return float(value) * (unit[0] if convert else 1.0)
+def time_of(lines: Iterable[bytes], time: float | None = None, *, convert: bool) -> float | None:
+    """Return the time in the last line of text that holds one, else the one before."""
+    for line in lines:
+        match = _TIME.fullmatch(line.decode("utf-8", "replace").strip())
+        above, value, below = match.groups() if match is not None else ("", "", "")
+        unit = parse_unit(below or above or "s")
+        if value and unit is not None and unit[1] == (0, 0, 1):
+            time = float(value) * (unit[0] if convert else 1.0)
+    return time

@@ -134,7 +134,9 @@ def parse_table(
         if not whole:
             line, *more = _lines(block, separator)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
-            raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
+            raise SceneError(
+                f"{name}: row {end} {_fault(line, columns, wanted, last=last, separator=separator, source=name)}"
+            )
         table.write(filled, numbers)
         filled = end
     if rows is not None and filled < rows:
@@ -263,8 +265,16 @@ def _shown(line: bytes) -> str:
     return repr(line.decode("utf-8", "replace").strip()[:60])
 
 
-def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: bool) -> str:
-    """Describe the error of a row."""
+def _fault(
+    line: bytes,
+    columns: Sequence[str],
+    wanted: Sequence[str],
+    *,
+    last: bool,
+    separator: str,
+    source: str,
+) -> str:
+    """Describe the error of a row of a file, or a step in it (`source`)."""
     words = line.split()
     if len(words) != len(columns):
         hint = f"the columns are {' '.join(columns)}"
@@ -279,9 +289,11 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
     word = words[columns.index(wrong)].decode("utf-8", "replace")
     fault = f"has {word!r} in column '{wrong}', expected a number"
     if _DECIMAL_COMMA.fullmatch(word):
+        path = source.partition(" (step ")[0]
+        sign = r"\s+" if separator == " " else separator
         fault += (
-            "; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv(file, sep=';', "
-            "decimal=','), ...)"
+            f"; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv({path!r}, sep={sign!r}, "
+            "decimal=','))"
         )
     elif last and words[0][:1].isalpha():
         fault += f"; {_BELOW}"
@@ -311,6 +323,8 @@ class TableIndex:
         What stands between values.
     time : float, optional
         Time in the text above the table (s).
+    comments : tuple of bytes
+        Comments above the first row.
     """
 
     columns: tuple[str, ...]
@@ -319,6 +333,7 @@ class TableIndex:
     starts: NDArray | None = None
     kind: str = ""
     time: float | None = None
+    comments: tuple[bytes, ...] = ()
 
     def place(self, first: int, stop: int) -> tuple[int, int]:
         """Byte where some rows begin, and how many bytes there are; the first row where bytes are unknown."""
@@ -346,12 +361,12 @@ def scan_csv(
     """
     with scanned(path) as scanner:
         if in_order:
-            _comments(scanner)
+            comments = _comments(scanner)
             first = scanner.sample(PIECE).partition(b"\n")[0] + b"\n"
             separator = _separator_of(first.decode("utf-8-sig", "replace"))
             first = b"".join(_joined_words([first], separator, len(in_order)))
         else:
-            first = _header_line(scanner)
+            first, comments = _header_line(scanner)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator, names = split_header(line)
         twice = [name for name, count in Counter(names).items() if count > 1]
@@ -373,17 +388,32 @@ def scan_csv(
                 f"{why}{way_out}"
             )
         found = [np.array([scanner.offset])]
-        pieces = _joined_words(_pieces(scanner, found), separator, len(names))
+        tail: list[bytes] = []
+        pieces = _joined_words(_pieces(scanner, found, tail), separator, len(names))
         wanted = sorted(set(clock_of(names).values()))
         clock = _clock_columns(pieces, names, wanted, separator, path)
         deque(pieces, 0)  # what is left
     edges = np.concatenate(found)
+    end = scanner.offset
+    blank = _blank_rows(tail[-1], separator) if tail else b""
+    if blank:
+        end -= len(blank)
+        edges = edges[edges <= end]
     end_of_line = 2 if first.endswith(b"\r\n") else 1
     rows = np.diff(edges) > end_of_line  # others are blank
-    starts = np.append(edges[:-1][rows], scanner.offset)
+    starts = np.append(edges[:-1][rows], end)
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
-    return TableIndex(names, len(starts) - 1, clock, starts, separator)
+    return TableIndex(names, len(starts) - 1, clock, starts, separator, comments=tuple(comments))
+
+
+def _blank_rows(tail: bytes, separator: str) -> bytes:
+    """Return the lines of separators at the end of a text, as spreadsheets write them; b"" without such lines."""
+    kept = tail.rstrip(b" \r\n" + separator.encode())
+    _, _, rest = tail[len(kept) :].partition(b"\n")
+    if not kept or separator.encode() not in rest.replace(b" ", b""):
+        return b""
+    return rest
 
 
 def clock_columns(
@@ -414,8 +444,8 @@ def _clock_columns(
     return clock
 
 
-def _header_line(scanner: Scanner) -> bytes:
-    """Return the line that names the columns, and pass over comments above and below it.
+def _header_line(scanner: Scanner) -> tuple[bytes, list[bytes]]:
+    """Return the line that names the columns, and the comments above and below it, and pass over them.
 
     It is the first line without "#", or, where that holds numbers, the last comment of as many
     words.
@@ -425,10 +455,9 @@ def _header_line(scanner: Scanner) -> bytes:
     first = cells_of(_BLANKS_OF_DATES.sub(b"_", below.partition(b"\n")[0]))
     if below.strip() and not all(map(_is_value, first)):
         header = scanner.line()
-        _comments(scanner)
-        return header
+        return header, comments + _comments(scanner)
     names = [line for line in comments if len(cells_of(line)) == len(first)]
-    return (names or comments or [scanner.line()])[-1]
+    return (names or comments or [scanner.line()])[-1], comments
 
 
 def _comments(scanner: Scanner) -> list[bytes]:
@@ -470,8 +499,9 @@ def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) ->
 def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
     """Return the names of the columns of a text, and the words of its first row."""
     with scanned(path) as scanner:
-        header = _header_line(scanner).decode("utf-8-sig", "replace").lstrip("#").strip()
-        separator, names = split_header(header)
+        header, _ = _header_line(scanner)
+        line = header.decode("utf-8-sig", "replace").lstrip("#").strip()
+        separator, names = split_header(line)
         row = b"".join(_joined_words([scanner.line()], separator, len(names)))
         words = row.decode("utf-8", "replace").strip()
         return names, words.split(None if separator == " " else separator)
@@ -550,18 +580,19 @@ def _texts(
     for row, line in enumerate(_lines(body, separator)):
         words = line.split()
         if len(words) != len(columns):
-            fault = _fault(line, columns, (), last=False)
+            fault = _fault(line, columns, (), last=False, separator=separator, source=path)
             raise SceneError(f"{path}: row {row} {fault}")
         rows.append([words[place].decode("utf-8", "replace").strip("\"'") for place in places])
     values = np.array(rows, object).reshape(len(rows), len(wanted))
     return dict(zip(wanted, values.T, strict=True))
 
 
-def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
-    """Yield the rest of a text, and add the byte after each end of a line to `starts`."""
+def _pieces(scanner: Scanner, starts: list[NDArray], tail: list[bytes]) -> Iterator[bytes]:
+    """Yield the rest of a text, add the byte after each end of a line to `starts`, and its last piece to `tail`."""
     piece = b"\n"
     while block := scanner.block(PIECE):
         piece = block
+        tail[:] = [piece]
         ends = np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n"))
         starts.append(scanner.offset - len(piece) + 1 + ends)
         yield piece
