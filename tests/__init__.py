@@ -11,11 +11,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import numpy as np
-import xarray as xr
-
-import xcg
-
 ROOT = Path(__file__).parents[1]
 
 
@@ -62,25 +57,3 @@ def pyvista_draws() -> bool:
         subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode
         == 0
     )
-
-
-def steps_of_random_scenes(count: int) -> xr.Dataset:
-    """Random scenes of different numbers of particles and contacts, as one scene of several steps."""
-    steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(count)]
-    names = [
-        "velocity",
-        "diameter",
-        "species",
-        "contact_i",
-        "contact_j",
-        "contact_force",
-        "contact_point",
-    ]
-    key: dict[Any, str] = {"contact": "contact_i", "particle": "particle_id"}
-    rows: dict[str, Any] = {
-        n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names
-    }
-    return xcg.scene_from_arrays(
-        [s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
-        time=np.arange(count) * 0.1, **rows,
-    )  # fmt: skip

@@ -24,7 +24,8 @@ import numpy as np
 import xarray as xr
 
 import xcg
-from tests import ROOT, steps_of_random_scenes
+from tests import ROOT
+from tests.scenes import random_steps
 
 STEPS, NODES = 12, 30
 SAVED, RECORDED = (".nc", ".zarr", ".vtkhdf"), (".nc", ".zarr")
@@ -32,7 +33,7 @@ SAVED, RECORDED = (".nc", ".zarr", ".vtkhdf"), (".nc", ".zarr")
 
 def fields() -> xr.Dataset:
     """Return fields of several chunks of time that take a second or two to save."""
-    ds = steps_of_random_scenes(STEPS).chunk(time=1)
+    ds = random_steps(STEPS).chunk(time=1)
     names = ["density", "velocity", "stress", "volume_fraction"]
     return ds.cg.coarse_grain(names, width=1.0, spacing=5.0 / NODES)
 

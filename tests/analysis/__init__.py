@@ -1,58 +1,6 @@
-"""Tests of analyses, and configurations of hard spheres."""
+"""Tests of analyses, and the structure of hard spheres by Percus and Yevick."""
 
-from functools import cache
-
-import numba
 import numpy as np
-
-import xcg
-
-
-@numba.njit
-def _sweeps(position, edge, step, sweeps, rng):
-    """Move hard spheres of diameter 1 at random in a periodic cube, in place (Metropolis)."""
-    count = len(position)
-    trial = np.empty(3)
-    for _ in range(sweeps * count):
-        i = rng.integers(0, count)
-        for a in range(3):
-            trial[a] = (position[i, a] + step * (2 * rng.random() - 1)) % edge
-        overlaps = False
-        for j in range(count):
-            square = 0.0
-            for a in range(3):
-                d = trial[a] - position[j, a]
-                d -= edge * np.rint(d / edge)
-                square += d * d
-            if j != i and square < 1.0:
-                overlaps = True
-                break
-        if not overlaps:
-            position[i] = trial
-
-
-@cache
-def hard_spheres(fraction=0.3, steps=100, cells=4):
-    """Return steps of an equilibrium fluid of 4 cells^3 hard spheres of diameter 1, from a crystal."""
-    crystal = xcg.datasets.face_centred_cubic(cells)
-    count = crystal.sizes["particle"]
-    edge = (count * np.pi / 6 / fraction) ** (1 / 3)
-    position = crystal.position.to_numpy()[0] * (edge / (cells * np.sqrt(2)))
-    rng = np.random.default_rng(1)
-    _sweeps(position, edge, 0.25, 400, rng)
-    frames = []
-    for _ in range(steps):
-        _sweeps(position, edge, 0.25, 15, rng)
-        frames.append(position.copy())
-    return xcg.scene_from_arrays(
-        np.array(frames),
-        diameter=np.ones((steps, count)),
-        density=1.0,
-        species=np.broadcast_to(1 + np.arange(count) % 2, (steps, count)),
-        box=[(0, edge)] * 3,
-        periodic="xyz",
-        time=np.arange(steps) * 1.0,
-    )
 
 
 def percus_yevick(k, fraction):

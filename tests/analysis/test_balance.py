@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps
 
 
 def close_frames(dt, seed=1, *, species=False):
@@ -82,7 +82,7 @@ def test_residuals_of_each_phase_fall_with_the_mesh_and_with_the_time_between_fr
 
 @pytest.mark.parametrize("options", [{}, {"axes": "zx"}, {"by": "species"}])
 def test_dimensions_and_coordinates_are_in_the_order_of_the_fields(options):
-    ds = steps_of_random_scenes(2).assign_attrs(gravity=np.array([0, 0, -1.0]))
+    ds = random_steps(2).assign_attrs(gravity=np.array([0, 0, -1.0]))
     f = ds.cg.coarse_grain("velocity", for_averages=False, **options)
     b = ds.cg.balance(**options)
     assert list(b.sizes) == [*f.sizes, "interval"]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import xcg
-from tests.analysis.test_radial_distribution import gas, pair_vectors
+from tests.analysis.test_radial_distribution import pair_vectors
+from tests.scenes import gas
 
 
 def order_of(degree, bonds):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests.analysis import hard_spheres
-from tests.analysis.test_radial_distribution import gas
+from tests.scenes import gas, hard_spheres
 
 
 @pytest.mark.slow

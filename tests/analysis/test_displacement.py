@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import xcg
 from tests import ROOT
 from tests.brute_force import BruteKernel
+from tests.scenes import spheres
 
 TENSOR = ("component", "direction")
 MIDDLE = {"x": 3.0, "y": 3.0, "z": 3.0}
@@ -26,18 +27,14 @@ DEFORMATIONS = {
 }
 
 
-def grains(count=1500, edge=6.0, seed=0):
+def places(count=1500, edge=6.0, seed=0):
+    """Places (count, 3) in a cube."""
     return np.random.default_rng(seed).uniform(0, edge, (count, 3))
 
 
-def scene(positions, **options):
-    steps = len(positions)
-    given = {
-        "diameter": np.ones((steps, len(positions[0]))),
-        "density": 1.0,
-        "time": 0.5 * np.arange(steps),
-    }
-    return xcg.scene_from_arrays(positions, **(given | options))
+def moved(positions, **options):
+    """Spheres in steps half a second apart."""
+    return spheres(positions, time=0.5 * np.arange(len(positions)), **options)
 
 
 def check_affine(f, deformation, atol=1e-13):
@@ -72,8 +69,8 @@ def check_affine(f, deformation, atol=1e-13):
 
 @pytest.mark.parametrize("deformation", DEFORMATIONS.values(), ids=DEFORMATIONS)
 def test_affine_deformation_is_exact(deformation):
-    r = grains()
-    ds = scene([r, r @ deformation.T + [0.5, -2.0, 7.0]])
+    r = places()
+    ds = moved([r, r @ deformation.T + [0.5, -2.0, 7.0]])
     f = ds.cg.displacement(["centre_offset", *NAMES], bounds=dict.fromkeys("xyz", (2.0, 4.0)))
     check_affine(f, deformation)
     node = xr.concat(xr.broadcast(f.x, f.y, f.z), "component")
@@ -101,7 +98,7 @@ def deforming(stretch, noise=0.0, first=0.0):
     position = lower[:, None] + (share + away) * edge[:, None]
     position[1] += noise * rng.normal(size=(1500, 3))
     lower += first * edge
-    return scene(position, box=np.stack([lower, lower + edge], axis=-1), periodic="xyz")
+    return moved(position, box=np.stack([lower, lower + edge], axis=-1), periodic="xyz")
 
 
 @pytest.mark.parametrize(
@@ -149,10 +146,10 @@ def test_fields_do_not_depend_on_where_the_edges_are():
 
 def test_a_box_far_from_the_origin_keeps_its_images():
     stretch, away = np.array([1.3, 0.8, 1.0]), np.array([100.0, -50.0, 0.0])
-    r = grains()
+    r = places()
     edges = np.array([[6.0] * 3, 6.0 * stretch])
     box = np.stack([np.tile(away, (2, 1)), away + edges], axis=-1)
-    ds = scene([away + r, away + (r * stretch + 0.3) % edges[1]], box=box, periodic="xyz")
+    ds = moved([away + r, away + (r * stretch + 0.3) % edges[1]], box=box, periodic="xyz")
     f = ds.cg.displacement([*NAMES, "centre_offset"], axes="y", spacing=1.0)
     check_affine(f, np.diag(stretch), atol=1e-12)
     expected = 0.3 + (f.y - away[1] + f.centre_offset.sel(component="y")) * (stretch[1] - 1)
@@ -163,16 +160,16 @@ def test_a_box_far_from_the_origin_keeps_its_images():
 
 def test_open_and_periodic_axes_together():
     deformation = np.diag([1.2, 1.0, 1.0]) + 0.1 * np.outer([0, 1, 0], [0, 0, 1])
-    r = grains()
+    r = places()
     box = np.array([[[0.0, 6.0]] * 3, [[0.0, 7.2], [0.0, 6.0], [0.0, 6.0]]])
-    ds = scene([r, r @ deformation.T % [7.2, 6.0, 100.0]], box=box, periodic="xy")
+    ds = moved([r, r @ deformation.T % [7.2, 6.0, 100.0]], box=box, periodic="xy")
     check_affine(ds.cg.displacement(bounds={"z": (2.0, 4.0)}, spacing=1.0), deformation, atol=1e-12)
 
 
 def test_edges_a_period_apart_are_equivalent():
-    r = grains()
+    r = places()
     box = np.array([[[0.0, 6.0]] * 3, [[6.0, 12.0]] * 3])
-    f = scene([r, (r + np.array([0.1, 0, 0])) % 6 + 6], box=box, periodic="xyz").cg.displacement(
+    f = moved([r, (r + np.array([0.1, 0, 0])) % 6 + 6], box=box, periodic="xyz").cg.displacement(
         ["displacement"], axes="z"
     )
     np.testing.assert_allclose(
@@ -181,8 +178,8 @@ def test_edges_a_period_apart_are_equivalent():
 
 
 def test_translation_across_periodic_edges():
-    r, u = grains(), [2.9, -2.0, 0.5]
-    ds = scene([r, (r + u) % 6], box=[[0, 6]] * 3, periodic="xyz")
+    r, u = places(), [2.9, -2.0, 0.5]
+    ds = moved([r, (r + u) % 6], box=[[0, 6]] * 3, periodic="xyz")
     with pytest.warns(xcg.SceneWarning, match="by up to 0.48 of the period along 'x'"):
         f = ds.cg.displacement(spacing=1.5)
     check_affine(f, np.eye(3))
@@ -190,17 +187,17 @@ def test_translation_across_periodic_edges():
 
 
 def test_displacements_of_a_layer():
-    r = grains(400) * [1, 0, 1] + [0, 0.5, 0]
+    r = places(400) * [1, 0, 1] + [0, 0.5, 0]
     deformation = np.array([[1.1, 0, 0.3], [0, 1, 0], [-0.2, 0, 0.9]])
-    ds = scene([r, r @ deformation.T + [0, 0.05, 0]], dimension=2, plane="xz", thickness=1.0)
+    ds = moved([r, r @ deformation.T + [0, 0.05, 0]], dimension=2, plane="xz", thickness=1.0)
     check_affine(ds.cg.displacement(axes="", at={"x": 3.0, "z": 3.0}), deformation)
 
 
 def test_phases_are_about_the_bulk():
     deformation = DEFORMATIONS["anything"]
-    r = grains(4000)
+    r = places(4000)
     species = np.tile(np.arange(4000) % 2 + 1, (2, 1))
-    ds = scene([r, r @ deformation.T], species=species)
+    ds = moved([r, r @ deformation.T], species=species)
     f = ds.cg.displacement(axes="", at=MIDDLE, by="species")
     assert f.phase.values.tolist() == ["bulk", "1", "2"]
     check_affine(f, deformation)
@@ -208,7 +205,7 @@ def test_phases_are_about_the_bulk():
         np.random.default_rng(1).normal(size=(4000, 3))
         * np.where(species[0] == 1, 0.1, 0.3)[:, None]
     )
-    f = scene([r, r + noise], species=species).cg.displacement(
+    f = moved([r, r + noise], species=species).cg.displacement(
         ["d2min"], axes="", at=MIDDLE, by="species", width=1.5
     )
     np.testing.assert_allclose(f.d2min.sel(phase=["1", "2"]).squeeze(), [0.03, 0.27], rtol=0.15)
@@ -219,11 +216,11 @@ def test_phases_are_about_the_bulk():
 
 def test_d2min_is_the_weighted_sum_of_falk_and_langer():
     rng = np.random.default_rng(4)
-    r = grains(600)
+    r = places(600)
     diameter = np.tile(rng.uniform(0.7, 1.3, 600), (2, 1))
     u = rng.normal(size=(600, 3)) * 0.1 + r @ rng.normal(size=(3, 3)) * 0.1
     kernel, at = BruteKernel("lucy", 0.9), np.array([3.1, 2.8, 3.3])
-    f = scene([r, r + u], diameter=diameter).cg.displacement(
+    f = moved([r, r + u], diameter=diameter).cg.displacement(
         [*NAMES, "fluctuation_density"], axes="", at=dict(zip("xyz", at, strict=True)), width=0.9
     ).squeeze()  # fmt: skip
     w = np.pi / 6 * diameter[0] ** 3 * kernel(np.linalg.norm(r - at, axis=1))
@@ -245,8 +242,8 @@ def test_d2min_is_the_weighted_sum_of_falk_and_langer():
 
 def test_independent_displacements_have_their_variance():
     rng = np.random.default_rng(5)
-    r = grains(400)
-    ds = scene([r, r + rng.normal(size=(400, 3)) * 0.01], box=[[0, 6]] * 3, periodic="xyz")
+    r = places(400)
+    ds = moved([r, r + rng.normal(size=(400, 3)) * 0.01], box=[[0, 6]] * 3, periodic="xyz")
     found = {}
     for way in ("unbiased", "biased"):
         f = ds.cg.displacement(
@@ -263,7 +260,7 @@ def test_independent_displacements_have_their_variance():
 
 
 def test_grains_that_enter_or_leave_are_counted_and_left_out():
-    deformation, r = DEFORMATIONS["anything"], grains()
+    deformation, r = DEFORMATIONS["anything"], places()
     later = r @ deformation.T
     rng = np.random.default_rng(2)
     frames, ids = [], []
@@ -287,19 +284,20 @@ def test_grains_that_enter_or_leave_are_counted_and_left_out():
     xr.testing.assert_allclose(again, f, rtol=1e-12, atol=1e-13)
 
 
-def series(steps=6, seed=3):
+def deformed_steps(steps=6, seed=3):
+    """Grains that a random strain and a random walk move in each step."""
     rng = np.random.default_rng(seed)
-    r = [grains(300)]
+    r = [places(300)]
     for _ in range(steps - 1):
         r.append(
             r[-1] @ (np.eye(3) + rng.normal(size=(3, 3)) * 0.02) + rng.normal(size=(300, 3)) * 0.01
         )
-    return scene(r)
+    return moved(r)
 
 
 @pytest.mark.parametrize("chunks", [1, 2, 4])
 def test_lazy_displacements_equal_eager_ones(chunks):
-    ds = series()
+    ds = deformed_steps()
     options = {"axes": "z", "extent": {"x": 6.0, "y": 6.0}, "bounds": {"z": (2.0, 4.0)}, "lag": 2}
     eager = ds.cg.displacement(**options)
     lazy = ds.chunk(time=chunks).cg.displacement(width=0.75, **options)
@@ -312,7 +310,7 @@ def test_lazy_displacements_equal_eager_ones(chunks):
 
 def test_a_chunk_reads_its_frames_and_their_partners_only():
     read = []
-    ds = series()
+    ds = deformed_steps()
 
     def note(block, block_info=None):
         read.append(block_info[0]["array-location"][0])
@@ -330,7 +328,7 @@ def test_a_chunk_reads_its_frames_and_their_partners_only():
 
 @pytest.mark.parametrize("chunks", [None, 1, 3])
 def test_accumulated_deformations_are_composed(chunks):
-    ds = series(7)
+    ds = deformed_steps(7)
     place = {"axes": "x", "at": {"y": 3.0, "z": 3.0}, "bounds": {"x": (2.0, 4.0)}, "width": 2.0}
     part = ds.cg.displacement(["deformation_gradient"], **place).deformation_gradient.values
     f = (ds if chunks is None else ds.chunk(time=chunks)).cg.displacement(accumulate=True, **place)
@@ -355,7 +353,7 @@ def test_accumulated_deformations_are_composed(chunks):
 
 
 def test_averages_follow_the_rules_of_the_registry():
-    f = series().cg.displacement(
+    f = deformed_steps().cg.displacement(
         axes="z", extent={"x": 6.0, "y": 6.0}, bounds={"z": (2.0, 4.0)}, for_averages=True
     )
     a = f.cg.time_average()
@@ -370,8 +368,8 @@ def test_averages_follow_the_rules_of_the_registry():
 
 
 def test_rotation_is_nan_under_a_reflection():
-    r = grains()
-    f = scene([r, r * [1, 1, -1]]).cg.displacement(
+    r = places()
+    f = moved([r, r * [1, 1, -1]]).cg.displacement(
         ["rotation", "rotation_vector", "strain"], axes="", at=MIDDLE
     )
     assert np.isnan(f.rotation).all()
@@ -406,11 +404,11 @@ def test_rotation_is_nan_under_a_reflection():
 )  # fmt: skip
 def test_wrong_input_raises(change, options, error, message):
     with pytest.raises(error, match=re.escape(message)):
-        change(series()).cg.displacement(**({"axes": "", "at": MIDDLE} | options))
+        change(deformed_steps()).cg.displacement(**({"axes": "", "at": MIDDLE} | options))
 
 
 def test_steps_without_common_ids_raise_or_are_skipped():
-    ds = series(3)
+    ds = deformed_steps(3)
     ds = ds.assign(particle_id=ds.particle_id + xr.DataArray([0, 0, 1000], dims="time"))
     place = {"axes": "", "at": MIDDLE, "width": 2.0}
     with pytest.raises(xcg.SceneError, match="step 1 and step 2 have no particle id in common"):
@@ -425,7 +423,7 @@ def test_coarse_grain_points_to_displacement():
     with pytest.raises(
         ValueError, match=r"strain compares two frames: call ds.cg.displacement\('strain'\)"
     ):
-        series().cg.coarse_grain("strain")
+        deformed_steps().cg.coarse_grain("strain")
 
 
 def test_the_page_on_displacement_runs(monkeypatch, capsys):

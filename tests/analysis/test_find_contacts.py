@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import real_data, steps_of_random_scenes
+from tests import real_data
+from tests.scenes import random_steps
 
 FOUND = ("contact_i", "contact_j", "contact_point", "contact_normal", "overlap")
 
@@ -146,7 +147,7 @@ def test_contacts_of_the_scene_are_replaced():
 
 
 def test_nothing_computes_while_the_graph_is_built():
-    ds = steps_of_random_scenes(3).chunk(time=1)
+    ds = random_steps(3).chunk(time=1)
 
     def refuse(dsk, keys, **kwargs):
         pytest.fail("computed while the graph was built")
@@ -160,7 +161,7 @@ def test_nothing_computes_while_the_graph_is_built():
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     eager = ds.cg.find_contacts(k_n=1.0)
     for chunk in (1, 2):
         lazy = ds.chunk(time=chunk).cg.find_contacts(k_n=1.0, max_contacts=eager.sizes["contact"])
@@ -170,7 +171,7 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
 
 
 def test_padding_of_the_bound_changes_nothing():
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     eager = ds.cg.find_contacts(k_n=1.0)
     lazy = ds.chunk(time=1).cg.find_contacts(k_n=1.0).compute()
     rest = lazy.isel(contact=slice(eager.sizes["contact"], None))

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 import xcg
 from tests.networks import chains_of, fork, network, nine_particles
+from tests.scenes import random_steps
 
 
 def columns():
@@ -355,19 +356,9 @@ def test_labels_links_and_counts_are_consistent(ds, alpha, one_sided, algorithm)
 # --- lazy ------------------------------------------------------------------------------------------------
 
 
-def series():
-    """Several steps of different size."""
-    steps = [xcg.datasets.random_scene(40 + 5 * t, seed=t) for t in range(4)]
-    names = ["diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
-    return xcg.scene_from_arrays(
-        [s.position.values[0] for s in steps], density=1.0, box=[[0, 5.0]] * 3, periodic="xyz",
-        time=0.1 * np.arange(4), **{n: [s[n].values[0] for s in steps] for n in names},
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
-    ds = series()
+    ds = random_steps(4, more=5, density=1.0)
     region = xcg.BoxRegion((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere(
         (1, 1, 1), 2, follow=None
     )
@@ -384,7 +375,7 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
 
 
 def test_nothing_computes_while_the_graph_is_built():
-    ds = series().chunk(time=1)
+    ds = random_steps(4, more=5, density=1.0).chunk(time=1)
 
     def refuse(dsk, keys, **kwargs):
         pytest.fail("computed while the graph was built")
@@ -411,7 +402,7 @@ def test_memory_grows_in_proportion():
 
 
 def test_chains_written_to_netcdf_read_back_equal(tmp_path):
-    fc = series().cg.force_chains(min_stress="mean")
+    fc = random_steps(4, more=5, density=1.0).cg.force_chains(min_stress="mean")
     fc.to_netcdf(tmp_path / "fc.nc")
     with xr.open_dataset(tmp_path / "fc.nc") as back:
         xr.testing.assert_equal(back.load(), fc)

@@ -8,7 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import ROOT, steps_of_random_scenes
+from tests import ROOT
+from tests.scenes import random_steps
 from xcg.analysis.microstructure import NAMES
 from xcg.analysis.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
@@ -401,7 +402,7 @@ def test_the_backbone_is_left_after_removing_rattlers(seed, least):
 
 
 def test_nothing_computes_while_the_graph_is_built():
-    ds = steps_of_random_scenes(3).chunk(time=1)
+    ds = random_steps(3).chunk(time=1)
 
     def refuse(dsk, keys, **kwargs):
         pytest.fail("computed while the graph was built")
@@ -415,7 +416,7 @@ def test_nothing_computes_while_the_graph_is_built():
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing, tmp_path):
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     eager = ds.cg.microstructure(by="species", strain_rate="velocity")
     lazy = ds.chunk(time=2).cg.microstructure(by="species", groups=[1, 2], strain_rate="velocity")
     xr.testing.assert_equal(lazy.compute(**computing(scheduler)), eager)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps, spheres
 
 nx = pytest.importorskip("networkx")
 
@@ -20,21 +20,14 @@ CLUSTERS = [
 ]
 
 
-def grains(position, edge=5.0, diameter=1.0, **options):
-    """Spheres and their contacts, with forces of a spring."""
-    given = {
-        "diameter": np.full(len(position), diameter),
-        "density": 1.0,
-        "box": [[0.0, edge]] * 3,
-        "periodic": "xyz",
-    }
-    return xcg.scene_from_arrays(np.asarray(position, float), **(given | options)).cg.find_contacts(
-        k_n=10.0
-    )
+def touching(position, edge=5.0, diameter=1.0, **options):
+    """Spheres in a periodic box and their contacts, with forces of a spring."""
+    box = {"box": [[0.0, edge]] * 3, "periodic": "xyz"}
+    return spheres(position, diameter, **(box | options)).cg.find_contacts(k_n=10.0)
 
 
 def loose(count, seed, **options):
-    return grains(np.random.default_rng(seed).uniform(0, 5, (count, 3)), **options)
+    return touching(np.random.default_rng(seed).uniform(0, 5, (count, 3)), **options)
 
 
 def rows_of_contacts(ds, t=0):
@@ -83,7 +76,7 @@ def test_edges_are_sums_over_contacts():
 
 
 def test_nodes_have_the_variables_of_their_step():
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     graph = ds.cg.contact_graph(index=1)
     step = ds.isel(time=1)
     ids = step.particle_id.values
@@ -105,7 +98,7 @@ def test_nodes_have_the_variables_of_their_step():
 
 
 def test_a_pair_that_touches_on_both_sides():
-    ds = grains(
+    ds = touching(
         [(0.5, 0.5, 0.5), (1.49, 0.5, 0.5)],
         edge=1.98,
         diameter=1.0,
@@ -205,13 +198,13 @@ def test_a_loop_within_the_box_does_not_percolate():
     ring = [
         (2 + np.cos(a), 2 + np.sin(a), 2.0) for a in np.linspace(0, 2 * np.pi, 6, endpoint=False)
     ]
-    m = grains(ring, diameter=1.01).cg.microstructure([*CLUSTERS, "contact_count"]).isel(time=0)
+    m = touching(ring, diameter=1.01).cg.microstructure([*CLUSTERS, "contact_count"]).isel(time=0)
     assert m.contact_count == 6
     assert m.cluster_count == 1
     np.testing.assert_array_equal(m.percolation, 0)
     # also where it lies across the edges
     shifted = (
-        grains(np.mod(np.add(ring, 2.3), 5.0), diameter=1.01)
+        touching(np.mod(np.add(ring, 2.3), 5.0), diameter=1.01)
         .cg.microstructure(CLUSTERS)
         .isel(time=0)
     )
@@ -226,7 +219,7 @@ def test_percolation_of_a_tilted_box_is_along_its_vectors(tilt):
     count = 6
     row = np.mod(np.outer(np.arange(count) / count, vector), 5.0) + 0.1
     diameter = 1.01 * np.linalg.norm(vector) / count
-    ds = grains(row, diameter=diameter, lattice=[[5.0, 0, 0], vector, [0, 0, 5.0]])
+    ds = touching(row, diameter=diameter, lattice=[[5.0, 0, 0], vector, [0, 0, 5.0]])
     m = ds.cg.microstructure(CLUSTERS).isel(time=0)
     assert m.cluster_count == 1
     np.testing.assert_array_equal(m.percolation, [0, 1, 0])

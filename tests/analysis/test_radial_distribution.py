@@ -5,26 +5,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests.analysis import hard_spheres, percus_yevick_g
-
-
-def gas(steps, count, periodic, dimension=3, seed=5, **options):
-    """Random places in a box of 5 x 6 x 7."""
-    rng = np.random.default_rng(seed)
-    position = rng.uniform(0, [5, 6, 7], (steps, count, 3))
-    if dimension == 2:
-        position[..., 2] = 0.0
-    return xcg.scene_from_arrays(
-        position,
-        diameter=rng.uniform(0.1, 0.3, (steps, count)),
-        species=rng.integers(1, 4, (steps, count)),
-        density=1.0,
-        box=[(0.0, 5.0), (0.0, 6.0), (0.0, 7.0)],
-        periodic=periodic,
-        dimension=dimension,
-        time=np.arange(steps) * 1.0,
-        **options,
-    )
+from tests.analysis import percus_yevick_g
+from tests.scenes import gas, hard_spheres
 
 
 def pair_vectors(ds, bounds):

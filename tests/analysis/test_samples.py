@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import xcg
+from tests.scenes import spheres
 
 # scenes here are small, so that their indices scatter
 pytestmark = pytest.mark.filterwarnings("ignore:lacey_index scatters")
@@ -16,12 +17,9 @@ MIXING = [
 ]  # fmt: skip
 
 
-def scene(position, species, diameter=1.0, box=None, **options):
-    n = len(position)
-    return xcg.scene_from_arrays(
-        np.asarray(position, float), diameter=np.broadcast_to(diameter, n), density=1.0, species=species,
-        box=box, **options,
-    )  # fmt: skip
+def of_phases(position, species, diameter=1.0, box=None, **options):
+    """Spheres of several phases."""
+    return spheres(position, diameter, species=species, box=box, **options)
 
 
 def measured(ds, **options):
@@ -39,7 +37,7 @@ BOX = [[0.0, 4.0]] * 3
 def test_a_checkerboard_is_mixed_better_than_random():
     """Every cell of eight holds four of each: no variance."""
     x = lattice()
-    ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
+    ds = of_phases(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
     m = measured(ds, cell=2.0)
     assert m["concentration_variance"] == 0.0
     # 8 cells of 64 grains: S_0^2 = 1/4 and S_r^2 = 7/63/4 for each phase, so 1 / (1 - 1/9)
@@ -50,7 +48,7 @@ def test_few_large_grains_by_volume_have_no_index_and_a_warning():
     """One of eight grains holds most of the volume: at random its phase varies more than apart."""
     x = np.random.default_rng(0).uniform(0, 4, (8, 3))
     x[1] = x[0] + 0.01
-    ds = scene(x, 1 + (np.arange(8) == 0), np.where(np.arange(8) == 0, 1.0, 0.3), box=BOX)
+    ds = of_phases(x, 1 + (np.arange(8) == 0), np.where(np.arange(8) == 0, 1.0, 0.3), box=BOX)
     options = {"by": "species", "cell": 1.0, "mixing_weight": "volume"}
     m = ds.cg.microstructure(MIXING[2:], **options)
     assert (m.random_concentration_variance > m.segregated_concentration_variance).all()
@@ -62,7 +60,7 @@ def test_few_large_grains_by_volume_have_no_index_and_a_warning():
 
 def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
     x = lattice()
-    ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
+    ds = of_phases(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
     text = r"lacey_index is NaN: no cell of edge 0.5 holds more than one of the 64 grains"
     with pytest.warns(xcg.SceneWarning, match=text) as found:
         m = ds.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
@@ -73,7 +71,7 @@ def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
     assert np.isfinite(
         ds.cg.microstructure("lacey_index", by="species", cell=cell).lacey_index
     ).all()
-    few = scene(x[:3], [1, 1, 2], box=BOX)
+    few = of_phases(x[:3], [1, 1, 2], box=BOX)
     with pytest.warns(xcg.SceneWarning, match="the region holds too few grains"):
         few.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
 
@@ -83,7 +81,7 @@ def mixed(count, share, edges, seed=0):
     rng = np.random.default_rng(seed)
     species = np.where(rng.permutation(count) < share * count, 2, 1)
     position = rng.random((count, 3)) * edges
-    return scene(position, species, 0.3, [[0, edge] for edge in edges], periodic="xy"), rng
+    return of_phases(position, species, 0.3, [[0, edge] for edge in edges], periodic="xy"), rng
 
 
 @pytest.mark.parametrize(("share", "cell"), [(0.5, 1.0), (0.25, 2.0), (0.25, {"z": 0.5})])
@@ -124,8 +122,8 @@ def test_one_cell_has_no_index():
 def test_layers_across_a_bed_see_segregation_over_height_alone():
     """Halves beside each other are mixed over the height, and apart in cells."""
     x = lattice()
-    beside = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX)
-    above = scene(x, np.where(x[:, 2] < 2, 1, 2), box=BOX)
+    beside = of_phases(x, np.where(x[:, 0] < 2, 1, 2), box=BOX)
+    above = of_phases(x, np.where(x[:, 2] < 2, 1, 2), box=BOX)
     layers, cells = {"cell": {"z": 1.0}}, {"cell": 2.0}
     assert measured(beside, **layers)["concentration_variance"] == 0.0
     assert measured(beside, **cells)["lacey_index"] == pytest.approx(0.0, abs=1e-14)
@@ -140,7 +138,7 @@ def test_layers_across_a_bed_see_segregation_over_height_alone():
 @pytest.mark.parametrize("below", [1, 2, 3])
 def test_layers_have_the_largest_index_of_segregation_and_centres_half_a_height_apart(below):
     x = lattice()
-    ds = scene(x, np.where(x[:, 2] < below, 1, 2), diameter=0.7, box=BOX, periodic="xy")
+    ds = of_phases(x, np.where(x[:, 2] < below, 1, 2), diameter=0.7, box=BOX, periodic="xy")
     m = ds.cg.microstructure(["segregation_index", "centre_of_mass"], by="species").isel(time=0)
     assert m.segregation_index.sel(phase="2").item() == pytest.approx(1.0, rel=1e-14)
     assert m.segregation_index.sel(phase="1").item() == pytest.approx(-1.0, rel=1e-14)
@@ -156,11 +154,11 @@ def test_the_index_of_segregation_is_that_of_the_share_exchanged():
     x = lattice()
     species = np.where(x[:, 2] < 2, 1, 2)
     exchanged = (x[:, 0] < 1) & (x[:, 1] < 1)  # a sixteenth, at all heights
-    ds = scene(x, np.where(exchanged, 3 - species, species), box=BOX)
+    ds = of_phases(x, np.where(exchanged, 3 - species, species), box=BOX)
     m = ds.cg.microstructure("segregation_index", by="species").segregation_index.isel(time=0)
     assert m.sel(phase="2").item() == pytest.approx(1 - 2 / 16, rel=1e-13)
     assert m.sel(phase="1").item() == pytest.approx(-(1 - 2 / 16), rel=1e-13)
-    checkers = scene(x, 1 + (x[:, :2] - 0.5).sum(axis=1).astype(int) % 2, box=BOX)
+    checkers = of_phases(x, 1 + (x[:, :2] - 0.5).sum(axis=1).astype(int) % 2, box=BOX)
     m = checkers.cg.microstructure("segregation_index", by="species").segregation_index
     assert m.sel(phase="1").item() == pytest.approx(0.0, abs=1e-14)
 
@@ -168,7 +166,7 @@ def test_the_index_of_segregation_is_that_of_the_share_exchanged():
 def test_segregation_of_sizes_weighs_heights_by_volume():
     """Eight small grains above one large one of the same volume: on top, in places of one large one."""
     position = [[0.0, 0, 1.0], *([k, 0.0, 3.0] for k in range(8))]
-    ds = scene(position, [2, *[1] * 8], diameter=[1.0, *[0.5] * 8])
+    ds = of_phases(position, [2, *[1] * 8], diameter=[1.0, *[0.5] * 8])
     m = ds.cg.microstructure(["segregation_index", "centre_of_mass"], by="species").isel(time=0)
     assert m.segregation_index.sel(phase="1").item() == pytest.approx(1.0, rel=1e-14)
     assert m.centre_of_mass.sel(component="z").values == pytest.approx([2.0, 3.0, 1.0])
@@ -188,13 +186,13 @@ def test_a_periodic_axis_has_no_segregation_without_bounds():
 
 def test_separated_halves_have_a_lacey_index_of_zero():
     x = lattice()
-    ds = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX, periodic="xyz")
+    ds = of_phases(x, np.where(x[:, 0] < 2, 1, 2), box=BOX, periodic="xyz")
     m = measured(ds, cell=2.0)
     assert m["lacey_index"] == pytest.approx(0.0, abs=1e-14)
     assert (
         m["concentration_variance"] == m["segregated_concentration_variance"] == 0.5
     )  # 1/4 of each phase
-    open_box = measured(scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX), cell=2.0)
+    open_box = measured(of_phases(x, np.where(x[:, 0] < 2, 1, 2), box=BOX), cell=2.0)
     assert open_box["lacey_index"] == pytest.approx(0.0, abs=1e-14)
 
 
@@ -207,7 +205,9 @@ def test_the_mean_over_all_arrangements_is_the_random_limit(phase):
     for chosen in itertools.combinations(range(7), 3):
         species = np.full(7, 2)
         species[list(chosen)] = 1
-        ds = scene(position, species, box=[[0, 4], [0, 1], [0, 1]], diameter=np.linspace(0.5, 1, 7))
+        ds = of_phases(
+            position, species, box=[[0, 4], [0, 1], [0, 1]], diameter=np.linspace(0.5, 1, 7)
+        )
         m = ds.cg.microstructure(MIXING, by="species", cell=1.0).isel(time=0).sel(phase=phase)
         found.append([m[name].item() for name in MIXING])
     mean = dict(zip(MIXING, np.mean(found, axis=0), strict=True))
@@ -224,7 +224,7 @@ def test_the_random_limit_by_volume_equals_that_of_large_cells():
     found, limit = [], []
     for _ in range(40):
         species = rng.permutation(np.repeat([1, 2], [1000, 2000]))
-        ds = scene(x, species, diameter=0.02 * size, box=[[0, 1]] * 3, periodic="xyz")
+        ds = of_phases(x, species, diameter=0.02 * size, box=[[0, 1]] * 3, periodic="xyz")
         m = ds.cg.microstructure(MIXING[1:3], by="species", cell=0.27, mixing_weight="volume").sel(
             phase="1"
         )
@@ -299,7 +299,7 @@ def test_indices_of_three_phases_over_time():
 
 
 def test_one_phase_and_wrong_arguments_raise():
-    ds = scene(lattice(), np.ones(64, int), box=BOX)
+    ds = of_phases(lattice(), np.ones(64, int), box=BOX)
     with pytest.warns(xcg.SceneWarning, match="all 64 grains are of one phase"):
         m = ds.cg.microstructure(MIXING, by="species")
     assert np.isnan(m.lacey_index).all()
@@ -312,5 +312,5 @@ def test_one_phase_and_wrong_arguments_raise():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
             ds.cg.microstructure("lacey_index", by="species", **options)
-    one = scene([[1.0, 1, 1]], [1], box=BOX).cg.microstructure(MIXING, by="species")
+    one = of_phases([[1.0, 1, 1]], [1], box=BOX).cg.microstructure(MIXING, by="species")
     assert np.isnan(one.lacey_index).all()

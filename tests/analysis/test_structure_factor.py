@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.analysis import hard_spheres, percus_yevick
-from tests.analysis.test_radial_distribution import gas
+from tests.analysis import percus_yevick
+from tests.scenes import gas, hard_spheres
 
 BOXES = {
     "box": ("xyz", 3, {}),

@@ -13,8 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import planning, sharing_threads, steps_of_random_scenes
+from tests import planning, sharing_threads
 from tests.brute_force import BruteKernel, brute_force
+from tests.scenes import random_steps
 from xcg import SceneWarning
 from xcg.compiled.points import deposit
 from xcg.compiled.segments import deposit_segments, list_segments
@@ -433,7 +434,7 @@ def test_nothing_computes_while_the_graph_is_built():
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     eager = ds.cg.coarse_grain(width=0.8, spacing=1.0)
     for chunk in (1, 2, 5):
         f = ds.chunk(time=chunk).cg.coarse_grain(width=0.8, spacing=1.0)
@@ -442,7 +443,7 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
 
 
 def test_time_verbs_and_chunks_along_particles():
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     whole = ds.cg.coarse_grain(["density", "contact_stress"], width=0.8)
     chunked = ds.chunk(time=2, particle=7, contact=11)
     part = chunked.isel(time=[3, 1]).cg.coarse_grain(["density", "contact_stress"], width=0.8)

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 import xcg
+from tests.scenes import spheres
 from xcg import SceneWarning
 from xcg.fields import layout
 
 R = np.random.default_rng(0).uniform(0, 10, (1000, 3))
 
 
-def scene(far, *, lazy=False, steps=1):
+def one_escaped(far, *, lazy=False, steps=1):
+    """Grains in a box of 10 m, one of them far away."""
     position = R.copy()
     position[17] = [far, far / 2, far]
-    ds = xcg.scene_from_arrays(
-        [position] * steps, velocity=0 * R, diameter=np.ones(1000), density=1.0
-    )
+    ds = spheres([position] * steps, velocity=0 * R)
     return ds.chunk(time=1) if lazy else ds
 
 
@@ -27,18 +27,18 @@ def test_messages_name_the_escaped_particle_and_a_remedy(far):
         ValueError,
         match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.cg\.select",
     ):
-        scene(far).cg.coarse_grain("density")
+        one_escaped(far).cg.coarse_grain("density")
     with pytest.raises(
         ValueError,
         match=r"x from .* to 1e\+.*some may have escaped; give bounds=, or a larger spacing=",
     ):
-        scene(far, lazy=True).cg.coarse_grain("density")
+        one_escaped(far, lazy=True).cg.coarse_grain("density")
 
 
 @pytest.mark.parametrize(("lazy", "steps", "factor"), [(False, 1, 1), (False, 3, 3), (True, 3, 1)])
 def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, factor):
     """All steps of a scene in memory, one chunk of a lazy one."""
-    ds, nodes = scene(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
+    ds, nodes = one_escaped(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
     monkeypatch.setattr("xcg.fields.coarse_grain.run", lambda *_, **__: pytest.fail("computed"))
     with pytest.raises(
@@ -52,14 +52,14 @@ def test_many_nodes_per_grain_warn_and_name_the_particle():
         SceneWarning,
         match=r"4\.41e\+03 for each particle: particle 17 at .* is far from the others",
     ):
-        scene(150.0).cg.coarse_grain("density")
+        one_escaped(150.0).cg.coarse_grain("density")
 
 
 def test_given_meshes_do_not_warn(monkeypatch):
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        f = scene(150.0).cg.coarse_grain(
+        f = one_escaped(150.0).cg.coarse_grain(
             "density", bounds=dict.fromkeys("xyz", (0, 10)), spacing=2.0
         )
     assert f.density.size == 216

@@ -18,7 +18,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import ROOT, dumps, steps_of_random_scenes
+from tests import ROOT, dumps
+from tests.scenes import random_steps
 from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
@@ -226,7 +227,7 @@ def test_resume_names_the_option_that_changed(job):
 
 
 def test_resume_notices_changed_files(tmp_path):
-    scene = steps_of_random_scenes(3).chunk(time=1).cg.save(tmp_path / "scene.zarr")
+    scene = random_steps(3).chunk(time=1).cg.save(tmp_path / "scene.zarr")
     job = tmp_path / "job.toml"
     job.write_text(
         '[scene]\nparticles = "scene.zarr"\nchunks = 1\n[fields]\nfields = "density"\naxes = "z"\n'

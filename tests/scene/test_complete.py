@@ -8,6 +8,7 @@ import pytest
 
 import xcg
 from tests.dumps import dump_text, pairs_text, write
+from tests.scenes import spheres
 from xcg.scene import complete
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Setup
@@ -15,7 +16,8 @@ from xcg.scene.schema import Setup
 EDGE = 1.45
 
 
-def grains(seed=0, count=4):
+def random_grains(seed=0, count=4):
+    """Positions, diameters and velocities in the small box."""
     rng = np.random.default_rng(seed)
     return (
         rng.uniform(0, EDGE, (count, 3)),
@@ -24,14 +26,18 @@ def grains(seed=0, count=4):
     )
 
 
-def scene(copies, seed=0, **options):
+def repeated(copies, seed=0, **options):
     """Grains in a small box, or in one that holds `copies` of it along each axis."""
-    position, diameter, velocity = grains(seed)
+    position, diameter, velocity = random_grains(seed)
     shifts = EDGE * np.array(list(itertools.product(range(copies), repeat=3)))
-    return xcg.scene_from_arrays(
-        (shifts[:, None] + position).reshape(-1, 3), diameter=np.tile(diameter, len(shifts)), density=1.0,
-        velocity=np.tile(velocity, (len(shifts), 1)), box=[[0, copies * EDGE]] * 3, periodic="xyz", **options,
-    )  # fmt: skip
+    return spheres(
+        (shifts[:, None] + position).reshape(-1, 3),
+        np.tile(diameter, len(shifts)),
+        velocity=np.tile(velocity, (len(shifts), 1)),
+        box=[[0, copies * EDGE]] * 3,
+        periodic="xyz",
+        **options,
+    )
 
 
 def by_hand(position, diameter):
@@ -51,14 +57,16 @@ def rounded(row):
 @pytest.mark.parametrize("lazy", [False, True])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_found_contacts_and_all_that_follows_as_in_a_larger_box(seed, lazy):
-    small, large = (scene(copies, seed) for copies in (1, 3))
+    small, large = (repeated(copies, seed) for copies in (1, 3))
     if lazy:
         small = small.chunk(time=1)
     small, large = (
         small.cg.find_contacts(k_n=1.0, max_contacts=60 if lazy else None),
         large.cg.find_contacts(k_n=1.0),
     )
-    expected = sorted(((i, j, *branch) for i, j, branch in by_hand(*grains(seed)[:2])), key=rounded)
+    expected = sorted(
+        ((i, j, *branch) for i, j, branch in by_hand(*random_grains(seed)[:2])), key=rounded
+    )
     i, j = (
         small[name].values[0][small.contact_i.values[0] >= 0] for name in ("contact_i", "contact_j")
     )
@@ -94,7 +102,7 @@ def test_found_contacts_and_all_that_follows_as_in_a_larger_box(seed, lazy):
 
 def dumps(tmp_path, columns="id1 id2 dx dy dz fnx fny fnz", sign=1.0):
     """A dump of the small box with a force along each branch, and the scene's stress by hand."""
-    position, diameter, _ = grains()
+    position, diameter, _ = random_grains()
     atoms = [
         f"{k + 1} 1 {x} {y} {z} {d / 2} 1"
         for k, ((x, y, z), d) in enumerate(zip(position, diameter, strict=True))

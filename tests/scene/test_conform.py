@@ -6,7 +6,7 @@ import xarray as xr
 from dask.callbacks import Callback
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps
 from xcg import SceneError
 
 FIELDS = [
@@ -26,7 +26,7 @@ MESH = {
 
 @pytest.fixture(scope="module")
 def scene():
-    return steps_of_random_scenes(2)
+    return random_steps(2)
 
 
 def joined(*parts, **options):

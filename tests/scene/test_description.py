@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import dumps, steps_of_random_scenes
+from tests import dumps
+from tests.scenes import random_steps
 from xcg import SceneError
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
@@ -150,7 +151,7 @@ def test_names_in_files_are_made_printable(tmp_path):
 
 
 def test_markup_is_escaped():
-    ds = steps_of_random_scenes(1).rename(species="<b>species</b>")
+    ds = random_steps(1).rename(species="<b>species</b>")
     assert "&lt;b&gt;species&lt;/b&gt;" in ds.cg._repr_html_()
 
 
@@ -164,7 +165,7 @@ def test_a_changing_box_is_noted():
 
 @pytest.mark.parametrize("suffix", ENDS)
 def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     f = ds.cg.coarse_grain(
         ["density", "velocity"], axes="xz", at={"y": 1.0}, width=0.8, spacing=1.0, by="species"
     )
@@ -195,7 +196,7 @@ def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
 
 
 def test_all_results_and_other_datasets_have_a_summary():
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     for task in (
         "particle_stress",
         "microstructure",

@@ -7,20 +7,18 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, weights
+from tests.scenes import random_steps, spheres
 from xcg.scene.phases import MIN_SILHOUETTE
 
 RNG = np.random.default_rng(0)
 
 
-def scene(diameter, density=2500.0, **options):
-    n = len(diameter)
-    density = np.broadcast_to(np.asarray(density, float), (n,)).copy()
-    position = np.random.default_rng(1).uniform(0, 1, (n, 3))
-    return xcg.scene_from_arrays(
-        position, diameter=diameter, density=density, velocity=np.zeros((n, 3)), **options
-    )
+def at_rest(diameter, density=2500.0, **options):
+    """Spheres of some diameters at random places."""
+    position = np.random.default_rng(1).uniform(0, 1, (len(diameter), 3))
+    density = np.broadcast_to(np.asarray(density, float), (len(diameter),))
+    return spheres(position, diameter, density=density, velocity=np.zeros_like(position), **options)
 
 
 def phases(ds, **options):
@@ -49,7 +47,7 @@ def phases(ds, **options):
     ],
 )
 def test_one_distribution_is_one_phase(diameter):
-    ds = scene(diameter).cg.find_phases()
+    ds = at_rest(diameter).cg.find_phases()
     assert ds.attrs["phase_values"].tolist() == [1]
     assert (ds.phase == 1).all()
     assert ds.attrs["phase_diameter"][0] == pytest.approx(diameter.mean())
@@ -63,7 +61,7 @@ def test_two_sizes_are_two_phases(noise, share):
     diameter = np.where(large, 0.004, 0.002) * (
         1 + noise * np.random.default_rng(3).normal(size=1500)
     )
-    ds = scene(diameter).cg.find_phases()
+    ds = at_rest(diameter).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + large)
     np.testing.assert_allclose(ds.attrs["phase_diameter"], [0.002, 0.004], rtol=0.01)
 
@@ -72,17 +70,18 @@ def test_sizes_five_standard_deviations_apart_are_two_phases():
     normal = np.random.default_rng(6).normal(size=(2, 1000))
     for apart, expected in ((3, [1]), (5, [1, 2])):
         assert (
-            phases(scene(0.003 + 1e-4 * np.concatenate([normal[0], apart + normal[1]]))) == expected
+            phases(at_rest(0.003 + 1e-4 * np.concatenate([normal[0], apart + normal[1]])))
+            == expected
         )
 
 
 def test_same_size_other_density_and_three_phases():
     kind = np.random.default_rng(4).integers(0, 3, 900)
     d, rho = np.array([0.002, 0.002, 0.005])[kind], np.array([1000.0, 2500.0, 2500.0])[kind]
-    ds = scene(d, rho).cg.find_phases()
+    ds = at_rest(d, rho).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + kind)
-    assert phases(scene(d, rho), max_phases=1) == [1]
-    assert phases(scene(d, rho), max_phases=3.0, steps=1.0) == [1, 2, 3]
+    assert phases(at_rest(d, rho), max_phases=1) == [1]
+    assert phases(at_rest(d, rho), max_phases=3.0, steps=1.0) == [1, 2, 3]
 
 
 def test_grains_that_enter_and_leave_keep_their_phase():
@@ -109,7 +108,7 @@ def test_grains_that_enter_and_leave_keep_their_phase():
 
 
 def test_an_edge_beyond_all_diameters_warns():
-    ds = scene(np.array([0.001, 0.002, 0.004]))
+    ds = at_rest(np.array([0.001, 0.002, 0.004]))
     for edge in (0.0005, 4.0):
         with pytest.warns(
             xcg.SceneWarning, match=r"outside the diameters that were measured, 0\.001 to 0\.004"
@@ -122,7 +121,7 @@ def test_an_edge_beyond_all_diameters_warns():
 
 
 def test_phases_by_edges_and_by_type():
-    ds = scene(np.array([0.001, 0.002, 0.003, 0.004]), species=np.array([4, 4, 6, 9]))
+    ds = at_rest(np.array([0.001, 0.002, 0.003, 0.004]), species=np.array([4, 4, 6, 9]))
     assert ds.cg.assign_phases(edges=[0.002, 0.0035]).phase.values[0].tolist() == [1, 2, 2, 3]
     mapped = ds.cg.assign_phases(mapping={4: 1, 6: 2, 9: 1})
     assert mapped.phase.values[0].tolist() == [1, 1, 2, 1]
@@ -144,14 +143,14 @@ def test_phases_by_edges_and_by_type():
     with pytest.raises(ValueError, match="max_phases=0"):
         ds.cg.find_phases(0)
     with pytest.raises(xcg.SceneError, match="no grains"):
-        scene(np.zeros(0)).cg.find_phases()
+        at_rest(np.zeros(0)).cg.find_phases()
 
 
 def test_plot_of_clusters_and_scores():
     pytest.importorskip("matplotlib").use("Agg")
     import matplotlib.pyplot as plt
 
-    figure = scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases()
+    figure = at_rest(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases()
     left, right = figure.axes
     assert [t.get_text() for t in left.get_legend().get_texts()] == ["1", "2"]
     assert right.get_ylabel() == "mean silhouette"
@@ -163,7 +162,7 @@ def test_plot_of_clusters_and_scores():
     with pytest.raises(
         ValueError, match="index=1: expected the position of a step, a whole number from -1 to 0"
     ):
-        scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(index=1)
+        at_rest(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(index=1)
     plt.close(figure)
 
 
@@ -297,7 +296,7 @@ def test_pairs_of_phases_need_phases():
 
 
 def test_averages_of_concentrations_are_ratios_of_averages():
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     f = ds.cg.coarse_grain(
         ["concentration", "volume_fraction", "void_fraction"], by="species", width=0.8
     )
@@ -336,11 +335,11 @@ def test_size_statistics_of_each_step():
         # by mass, not by volume: the heavy small grain outweighs the large ones
         assert s.d50.values.tolist() == [1.0, 3.0, 4.0]
     assert s.d43.attrs["units"] == "m"
-    assert np.isnan(scene(np.zeros(0)).cg.size_statistics().d43).all()
+    assert np.isnan(at_rest(np.zeros(0)).cg.size_statistics().d43).all()
 
 
 def test_phases_are_found_by_number_and_by_text(tmp_path):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     f = ds.cg.coarse_grain(
         ["density", "velocity", "contact_stress_by_pair"], axes="z", by="species", by_pair=True
     )

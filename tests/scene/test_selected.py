@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps
 
 MESH = {"width": 0.8, "spacing": 1.25, "bounds": dict.fromkeys("xyz", (0.0, 3.75))}
 SUMS = ["density", "momentum_density", "contact_stress"]
@@ -14,7 +14,7 @@ SUMS = ["density", "momentum_density", "contact_stress"]
 
 @pytest.fixture(scope="module")
 def scene():
-    return steps_of_random_scenes(3)
+    return random_steps(3)
 
 
 def _refuse(*args, **options):

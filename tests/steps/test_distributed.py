@@ -11,11 +11,11 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.analyses import CALLS
 from tests.analyses import scene as moving_spheres
 from tests.benchmarks import series
-from tests.writers.test_save import assert_same_bits, reopen
+from tests.scenes import random_steps, reopen
+from tests.writers.test_save import assert_same_bits
 
 distributed = pytest.importorskip("distributed")
 STEPS = 5
@@ -75,7 +75,7 @@ def test_analyses_have_equal_bits_in_memory_and_under_a_cluster(client, name):
 
 
 def test_kernels_of_users_reach_workers(client):
-    ds = steps_of_random_scenes(2).chunk(time=1)
+    ds = random_steps(2).chunk(time=1)
     f = ds.cg.coarse_grain(["density"], kernel=xcg.Lucy(cutoff=2.0))
     assert_same_bits(here(f), f.compute())
 
@@ -84,7 +84,7 @@ def test_fields_of_users_reach_workers(client):
     xcg.register_field(
         "twist", lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., 0] ** 3, fields="stress"
     )
-    f = steps_of_random_scenes(2).chunk(time=1).cg.coarse_grain(["stress", "twist"], width=0.8)
+    f = random_steps(2).chunk(time=1).cg.coarse_grain(["stress", "twist"], width=0.8)
     assert_same_bits(here(f), f.compute())
 
 

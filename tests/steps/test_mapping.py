@@ -12,8 +12,8 @@ import xarray as xr
 from tqdm import tqdm
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.dumps import write_series
+from tests.scenes import random_steps
 from xcg.steps.mapping import chunks_of_time, count_tasks, each_step, shown
 
 
@@ -42,7 +42,7 @@ def test_mapping_yields_the_steps_of_the_series():
 
 
 def test_tasks_take_the_finest_chunks_of_their_variables():
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     mixed = ds.chunk(time=4).assign(
         velocity=ds.velocity.chunk(time=(1, 3)), mass=ds.mass.chunk(time=(1, 1, 2))
     )
@@ -190,7 +190,7 @@ def test_tasks_count_the_steps_that_are_left():
 @pytest.mark.filterwarnings("ignore:coarse_grain. no step is left")
 @pytest.mark.parametrize("lazily", [False, True])
 def test_a_scene_without_steps_has_results_without_steps(lazily):
-    scene = steps_of_random_scenes(2)
+    scene = random_steps(2)
     scene = (scene.chunk(time=1) if lazily else scene).isel(time=slice(0, 0))
     floor = xcg.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     for result in (
@@ -202,7 +202,7 @@ def test_a_scene_without_steps_has_results_without_steps(lazily):
 
 
 def test_what_needs_a_step_says_so(tmp_path):
-    f = steps_of_random_scenes(2).cg.coarse_grain("density", axes="xz").isel(time=slice(0, 0))
+    f = random_steps(2).cg.coarse_grain("density", axes="xz").isel(time=slice(0, 0))
     for call in (
         lambda: f.cg.movie(tmp_path / "f.gif"),
         lambda: f.cg.spatial_correlation("density"),

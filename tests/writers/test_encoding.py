@@ -11,16 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.dumps import write_series
+from tests.scenes import random_steps, reopen
 from xcg.cli import group
 from xcg.compiled.arrays import round_bits
 from xcg.writers.encoding import Encoding
 from xcg.writers.formats import deflated
-
-
-def reopen(path):
-    return xr.open_zarr(path) if path.suffix == ".zarr" else xr.open_dataset(path, chunks={})
 
 
 @settings(deadline=None)
@@ -81,7 +77,7 @@ def test_bytes_are_shuffled_as_hdf5_does(dtype):
     "options", [{"compression": 1}, {"compression": 9}, {"digits": 4}, {"dtype": "float32"}]
 )
 def test_values_read_back_equal_the_rounded_ones(tmp_path, suffix, lazy, options):
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     f = (ds.chunk(time=2) if lazy else ds).cg.coarse_grain(["density", "velocity", "stress"])
     back = reopen(xcg.save(f, tmp_path / f"f{suffix}", **options)).compute()
     f = f.compute()
@@ -112,7 +108,7 @@ def test_files_of_fields_are_smaller_by_digits(tmp_path):
 
 
 def test_scenes_are_compressed_without_loss(tmp_path):
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     path = xcg.save(ds, tmp_path / "scene.nc")
     with h5py.File(path) as file:
         assert file["position"].compression == "gzip"
@@ -120,7 +116,7 @@ def test_scenes_are_compressed_without_loss(tmp_path):
 
 
 def test_vtkhdf_takes_the_same_options(tmp_path):
-    f = steps_of_random_scenes(2).cg.coarse_grain(["density"])
+    f = random_steps(2).cg.coarse_grain(["density"])
     with h5py.File(xcg.save(f, tmp_path / "f.vtkhdf", digits=3, dtype="float32")) as file:
         data = file["VTKHDF/PointData/density"]
         assert data.dtype == "float32"
@@ -130,7 +126,7 @@ def test_vtkhdf_takes_the_same_options(tmp_path):
 
 
 def test_short_steps_share_files(tmp_path):
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     f = ds.isel(time=np.arange(60) % 4).assign_coords(time=np.arange(60.0)).chunk(time=1)
     f = f.cg.coarse_grain(["density", "velocity"], axes="z")
     path = xcg.save(f, tmp_path / "f.zarr")
@@ -181,7 +177,7 @@ def test_users_register_a_format(tmp_path):
 
     xcg.register_writer(".txt", write_text)
     xcg.register_writer(".txt", write_text)
-    f = steps_of_random_scenes(2).cg.coarse_grain(["density"], axes="z")
+    f = random_steps(2).cg.coarse_grain(["density"], axes="z")
     path = xcg.save(f, tmp_path / "f.txt", digits=3)
     np.testing.assert_allclose(np.loadtxt(path), f.density, rtol=0.5e-3)
     with pytest.raises(FileExistsError, match=r"f\.txt exists"):

@@ -9,7 +9,7 @@ from vtkmodules.vtkCommonCore import vtkDataArray
 from vtkmodules.vtkIOXML import vtkXMLImageDataReader
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps
 from xcg.readers.files.vtp import read_collection
 from xcg.writers import paraview as vti
 
@@ -24,7 +24,7 @@ def read(path):
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
 @pytest.mark.parametrize("by", [None, "species"])
 def test_images_hold_the_fields(tmp_path, axes, by):
-    f = steps_of_random_scenes(3).cg.coarse_grain(
+    f = random_steps(3).cg.coarse_grain(
         ["density", "velocity", "stress"], axes=axes, spacing=1.0, by=by
     )
     f.cg.save(tmp_path / "f.pvd")
@@ -78,7 +78,7 @@ def test_fields_that_are_no_image_raise(tmp_path):
 
 def test_a_shorter_series_replaces_a_longer_one(tmp_path):
     """Steps that only the old list names go; files of other names stay."""
-    f = steps_of_random_scenes(4).cg.coarse_grain("density", axes="z", spacing=1.0)
+    f = random_steps(4).cg.coarse_grain("density", axes="z", spacing=1.0)
     other = tmp_path / "f_0009.vti"
     other.write_text("mine")
     f.cg.save(tmp_path / "f.pvd")
@@ -96,7 +96,7 @@ def test_a_shorter_series_replaces_a_longer_one(tmp_path):
 
 def test_a_series_that_cannot_be_finished_leaves_the_old_one(tmp_path, monkeypatch):
     """Until all new steps are written, list and steps are the old ones; nothing hidden is left."""
-    f = steps_of_random_scenes(3).cg.coarse_grain("density", axes="z", spacing=1.0)
+    f = random_steps(3).cg.coarse_grain("density", axes="z", spacing=1.0)
     f.cg.save(tmp_path / "f.pvd")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     write = vti.write_by_vtk

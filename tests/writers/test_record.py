@@ -14,6 +14,7 @@ import xarray as xr
 
 import xcg
 from tests import ROOT, dumps
+from tests.scenes import reopen
 
 FIELDS = ["density", "velocity", "stress", "sample_count"]
 OPTIONS = {"axes": "xz", "width": 0.8, "spacing": 1.0}
@@ -24,10 +25,6 @@ def path(request, tmp_path):
     if request.param.endswith("zarr"):
         pytest.importorskip("zarr")
     return tmp_path / request.param
-
-
-def opened(path):
-    return xr.open_dataset(path, engine="zarr" if path.suffix == ".zarr" else None)
 
 
 def steps(count=4, **options):
@@ -46,12 +43,12 @@ def test_recorded_fields_equal_those_of_the_series(path):
         for k, part in enumerate(parts):
             live.append(part)
             assert live.steps == k + 1
-            with opened(path) as found:  # while it is recorded
+            with reopen(path) as found:  # while it is recorded
                 assert found.sizes["time"] == k + 1
     mesh = series.isel(time=0).cg.coarse_grain(FIELDS, **OPTIONS)
     bounds = {a: (float(mesh[a][0]), float(mesh[a][-1])) for a in "xz"}
     expected = series.cg.coarse_grain(FIELDS, bounds=bounds, **OPTIONS)
-    with opened(path) as found:
+    with reopen(path) as found:
         for name in FIELDS:
             np.testing.assert_array_equal(found[name], expected[name])
             assert found[name].attrs == expected[name].attrs
@@ -68,7 +65,7 @@ def test_several_steps_and_fields_are_appended_at_once(path):
     with xcg.record(path) as live:
         live.append(fields.isel(time=slice(0, 3)))
         live.append(fields.isel(time=3))  # without a dimension of time
-    with opened(path) as found:
+    with reopen(path) as found:
         np.testing.assert_array_equal(found.density, fields.density)
         np.testing.assert_array_equal(found.step, fields.step)
 
@@ -96,7 +93,7 @@ def test_recording_continues_where_it_stopped(path):
         with xcg.record(path, FIELDS, **OPTIONS) as live:
             live.append(part)
     assert live.steps == 4
-    with opened(path) as found:
+    with reopen(path) as found:
         assert np.isfinite(found.density).all()
         np.testing.assert_array_equal(found.time, series.time)
 
@@ -106,10 +103,10 @@ def test_recording_overwrites_on_request(path):
     with xcg.record(path, "density", **OPTIONS) as live:
         live.append(parts[0])
     with xcg.record(path, "velocity", overwrite=True, **OPTIONS) as live:
-        with opened(path) as found:  # until there is something else
+        with reopen(path) as found:  # until there is something else
             assert "density" in found
         live.append(parts[1])
-    with opened(path) as found:
+    with reopen(path) as found:
         assert list(found.data_vars) == ["velocity"]
         assert found.time.values.tolist() == [0.5]
 
@@ -121,7 +118,7 @@ def test_the_mesh_of_the_first_step_holds_for_all(path):
     with xcg.record(path, "density", by="species") as live:
         live.append(ds)
         live.append(spread)
-    with opened(path) as found:
+    with reopen(path) as found:
         expected = ds.cg.coarse_grain("density", by="species")
         for a in "xyz":
             np.testing.assert_array_equal(found[a], expected[a])
@@ -135,7 +132,7 @@ def test_recorded_fields_are_rounded_to_digits(path):
         live.append(parts[0])
         live.append(parts[1])
     exact = parts[1].cg.coarse_grain("density", **OPTIONS).density.values
-    with opened(path) as found:
+    with reopen(path) as found:
         assert found.density.dtype == "float32"
         assert found.density.precision.startswith("rounded to 3 significant digits")
         error = np.abs(found.density[1:].values - exact)
@@ -163,7 +160,7 @@ def test_a_step_of_another_shape_raises(path, change, message):
         other = later.cg.coarse_grain(**{"fields": "density", **OPTIONS, **change})
         with pytest.raises(xcg.SceneError, match=message):
             live.append(other)
-    with opened(path) as found:
+    with reopen(path) as found:
         assert found.sizes["time"] == 1
 
 
@@ -222,7 +219,7 @@ def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
             time.sleep(delay)
             run.send_signal(signal.SIGKILL)
             last = [int(line), *map(int, run.stdout.read().split())][-1]
-        with opened(path) as found:
+        with reopen(path) as found:
             count = found.sizes["time"]
             assert count in (last + 1, last + 2)  # the last one may be there, and its line not
             np.testing.assert_array_equal(
@@ -255,7 +252,7 @@ def test_a_record_is_continued_with_the_same_options_only(tmp_path, later, messa
     with raises, xcg.record(tmp_path / "live.nc", **(given | later)) as live:
         live.append(ds.assign_coords(time=ds.time + 1.0))
     if not message:
-        with opened(tmp_path / "live.nc") as found:
+        with reopen(tmp_path / "live.nc") as found:
             np.testing.assert_array_equal(found.density[0], found.density[1])
 
 
@@ -274,7 +271,7 @@ def test_times_are_not_rounded_to_digits(path):
     with xcg.record(path, "density", digits=3, **OPTIONS) as live:
         for k, part in enumerate(parts):
             live.append(part.assign_coords(time=[1000.1 + 0.1 * k]))
-    with opened(path) as found:
+    with reopen(path) as found:
         assert found.time.values.tolist() == [1000.1, 1000.2]
 
 

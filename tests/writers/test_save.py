@@ -20,17 +20,14 @@ import zarr
 from click.testing import CliRunner
 
 import xcg
-from tests import real_data, steps_of_random_scenes
+from tests import real_data
 from tests.dumps import write_series
+from tests.scenes import random_steps, reopen
 from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import SkippedStep
 from xcg.writers.files import whole_folder
-
-
-def reopen(path):
-    return xr.open_zarr(path) if path.suffix == ".zarr" else xr.open_dataset(path, chunks={})
 
 
 def assert_same_bits(one: xr.Dataset, other: xr.Dataset) -> None:
@@ -72,7 +69,7 @@ def test_numbers_of_another_byte_order_keep_their_values(tmp_path, suffix, dtype
 
 @pytest.mark.parametrize("lazy", [False, True])
 def test_a_saved_scene_reads_back_equal(tmp_path, suffix, lazy):
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     saved = xcg.save(ds.chunk(time=1) if lazy else ds, tmp_path / f"scene{suffix}")
     again = reopen(saved)
     assert_same_bits(ds, again)
@@ -86,7 +83,7 @@ def test_a_saved_scene_reads_back_equal(tmp_path, suffix, lazy):
 
 
 def test_hdf5_is_netcdf_by_another_name(tmp_path):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     for what in (ds, ds.cg.coarse_grain("density", axes="z")):
         assert_same_bits(what, reopen(what.cg.save(tmp_path / "saved.h5", overwrite=True)))
     with h5py.File(tmp_path / "saved.h5") as file:
@@ -96,7 +93,7 @@ def test_hdf5_is_netcdf_by_another_name(tmp_path):
 
 
 def test_functions_give_the_same_bits_on_a_saved_scene(tmp_path, suffix):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
     assert repr(again.cg) == repr(ds.cg)
     for options in (
@@ -126,14 +123,14 @@ def test_real_output_is_saved_and_read_back(tmp_path, suffix):
 
 
 def test_scenes_without_contacts_are_saved(tmp_path, suffix):
-    ds = steps_of_random_scenes(3).isel(contact=[])
+    ds = random_steps(3).isel(contact=[])
     for k, scene in enumerate((ds, ds.chunk(time=1))):
         assert_same_bits(ds, reopen(xcg.save(scene, tmp_path / f"{k}{suffix}")))
 
 
 def test_uneven_chunks(tmp_path, suffix):
     """No step is lost where chunks of time differ in size, and from variable to variable."""
-    ds = steps_of_random_scenes(7)
+    ds = random_steps(7)
     one = ds.chunk(time=(2, 3, 2))
     one["velocity"] = one["velocity"].chunk(time=(3, 1, 3))
     one["diameter"] = one["diameter"].compute()
@@ -161,7 +158,7 @@ def test_padding_takes_no_room(tmp_path, suffix):
 
 
 def test_wrong_targets_raise(tmp_path, suffix):
-    ds = steps_of_random_scenes(1)
+    ds = random_steps(1)
     path = xcg.save(ds, tmp_path / f"scene{suffix}")
     with pytest.raises(FileExistsError, match="overwrite=True"):
         xcg.save(ds, path)
@@ -186,7 +183,7 @@ def test_an_error_leaves_no_file(tmp_path, suffix):
 def test_a_folder_of_other_things_is_not_replaced(tmp_path):
     folder = tmp_path / "results.zarr"
     folder.mkdir()
-    ds = steps_of_random_scenes(1)
+    ds = random_steps(1)
     xcg.save(ds, folder, overwrite=True)  # an empty one
     xcg.save(ds, folder, overwrite=True)  # one of Zarr
     other = tmp_path / "thesis.zarr"
@@ -204,9 +201,7 @@ def test_a_folder_of_other_things_is_not_replaced(tmp_path):
 def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     """The same files with the same bytes, also where a chunk is blank, or reaches beyond the last step."""
     monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 2)
-    f = steps_of_random_scenes(5).cg.coarse_grain(
-        ["density", "granular_temperature", "stress"], axes="z"
-    )
+    f = random_steps(5).cg.coarse_grain(["density", "granular_temperature", "stress"], axes="z")
     f["density"][:4] = np.nan
     f["count"] = ("time", "z"), np.zeros((5, f.sizes["z"]), int)
     f["count"][4, 0] = 7
@@ -301,7 +296,7 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path):
 
 
 def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
-    ds, path = steps_of_random_scenes(1), tmp_path / "scene.zarr"
+    ds, path = random_steps(1), tmp_path / "scene.zarr"
     other = xcg.datasets.simple_cubic(2)
 
     def meanwhile(block):
@@ -351,7 +346,7 @@ def test_a_store_that_cannot_take_its_place_leaves_the_old_one(tmp_path, monkeyp
 
 def test_results_are_stored_without_warnings_about_text(tmp_path):
     """Labels have no fixed length in Zarr, so that other programs can read them."""
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     results = [
         ds.cg.coarse_grain(["stress"], by="species"),
         ds.cg.microstructure(),
@@ -369,7 +364,7 @@ def test_results_are_stored_without_warnings_about_text(tmp_path):
 
 
 def test_suffixes_choose_the_format(tmp_path):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     assert xcg.save(ds.cg.coarse_grain("density"), tmp_path / "f.vtkhdf").exists()
     assert xcg.save(ds.cg.force_chains(), tmp_path / "c.vtkhdf").exists()
 
@@ -382,7 +377,7 @@ def test_suffixes_choose_the_format(tmp_path):
     [(None, None), (2, (2, 2, 1)), (-1, (5,)), ({"time": (1, 4)}, (1, 4)), ("auto", (5,))],
 )
 def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
-    ds = steps_of_random_scenes(5)
+    ds = random_steps(5)
     saved = ds.cg.save(tmp_path / f"scene{suffix}")
     again = xcg.open_scene(saved, chunks=chunks)
     assert_same_bits(ds, again)
@@ -395,7 +390,7 @@ def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
 
 
 def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
-    saved = steps_of_random_scenes(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
+    saved = random_steps(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
     monkeypatch.setattr("xcg.readers.lazy._TASK", 1e-9)
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
     monkeypatch.setattr(
@@ -412,7 +407,7 @@ def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
      ({"allow_unknown": True}, "allow_unknown")],
 )  # fmt: skip
 def test_options_of_readers_raise_for_saved_scenes(tmp_path, suffix, given, named):
-    saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
+    saved = random_steps(1).cg.save(tmp_path / f"scene{suffix}")
     with pytest.raises(
         xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="
     ):
@@ -423,7 +418,7 @@ def test_options_of_readers_raise_for_saved_scenes(tmp_path, suffix, given, name
     "name", ["scene.nc4", "scene.h5", "scene.HDF5", "a scene [1] é.nc", "a scene [1] é.zarr"]
 )
 def test_saved_scenes_open_under_any_name(tmp_path, name):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     saved = ds.cg.save(tmp_path / ("saved.zarr" if name.endswith("zarr") else "saved.nc"))
     saved.rename(tmp_path / name)
     assert_same_bits(ds, xcg.open_scene(tmp_path / name))
@@ -433,7 +428,7 @@ def test_saved_scenes_open_under_any_name(tmp_path, name):
 
 
 def test_a_pattern_opens_one_saved_scene(tmp_path, suffix):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     saved = [ds.cg.save(tmp_path / f"scene{n}{suffix}") for n in (1, 2)]
     assert_same_bits(ds, xcg.open_scene(tmp_path / f"scene1*{suffix}"))
     for several in (saved, tmp_path / f"scene*{suffix}"):
@@ -444,7 +439,7 @@ def test_a_pattern_opens_one_saved_scene(tmp_path, suffix):
 
 
 def test_a_damaged_chunk_is_named_and_skipped(tmp_path):
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     saved = ds.chunk(time=1).cg.save(tmp_path / "scene.nc", compression=1)
     with h5py.File(saved) as file:
         chunk = file["position"].id.get_chunk_info(1)
@@ -463,7 +458,7 @@ def test_a_damaged_chunk_is_named_and_skipped(tmp_path):
 
 
 def test_coordinates_and_boxes_of_saved_scenes_are_in_memory(tmp_path, suffix):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     ds = ds.assign_coords(tag=("particle", np.arange(ds.sizes["particle"])))
     again = xcg.open_scene(ds.cg.save(tmp_path / f"scene{suffix}"))
     assert {name for name, values in again.variables.items() if values.chunks is None} == {
@@ -474,7 +469,7 @@ def test_coordinates_and_boxes_of_saved_scenes_are_in_memory(tmp_path, suffix):
 
 
 def test_wrong_on_error_raises_for_saved_scenes(tmp_path, suffix):
-    saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
+    saved = random_steps(1).cg.save(tmp_path / f"scene{suffix}")
     with pytest.raises(ValueError, match="on_error='never'"):
         xcg.open_scene(saved, on_error="never")
 
@@ -487,11 +482,7 @@ def test_wrong_on_error_raises_for_saved_scenes(tmp_path, suffix):
     ids=["dates", "spans", "texts", "objects"],
 )  # fmt: skip
 def test_nan_and_infinity_read_back_equal(tmp_path, suffix, lazy, values):
-    ds = (
-        steps_of_random_scenes(2)
-        .assign(extra=("time", values))
-        .assign_coords(when=("time", values))
-    )
+    ds = random_steps(2).assign(extra=("time", values)).assign_coords(when=("time", values))
     saved = (ds.chunk(time=1) if lazy else ds).cg.save(tmp_path / f"scene{suffix}")
     again = xcg.open_scene(saved)
     for name in ("extra", "when"):
@@ -500,9 +491,7 @@ def test_nan_and_infinity_read_back_equal(tmp_path, suffix, lazy, values):
 
 
 def test_files_that_are_no_scene_raise(tmp_path, suffix):
-    fields = (
-        steps_of_random_scenes(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
-    )
+    fields = random_steps(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
     with pytest.raises(
         xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"
     ):
@@ -517,7 +506,7 @@ def test_files_that_are_no_scene_raise(tmp_path, suffix):
 
 
 def test_commands_accept_saved_scenes(tmp_path, suffix):
-    ds = steps_of_random_scenes(2)
+    ds = random_steps(2)
     saved = str(ds.cg.save(tmp_path / f"scene{suffix}"))
     told = CliRunner().invoke(group, ["info", saved])
     assert told.exit_code == 0, told.output
@@ -580,7 +569,7 @@ def test_convert_follows_a_job(tmp_path, suffix):
 
 def test_labels_are_characters_of_fixed_length(tmp_path):
     """Texts of any length were seen to crash the library when `open_mfdataset` was called again and again."""
-    ds = steps_of_random_scenes(4)
+    ds = random_steps(4)
     whole = ds.cg.coarse_grain(["density", "velocity"], axes="z", by="species")
     for t in range(4):
         whole.isel(time=[t]).cg.save(tmp_path / f"f_{t}.nc")

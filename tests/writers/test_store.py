@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import ROOT, steps_of_random_scenes
+from tests import ROOT
+from tests.scenes import random_steps
 from xcg.writers import formats
 from xcg.writers.formats import hdf5_file, recover
 from xcg.writers.store import Mismatch
@@ -24,7 +25,7 @@ STEPS = 6
 
 def fields(fail_at=None, seen=None, **options):
     """Fields of six chunks of time, one of which fails at a step; computed ones are noted."""
-    ds = steps_of_random_scenes(STEPS).chunk(time=1)
+    ds = random_steps(STEPS).chunk(time=1)
     f = ds.cg.coarse_grain(["density", "velocity", "stress"], axes="xz", width=1.0, **options)
     if fail_at is None and seen is None:
         return f

@@ -7,8 +7,9 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import pyvista_draws, steps_of_random_scenes
+from tests import pyvista_draws
 from tests.networks import network
+from tests.scenes import random_steps
 
 pv = pytest.importorskip("pyvista")
 from vtkmodules.util.numpy_support import vtk_to_numpy  # noqa: E402
@@ -61,7 +62,7 @@ def test_meshes_hold_units_and_time(fields):
 
 
 def test_meshes_of_steps_phases_and_planes():
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     f = ds.chunk(time=1).cg.coarse_grain(
         ["density"], by="species", groups=[1, 2], axes="xz", at={"y": 1.5}, width=0.8, spacing=1.0
     )

@@ -8,22 +8,11 @@ import xarray as xr
 
 import xcg
 from tests import ensembles, raise_if_dask_computes, truths
+from tests.scenes import random_steps
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
 
 ALL = {"width": 0.8, "spacing": 1.0}
-
-
-def series(steps=6, **options):
-    """Random scenes one after the other, each with other grains."""
-    scenes = [xcg.datasets.random_scene(80, seed=s) for s in range(steps)]
-    names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
-    key = {"contact": "contact_i", "particle": "particle_id"}
-    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in scenes] for n in names}
-    return xcg.scene_from_arrays(
-        [s.position.values[0] for s in scenes], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
-        time=np.arange(steps) * 0.1, **rows,
-    )  # fmt: skip
 
 
 def assert_ratios_of_sums(got, f, dims):
@@ -78,7 +67,7 @@ def assert_ratios_of_sums(got, f, dims):
 
 @pytest.mark.parametrize("lazy", [False, True])
 def test_profile_and_average_are_ratios_of_sums(lazy):
-    ds = series()
+    ds = random_steps(6, first=80, more=0)
     f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(**ALL)
     profile, average = f.cg.profile("z"), f.cg.time_average()
     if lazy:
@@ -118,21 +107,23 @@ def test_variants_survive_an_average():
         "size": "d32",
         "fluid_viscosity": 1e-3,
     }
-    f = series(1).cg.coarse_grain(**ALL, **options)
+    f = random_steps(1, first=80, more=0).cg.coarse_grain(**ALL, **options)
     once = f.cg.time_average()
     for name in f.data_vars:
         np.testing.assert_allclose(
             once[name], f[name].isel(time=0), rtol=1e-9, atol=1e-12, err_msg=name
         )
         assert np.isnan(once[f"{name}_error"]).all()
-    whole = series(1).cg.coarse_grain(size="dmax", **ALL)
+    whole = random_steps(1, first=80, more=0).cg.coarse_grain(size="dmax", **ALL)
     np.testing.assert_allclose(
         whole.cg.time_average().inertial_number, whole.inertial_number.isel(time=0), rtol=1e-9
     )
 
 
 def test_moving_windows():
-    f = series().cg.coarse_grain(["density", "velocity", "momentum_density"], **ALL)
+    f = random_steps(6, first=80, more=0).cg.coarse_grain(
+        ["density", "velocity", "momentum_density"], **ALL
+    )
     moving = f.cg.time_average(window=3)
     np.testing.assert_allclose(moving.time, [0.1, 0.2, 0.3, 0.4])
     for t in range(4):
@@ -154,7 +145,7 @@ def test_moving_windows():
 def test_moving_windows_of_a_lazy_result():
     """Fields that follow from tensors are computed anew in each window, lazily as in memory."""
     f = (
-        series(30)
+        random_steps(30, first=80, more=0)
         .chunk(time=30)
         .cg.coarse_grain("friction_coefficient", axes="y", width=1.0, for_averages=True)
     )
@@ -317,13 +308,13 @@ def test_the_density_of_the_material_is_averaged_by_volume():
 
 def test_missing_sums_and_bad_arguments_are_named():
     names = ["velocity", "friction_coefficient", "inertial_number"]
-    f = series(2).cg.coarse_grain(names, for_averages=False, **ALL)
+    f = random_steps(2, first=80, more=0).cg.coarse_grain(names, for_averages=False, **ALL)
     lacking = "velocity needs density; friction_coefficient needs stress; inertial_number needs"
     with pytest.raises(ValueError, match=lacking):
         f.cg.time_average()
     with pytest.raises(ValueError, match="averages ratios through their sums"):
         f.cg.profile("z")
-    density = series(2).cg.coarse_grain("density", **ALL)
+    density = random_steps(2, first=80, more=0).cg.coarse_grain("density", **ALL)
     for call, message in (
         (lambda: density.cg.profile("q"), "the resolved axes"),
         (lambda: density.cg.time_average(window=3), "from 1 to 2"),
@@ -336,7 +327,7 @@ def test_missing_sums_and_bad_arguments_are_named():
 
 def test_averages_return_the_fields_that_were_asked_for():
     """The sums that they need are coordinates, and averages are those of a result that names them."""
-    ds = series(4)
+    ds = random_steps(4, first=80, more=0)
     names = ["velocity", "volume_fraction", "inertial_number"]
     f = ds.cg.coarse_grain(names, **ALL)
     whole = ds.cg.coarse_grain(names, for_averages=True, **ALL)
@@ -360,7 +351,7 @@ def test_averages_return_the_fields_that_were_asked_for():
 
 def test_every_field_has_an_averaging_rule():
     """Those of two frames are averaged in test_displacement, and those between phases where phases are."""
-    ds = series(2)
+    ds = random_steps(2, first=80, more=0)
     ds = ds.assign(
         angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1, director=ds.velocity
     )
@@ -386,7 +377,7 @@ def test_every_field_has_an_averaging_rule():
 )
 def test_all_missing_sums_are_named_at_once(options):
     """Each field by itself, and what it needs: its averages are those of the result that holds all fields."""
-    ds, options = series(3), {**ALL, "fluid_viscosity": 1e-3, **options}
+    ds, options = random_steps(3, first=80, more=0), {**ALL, "fluid_viscosity": 1e-3, **options}
     whole = ds.cg.coarse_grain(**options)
     average, chosen = whole.cg.time_average(), registry.options_of(whole.attrs)
     for name in whole.data_vars:
@@ -404,7 +395,7 @@ def test_all_missing_sums_are_named_at_once(options):
 
 
 def test_for_averages_adds_the_needed_sums():
-    names, ds = ["velocity", "inertial_number"], series(3)
+    names, ds = ["velocity", "inertial_number"], random_steps(3, first=80, more=0)
     f = ds.cg.coarse_grain(names, for_averages=True, **ALL)
     sums = {
         "density",
@@ -443,7 +434,7 @@ def test_nodes_that_are_empty_at_times():
 
 
 def test_components_in_any_order_have_the_same_averages():
-    f = series(3).cg.coarse_grain(
+    f = random_steps(3, first=80, more=0).cg.coarse_grain(
         ["stress", "shear_stress", "shear_rate"], **ALL, shear_dims="xz", for_averages=True
     )
     turned = f.sel(component=["z", "x", "y"], direction=["y", "z", "x"])
@@ -458,7 +449,9 @@ def test_components_in_any_order_have_the_same_averages():
 
 
 def test_fields_that_need_all_components_are_not_averaged_from_some():
-    f = series(3).cg.coarse_grain(["velocity", "stress", "shear_stress"], **ALL, for_averages=True)
+    f = random_steps(3, first=80, more=0).cg.coarse_grain(
+        ["velocity", "stress", "shear_stress"], **ALL, for_averages=True
+    )
     for part in (f.sel(component="x"), f.sel(component=["x", "y"]), f.sel(direction="z")):
         for average in (lambda f: f.cg.time_average(), lambda f: f.cg.profile("z")):
             with pytest.raises(ValueError, match=r"computes shear_stress anew .* select after it"):
@@ -468,7 +461,11 @@ def test_fields_that_need_all_components_are_not_averaged_from_some():
 
 
 def test_standard_errors_are_not_averaged():
-    f = series(3).cg.coarse_grain(["velocity", "density"], **ALL).cg.time_average()
+    f = (
+        random_steps(3, first=80, more=0)
+        .cg.coarse_grain(["velocity", "density"], **ALL)
+        .cg.time_average()
+    )
     with pytest.raises(
         ValueError,
         match=r"no mean of errors and biases \(velocity_error, density_error\): call it before",
@@ -477,7 +474,7 @@ def test_standard_errors_are_not_averaged():
 
 
 def test_averages_of_stacked_nodes_do_not_warn():
-    f = series(3).cg.coarse_grain("density", **ALL)
+    f = random_steps(3, first=80, more=0).cg.coarse_grain("density", **ALL)
     stacked = f.stack(node=("x", "y", "z")).cg.time_average()  # warnings are errors in the tests
     xr.testing.assert_identical(
         stacked.density_error.unstack("node"), f.cg.time_average().density_error
@@ -606,7 +603,7 @@ def test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step():
 
 
 def test_stress_pressure_and_fields_made_of_them_follow_the_averaged_kinetic_stress():
-    scenes = series()
+    scenes = random_steps(6, first=80, more=0)
     ds = scenes.assign(
         velocity=30.0 * scenes.velocity
     )  # a kinetic stress as large as that of contacts
@@ -845,7 +842,7 @@ def test_bias_of_repeated_steps_is_that_of_the_steps():
 def test_attributes_say_how_a_field_is_averaged():
     """Of xarray's mean of the values they warn, as that of a norm of few grains is too large."""
     names = ["density", "velocity", "friction_coefficient", "heat_flux"]
-    f = series(2).cg.coarse_grain(names, axes="z", for_averages=True)
+    f = random_steps(2, first=80, more=0).cg.coarse_grain(names, axes="z", for_averages=True)
     said = {name: f[name].attrs.get("averages", "") for name in names}
     assert said["density"] == ""
     assert said["velocity"].startswith("weighted by density (f.cg.time_average()")

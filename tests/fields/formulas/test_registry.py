@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import ROOT, planning, steps_of_random_scenes
+from tests import ROOT, planning
+from tests.scenes import random_steps
 from xcg.fields.formulas import program, registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.rows import displacement
@@ -75,7 +76,7 @@ def test_program_and_numpy_give_the_same_bits(options):
 def test_rows_pickle(computing, scheduler):
     xcg.register_field("swing", lambda f, s, o: np.sin(f.density), fields="density")
     xcg.register_field("rest", lambda f, s, o: f.swing - 1.0, fields="swing")
-    ds = steps_of_random_scenes(2).chunk(time=1)
+    ds = random_steps(2).chunk(time=1)
     f = ds.cg.coarse_grain(["density", "rest"], width=0.8)
     xcg.register_field(
         "swing", lambda f, s, o: np.cos(f.density), fields="density"

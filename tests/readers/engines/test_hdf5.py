@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import steps_of_random_scenes
+from tests.scenes import random_steps
 
 OPTIONS = {"box": [[0, 5.0]] * 3, "periodic": "xyz", "engine": "hdf5"}
 VARIABLES = ("particle_id", "position", "velocity", "diameter", "density", "species",
@@ -19,7 +19,7 @@ def rows_of(scene, name, t):
 
 @pytest.fixture(scope="module")
 def scene():
-    return steps_of_random_scenes(3)
+    return random_steps(3)
 
 
 def check(ds, scene, names=VARIABLES):

@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.dumps import write
+from tests.scenes import random_steps
 
 
 def tables_of(ds):
@@ -31,7 +31,7 @@ def tables_of(ds):
 
 @pytest.fixture(scope="module")
 def scene():
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     return ds.drop_vars(["contact_normal", "overlap"], errors="ignore")
 
 

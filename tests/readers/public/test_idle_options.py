@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests.scenes import reopen
 
 RNG = np.random.default_rng(3)
 COUNT = 60
@@ -16,7 +17,7 @@ VOLUME = np.pi / 6 * DIAMETER**3
 DISC = np.pi / 4 * DIAMETER**2
 
 
-def scene(**variables):
+def from_arrays(**variables):
     return xcg.scene_from_arrays(PLACES, **({"diameter": DIAMETER} | variables))
 
 
@@ -73,7 +74,7 @@ def test_density_that_is_that_of_the_columns_is_no_mistake(tmp_path, door):
 
 def test_density_beside_masses_without_sizes_is_named():
     with pytest.warns(xcg.SceneWarning, match=r"density=2500 is not used.*masses and no sizes"):
-        scene(diameter=None, mass=np.ones(COUNT), density=2500)
+        from_arrays(diameter=None, mass=np.ones(COUNT), density=2500)
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -92,7 +93,7 @@ def test_one_wrong_mass_is_named():
     mass = 2600 * VOLUME
     mass[7] *= 10
     with pytest.warns(xcg.SceneWarning, match="1 of 60 particles looked at, such as id 7: mass"):
-        scene(mass=mass, density=np.full(COUNT, 2600.0))
+        from_arrays(mass=mass, density=np.full(COUNT, 2600.0))
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -113,7 +114,7 @@ def test_masses_of_discs_are_named_with_their_thickness(tmp_path, door, thicknes
 
 def test_equal_discs_of_thickness_one_are_named():
     with pytest.warns(xcg.SceneWarning, match="masses fit discs of thickness 1, m = rho pi r"):
-        scene(
+        from_arrays(
             diameter=np.ones(COUNT),
             mass=np.full(COUNT, 2.6 * np.pi / 4),
             density=np.full(COUNT, 2.6),
@@ -186,13 +187,9 @@ def average():
     return ds.cg.coarse_grain(["density", "velocity", "stress"], width=1.0).cg.time_average()
 
 
-def reopened(path):
-    return xr.open_dataset(path, engine="zarr" if path.suffix == ".zarr" else None).compute()
-
-
 @pytest.mark.parametrize("suffix", [".nc", ".h5", ".zarr"])
 def test_digits_are_those_of_a_result_without_time(tmp_path, average, suffix):
-    back = reopened(xcg.save(average, tmp_path / f"f{suffix}", digits=3))
+    back = reopen(xcg.save(average, tmp_path / f"f{suffix}", digits=3))
     error = np.abs(back.density / average.density - 1).max()
     assert 0.5e-4 < error <= 0.5e-3
     assert "3 significant digits" in back.density.attrs["precision"]
@@ -202,7 +199,7 @@ def test_digits_are_those_of_a_result_without_time(tmp_path, average, suffix):
 @pytest.mark.parametrize("lazy", [False, True])
 def test_the_type_is_that_of_a_result_without_time(tmp_path, average, suffix, lazy):
     f = average.chunk() if lazy else average
-    back = reopened(xcg.save(f, tmp_path / f"f{suffix}", dtype="float32"))
+    back = reopen(xcg.save(f, tmp_path / f"f{suffix}", dtype="float32"))
     assert {back[name].dtype for name in ("density", "velocity", "stress")} == {np.dtype("float32")}
     np.testing.assert_array_equal(back.density, average.density.astype("float32"))
 
@@ -213,7 +210,7 @@ def test_compression_is_that_of_a_result_without_time(tmp_path, average):
         with h5py.File(path) as file:
             assert file["stress"].compression == ("gzip" if level else None)
             assert file["stress"].compression_opts == (level or None)
-    xr.testing.assert_equal(reopened(path), average)
+    xr.testing.assert_equal(reopen(path), average)
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr", ".vtkhdf", ".pvd"])

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, weights
+from tests.scenes import random_steps
 
 TENSORS = ["contact_fabric", "branch_fabric", "normal_force_fabric", "tangential_force_fabric"]
 ANISOTROPIES = [
@@ -350,7 +350,7 @@ def test_strong_contacts_push_more_than_the_mean():
 
 
 def test_averages_are_ratios_of_averaged_sums():
-    ds = steps_of_random_scenes(3)
+    ds = random_steps(3)
     f = ds.cg.coarse_grain(
         ALL, by="species", width=0.9, spacing=0.8, friction=0.4, for_averages=True
     )
