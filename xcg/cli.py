@@ -439,14 +439,22 @@ def explore(files: tuple[str, ...], port: int, no_browser: bool, **options: Any)
     this machine alone; closing it ends the command. For example: xcg explore "particles.*.dump" -c
     "contacts.*.dump"
     """
-    from xcg.explore.app import serve
-    from xcg.explore.choices import written_call
+    from xcg.explore.app import Explorer
+    from xcg.explore.choices import pictures_of, written_call
+    from xcg.explore.server import serve
     from xcg.readers.open import open_scene
+    from xcg.readers.saved import open_result
 
     with plain_messages(quiet=False):
         arguments = {"particles": list(files), **passed(options)}
         opened = f"import xcg\n\nds = {written_call('xcg.open_scene', arguments)}\n"
-        serve(open_scene(**arguments), opened, port=port, show=not no_browser)
+        ds = open_result(files[0]) if len(files) == 1 else None
+        if ds is None:
+            ds = open_scene(**arguments)
+        else:
+            opened = f"import xarray as xr\nimport xcg\n\nf = xr.open_dataset({files[0]!r})\n"
+        pictures = pictures_of(ds)
+        serve(lambda: Explorer(pictures, opened).layout, port, show=not no_browser)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 import xcg
 from tests import ROOT
-from xcg.analysis.plots import _without_empty_parts, numbers_of
+from xcg.analysis.plots import _without_empty_parts, picture_of
 from xcg.common.drawing import unit_text, without_tail
 from xcg.scene.schema import units_of
 
@@ -176,7 +176,7 @@ def test_profiles_of_discs_leave_out_components_that_are_zero(field, parts):
     f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain(field, axes="y", width=1.0)
     ax = f.cg.plot()
     assert [line.get_label() for line in ax.lines] == [*parts]
-    assert numbers_of(f, field).component.values.tolist() == [*parts]
+    assert picture_of(f, field).component.values.tolist() == [*parts]
 
 
 def test_a_component_that_is_zero_in_some_steps_stays_in_all():

@@ -2,6 +2,8 @@
 
 import asyncio
 import io
+import json
+import pathlib
 import re
 import shutil
 import socket
@@ -10,11 +12,12 @@ import sys
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests import ROOT
 from xcg.common.drawing import unit_in_unicode
-from xcg.explore.choices import pictures_of
+from xcg.explore.choices import Choice, pictures_of
 
 pytest.importorskip("panel")
 pytestmark = [  # of panel's packages
@@ -39,10 +42,13 @@ SEEN = """() => {
         found[name].push(key, [...column].map(one =>
           one?.length === undefined || typeof one === "string" ? one
           : [...one].reduce((sum, number) => isFinite(number) ? sum + number : sum, 0)));
+    for (const {color_mapper: colours, title} of figure.right)
+      if (colours) found[name].push(title, colours.type, colours.low, colours.high, colours.palette[200]);
     for (const span of figure.center) if ("location" in span) found[name].push(span.location);
   }
   return JSON.stringify(found);
 }"""
+WIDTH = """() => Bokeh.documents[0].get_model_by_name("map").inner_width"""
 # the place of a point of the map on the page (pixels)
 PIXEL = """([x, y]) => {
   const figure = Bokeh.documents[0].get_model_by_name("map");
@@ -77,6 +83,13 @@ class Page:
     def choose(self, label, value):
         return lambda: self.page.get_by_label(label, exact=True).select_option(value)
 
+    def write(self, label, text):
+        def act():
+            self.page.get_by_label(label, exact=True).fill(text)
+            self.page.get_by_label(label, exact=True).press("Enter")
+
+        return act
+
     def slide(self, position, key="ArrowRight"):
         return lambda: self.page.locator(".noUi-handle:visible").nth(position).press(key)
 
@@ -106,7 +119,8 @@ def served():
 
 def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, chromium):
     process, address = served
-    page = Page(chromium.new_page(viewport={"width": 1500, "height": 900}))
+    allowed = ["clipboard-read", "clipboard-write"]
+    page = Page(chromium.new_page(viewport={"width": 1500, "height": 900}, permissions=allowed))
     page.page.goto(address[0])
     page.page.wait_for_function("() => document.querySelectorAll && Bokeh.documents.length > 0")
     page.page.wait_for_function(f"() => JSON.parse(({SEEN})()).map !== undefined")
@@ -114,35 +128,58 @@ def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, c
         socket.create_connection(("127.0.0.2", int(address[1])), timeout=5)
 
     # sliders are those of the step and of the width; in a slice the position is between them
-    page.after(page.slide(0, "End"))
-    page.after(page.slide(1))
+    assert "time = 32" in json.loads(page.seen())["map"][0]  # starts at the last step
+    page.after(page.page.locator("button.previous").click)
+    page.page.get_by_text("time 30, step 60000").wait_for()
+    page.after(page.slide(0))
+    page.after(page.choose("arrows", "none"))
+    page.after(page.choose("arrows", "velocity"))
+    page.after(page.choose("colours", "plasma"))
+    page.after(page.page.locator("input[type=checkbox]:visible").nth(1).check)
+    page.after(page.page.locator("input[type=checkbox]:visible").nth(1).uncheck)
+    page.choose("range of colours", "fixed")()
+    page.after(page.write("to", "1.25"))
+    page.choose("range of colours", "of each step")()
+    page.choose("colours", "automatic")()
+    page.after(page.choose("arrows", "auto"))
     page.after(page.choose("axes", "x y"))
     page.after(page.choose("axes", "x z"))
     page.after(page.choose("component", "x"))
     page.after(page.choose("phase", "1"))
     page.after(page.choose("phase", "bulk"))
     page.after(page.choose("picture", "slice"))
-    page.after(page.slide(1))
-    grains = page.after(page.page.locator("input[type=checkbox]").check)
+    page.after(page.slide(0))
+    grains = page.after(page.page.locator("input[type=checkbox]:visible").nth(0).check)
     assert len(grains[grains.index("radius") + 1]) > 10
     page.after(page.choose("picture", "profile"), "profile")
-    page.after(page.slide(1, "ArrowLeft"), "profile")
+    page.after(page.slide(0, "ArrowLeft"), "profile")
     # errors follow the picture by themselves
     page.page.wait_for_function(f"() => JSON.parse(({SEEN})()).errors[0].includes('noise')")
-    page.after(page.slide(1, "ArrowLeft"), "errors")  # the mark of the width
+    page.after(page.slide(0, "ArrowLeft"), "errors")  # the mark of the width
     page.after(page.choose("component", "all"), "profile")
 
     # a field that the scene cannot give: the reason, and the page goes on
-    page.choose("field", "d2min")()
-    page.page.get_by_text("d2min compares two frames").wait_for()
+    page.page.get_by_label("search fields").fill("d2")
+    page.choose("field", "d2min (needs lag=)")()
+    page.page.get_by_text("d2min compares two frames").first.wait_for()
+    page.page.get_by_label("search fields").fill("")
     page.after(page.choose("field", "velocity"), "profile")
 
     # colours at three points are those of the numbers of the shown call
     page.after(page.choose("picture", "map"))
-    page.after(page.page.locator("input[type=checkbox]").uncheck)
-    page.page.get_by_role("button", name="Python call").click()
-    shown = page.page.locator("pre", has_text="coarse_grain")
-    assert_colours(page, shown.inner_text())
+    page.after(page.page.locator("input[type=checkbox]:visible").nth(0).uncheck)
+    page.after(page.choose("arrows", "none"))
+    shown = page.page.locator("pre", has_text="coarse_grain").inner_text()
+    assert_colours(page, shown)
+    page.page.get_by_role("button", name="copy").click()
+    page.page.get_by_role("button", name="copied").wait_for()
+    assert page.page.evaluate("navigator.clipboard.readText()") == shown
+    with page.page.expect_download() as table:
+        page.page.get_by_text("numbers (CSV)").click()
+    assert "velocity" in pathlib.Path(table.value.path()).read_text().partition("\n")[0]
+    width = page.page.evaluate(WIDTH)
+    page.page.set_viewport_size({"width": 900, "height": 900})
+    page.page.wait_for_function(f"width => ({WIDTH})() < width", arg=width)
 
     assert page.errors == []
     page.page.close()
@@ -176,17 +213,51 @@ def test_a_picture_that_fails_leaves_its_reason_and_no_numbers():
     async def use():  # as in a notebook, whose loop runs
         page = app.Explorer(pictures_of(xcg.datasets.random_scene(100, seed=1)))
         assert page.numbers is not None
-        page.controls["field"].value = "d2min"
+        page.controls.by_name["field"].value = "d2min"
         page.update()
         assert page.numbers is None
         assert "ds.cg.displacement" in page.message
         assert not len(page.map.image.data["image"])
-        page.controls["field"].value = "density"
+        page.controls.by_name["field"].value = "density"
         page.update()
         assert page.numbers.name == "density"
         assert "d2min" not in page.message
 
     asyncio.run(use())
+
+
+def test_the_picture_has_the_numbers_of_the_nodes():
+    """Also its largest one, whatever the number of nodes."""
+    figures = pytest.importorskip("xcg.explore.figures")
+    for count in (67, 80, 131):
+        x = np.arange(count, dtype=float)
+        peak = xr.DataArray(np.exp(-((x - 30.0) ** 2) / 4), {"x": x}, "x")
+        picture = xr.Dataset({"density": peak * peak.rename(x="z")})
+        shown = figures.Map()
+        shown.draw(picture.transpose("z", "x"), Choice("density", "map", ("x", "z")))
+        (image,) = shown.image.data["image"]
+        assert image.max() == 1.0
+        assert shown.range == (0.0, 1.0) or shown.range[1] == 1.0
+        assert shown.bar.title == "density"
+
+
+def test_a_script_is_told_how_to_open_the_page(capsys):
+    page = xcg.datasets.random_scene(50, seed=1).cg.explore()
+    assert "ds.cg.explore().show() opens the page" in capsys.readouterr().err
+    assert page.numbers is not None
+
+
+def test_the_command_takes_results_that_were_saved(tmp_path, monkeypatch):
+    from xcg import cli
+    from xcg.explore import server
+
+    served = []
+    monkeypatch.setattr(server, "serve", lambda page, port=0, show=True: served.append(page()))
+    f = xcg.datasets.random_scene(50, seed=1).cg.coarse_grain("density", axes="xz", width=1.0)
+    for name in ("f.nc", "f.h5", "f.zarr"):
+        f.cg.save(tmp_path / name)
+        cli.explore.main([str(tmp_path / name), "--no-browser"], standalone_mode=False)
+    assert len(served) == 3
 
 
 def test_a_missing_package_is_named(monkeypatch):

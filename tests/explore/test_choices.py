@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.analysis.plots import segments_of
 from xcg.explore.choices import MOST_GRAINS, NODES_OF_ERRORS, Choice, pictures_of
 
 
@@ -136,16 +137,87 @@ def test_a_slice_shows_the_circles_in_which_it_cuts_the_grains():
     low = ds["position"].isel(time=0).sel(component="y").min().item()
     for offset in (0.3, -0.3):
         choice = Choice("density", "slice", ("x", "z"), position=low + offset)
-        circles, count = pictures.grains(choice)
-        assert count == len(circles["radius"]) == 16
+        circles, note = pictures.grains(choice)
+        assert len(circles["radius"]) == 16
+        assert note == ""
         np.testing.assert_allclose(circles["radius"], 0.4, rtol=1e-12)
 
 
-def test_a_map_shows_at_most_as_many_grains_as_a_browser_draws():
-    ds = xcg.datasets.random_scene(2 * MOST_GRAINS + 1, seed=1)
-    circles, count = pictures_of(ds).grains(Choice("density", "map", ("x", "z")))
-    assert count == 2 * MOST_GRAINS + 1
-    assert MOST_GRAINS / 2 < len(circles["x"]) <= MOST_GRAINS
+def test_a_map_of_a_volume_shows_the_grains_in_its_middle():
+    ds = xcg.datasets.random_scene(300, seed=2)
+    pictures = pictures_of(ds)
+    circles, note = pictures.grains(Choice("density", "map", ("x", "z")))
+    low, high = pictures.range_of("y")
+    middle = (low + high) / 2
+    slice_, _ = pictures.grains(Choice("density", "slice", ("x", "z"), position=middle))
+    np.testing.assert_array_equal(circles["x"], slice_["x"])
+    assert 10 < len(circles["x"]) < 150
+    assert note == f"grains at y = {middle:.4g}"
+
+
+def test_no_layer_of_a_large_scene_is_left_out():
+    """A row of 10 grains at each height, in the order of their ids: every tenth one would be one column."""
+    rows = 2 * MOST_GRAINS // 10
+    z, x = np.mgrid[:rows, :10]
+    position = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1).astype(float)
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.ones(len(position)), density=1.0, dimension=2, plane="xz"
+    )
+    pictures = pictures_of(ds)
+    circles, note = pictures.grains(Choice("density", "map", ("x", "z")))
+    assert note == f"{MOST_GRAINS} of {len(position)} grains are drawn"
+    assert len(circles["x"]) == MOST_GRAINS
+    columns = np.bincount(circles["x"].astype(int), minlength=10)
+    assert abs(columns - MOST_GRAINS / 10).max() < 5 * (MOST_GRAINS / 10) ** 0.5
+    moved = ds.assign(position=ds.position + 0.25)
+    again, _ = pictures_of(moved).grains(Choice("density", "map", ("x", "z")))
+    np.testing.assert_array_equal(again["x"], circles["x"] + 0.25)
+
+
+def test_fields_that_a_scene_lacks_data_for_come_last_with_the_reason():
+    fields = pictures_of(xcg.datasets.random_scene(50, seed=1, walls=True)).fields
+    *_, last = fields
+    assert last == "not of this scene"
+    assert fields[last]["d2min (needs lag=)"] == "d2min"
+    assert fields[last]["nematic_order (needs director)"] == "nematic_order"
+    assert fields["of this scene"]["velocity"] == "velocity"
+    assert fields["on request"]["momentum_flux"] == "momentum_flux"
+
+
+def test_averages_with_errors_have_profiles_and_errors_have_none_of_their_own():
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    ds = xcg.datasets.open("plane_shear").isel(time=slice(0, 3))
+    mean = ds.cg.coarse_grain(["velocity", "density"], axes="xz").cg.time_average().compute()
+    pictures = pictures_of(mean)
+    choice = Choice("velocity", "profile", ("z",), part="x")
+    np.testing.assert_array_equal(
+        pictures.numbers(choice), mean[["velocity", "density"]].cg.profile("z").velocity[:, 0]
+    )
+    ax, _ = run(pictures.call(choice), f=mean)
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), pictures.numbers(choice))
+    pyplot.close("all")
+    with pytest.raises(ValueError, match="velocity_error is an error itself"):
+        pictures_of(ds).errors(Choice("velocity_error", "profile", ("z",)))
+
+
+def test_colours_and_arrows_of_the_page_are_in_the_call():
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    ds = SCENES["3D"]()
+    pictures = pictures_of(ds)
+    axes = ("x", "z")
+    choice = Choice("density", "map", axes, arrows="velocity", cmap="plasma", vmin=0.5, vmax=9.0)
+    ax, _ = run(pictures.call(choice), ds=ds)
+    mesh, arrows = ax.collections
+    assert mesh.get_clim() == (0.5, 9.0)
+    assert mesh.get_cmap().name == "plasma"
+    drawn = segments_of(pictures.picture(choice), *axes)
+    np.testing.assert_allclose((drawn["x0"] + drawn["x1"]) / 2, arrows.X)
+    np.testing.assert_allclose(drawn["x1"] - drawn["x0"], arrows.U / arrows.scale, atol=1e-12)
+    np.testing.assert_allclose(drawn["y1"] - drawn["y0"], arrows.V / arrows.scale, atol=1e-12)
+    logarithmic = Choice("density", "map", axes, is_logarithmic=True, arrows=None)
+    ax, _ = run(pictures.call(logarithmic), ds=ds)
+    assert type(ax.collections[0].norm).__name__ == "LogNorm"
+    pyplot.close("all")
 
 
 def test_errors_are_those_of_choose_width():
@@ -185,7 +257,6 @@ def test_a_field_without_an_error_of_one_step_still_has_a_bias():
 
 def test_fields_that_the_scene_cannot_give_are_refused_with_the_reason():
     pictures = pictures_of(xcg.datasets.random_scene(50, seed=1))
-    assert "d2min" in pictures.fields["with further data or options"]
     with pytest.raises(ValueError, match=r"d2min compares two frames.*ds\.cg\.displacement"):
         pictures.numbers(Choice("d2min", "map", ("x", "z")))
 

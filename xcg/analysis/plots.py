@@ -531,7 +531,7 @@ def _other_way(f: xr.Dataset, value: xr.DataArray) -> str:
     return f"{text}; xarray draws others, such as f[{value.name!r}]{step}.plot.line(x={along!r})"
 
 
-def numbers_of(
+def picture_of(
     f: xr.Dataset,
     field: str,
     *,
@@ -540,13 +540,14 @@ def numbers_of(
     direction: str | None = None,
     phase: int | str | None = None,
     at: Mapping[str, float] | None = None,
-) -> xr.DataArray:
-    """Return the numbers that `plot` draws with these arguments, in memory; errors as `plot`.
+    arrows: str | None = None,
+) -> xr.Dataset:
+    """Return the numbers and arrows that `plot` draws with these arguments, in memory; errors as `plot`.
 
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
-    picture = _Shown(field, component, direction, phase, at, None, "flat").picture(f, index)
-    return picture[field].transpose(*axes_of(picture)[::-1], ...)
+    picture = _Shown(field, component, direction, phase, at, arrows, "flat").picture(f, index)
+    return picture.transpose(*axes_of(picture)[::-1], ...)
 
 
 def without_air(f: xr.Dataset, name: str) -> xr.DataArray:
@@ -789,13 +790,7 @@ class _Frames:
         x, y, values = drawing.cells_of(picture[self.name].transpose(up, across), self.shading)
         mesh = ax.pcolormesh(x, y, values, **self.keywords)
         if self.fastest > 0:
-            every = max(1, round(max(picture.sizes[a] for a in self.axes) / ARROWS))
-            some = picture.isel({a: slice(every // 2, None, every) for a in self.axes})
-            along = some[f"{_ARROW}{across}"].transpose(up, across).to_numpy()
-            rise = some[f"{_ARROW}{up}"].transpose(up, across).to_numpy()
-            steps = [float(some[a][1] - some[a][0]) for a in self.axes if some.sizes[a] > 1]
-            x, y = np.meshgrid(some[across], some[up])
-            self._draw_arrows(ax, x, y, along, rise, min(steps, default=1.0))
+            self._draw_arrows(ax, *_arrows_on(picture, across, up))
         if across != "theta":
             ax.set_aspect("equal")
         ax.apply_aspect()
@@ -866,6 +861,32 @@ def _check_errors(picture: xr.Dataset) -> None:
                 f"plot: {name} is negative, {float(picture[name].min()):.3g} at its lowest, and no "
                 "standard error is: b - a subtracts errors, too; xcg.compare(a, b) adds them in squares"
             )
+
+
+def _arrows_on(
+    picture: xr.Dataset, across: str, up: str
+) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
+    """Return places and components of arrows on a map, (up, across), and how far they are apart."""
+    every = max(1, round(max(picture.sizes[a] for a in (across, up)) / ARROWS))
+    some = picture.isel({a: slice(every // 2, None, every) for a in (across, up)})
+    along = some[f"{_ARROW}{across}"].transpose(up, across).to_numpy()
+    rise = some[f"{_ARROW}{up}"].transpose(up, across).to_numpy()
+    apart = [float(some[a][1] - some[a][0]) for a in (across, up) if some.sizes[a] > 1]
+    x, y = np.meshgrid(some[across], some[up])
+    return x, y, along, rise, min(apart, default=1.0)
+
+
+def segments_of(picture: xr.Dataset, across: str, up: str) -> dict[str, NDArray]:
+    """Return the ends of the arrows that `plot` draws on a map: x0, y0, x1, y1; empty without arrows."""
+    picture = picture.sortby([across, up])
+    fastest = _fastest(picture)
+    if not fastest > 0:
+        return {name: np.zeros(0) for name in ("x0", "y0", "x1", "y1")}
+    x, y, along, rise, apart = _arrows_on(picture, across, up)
+    moving = np.hypot(along, rise) >= AT_REST * fastest
+    half = 0.5 * apart / fastest
+    x, y, along, rise = x[moving], y[moving], half * along[moving], half * rise[moving]
+    return {"x0": x - along, "y0": y - rise, "x1": x + along, "y1": y + rise}
 
 
 def _fastest(picture: xr.Dataset) -> float:

@@ -302,7 +302,7 @@ def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
 def _finer(nodes: NDArray, *, is_circle: bool = False) -> tuple[NDArray, NDArray]:
     """Divide the cells of nodes into parts: edges (m + 1,), and weights of the nodes (m, n)."""
     count = len(nodes)
-    parts = -(-SMOOTH // count)
+    parts = -(-SMOOTH // count) // 2 * 2 + 1  # odd: the middle of a cell is at each node
     edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
     middle = 0.5 * (edges[1:] + edges[:-1])
     period = None

@@ -12,17 +12,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.compare import BIAS, ERROR
 from xcg.analysis.grain_plots import circles_of
-from xcg.analysis.plots import axes_of, numbers_of
+from xcg.analysis.plots import axes_of, picture_of
 from xcg.analysis.widths import WIDTHS as SWEPT
 from xcg.analysis.widths import choose_width, width_sweep
+from xcg.common import drawing
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.averages import profile
+from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.registry import FIELDS, listed
-from xcg.fields.plan import possible_fields
+from xcg.fields.plan import possible_fields, variables_of
 from xcg.fields.request import Request
 from xcg.scene.conform import conform
-from xcg.scene.description import describe
+from xcg.scene.description import Description, describe
 from xcg.scene.frame import frame_at, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call
@@ -63,6 +66,14 @@ class Choice:
         "bulk", or the label of a phase.
     width : str
         Width of the kernel, such as "0.75 d43".
+    arrows : str or None
+        Vector field that arrows of a map show; "auto" as in `plot`.
+    cmap : str or None
+        Colours of a map, as in `plot`.
+    vmin, vmax : float or None
+        Ends of the colours of a map; None for those of each step.
+    is_logarithmic : bool
+        Whether colours follow the logarithm.
     """
 
     field: str
@@ -73,6 +84,23 @@ class Choice:
     part: str = ""
     phase: str = "bulk"
     width: str = USUAL_WIDTH
+    arrows: str | None = "auto"
+    cmap: str | None = None
+    vmin: float | None = None
+    vmax: float | None = None
+    is_logarithmic: bool = False
+
+    def colours(self) -> dict[str, Any]:
+        """Return the arguments of `plot` for arrows and colours that are not those by default."""
+        if self.view == "profile":
+            return {}
+        given = {"cmap": self.cmap, "vmin": self.vmin, "vmax": self.vmax}
+        arguments: dict[str, Any] = {name: v for name, v in given.items() if v is not None}
+        if self.is_logarithmic:
+            arguments["norm"] = "log"
+        if self.arrows != "auto":
+            arguments["arrows"] = self.arrows
+        return arguments
 
 
 class Pictures:
@@ -87,8 +115,8 @@ class Pictures:
     ----------
     name : str
         Name of its variable in the calls that are shown.
-    fields : dict of list of str
-        Names of fields by the heading that they are listed under.
+    fields : dict of dict of str
+        Names of fields by the texts that they are listed as, by their heading.
     views : dict of list
         Axes of the pictures of each view.
     plane : list of str
@@ -128,7 +156,8 @@ class Pictures:
                 f"theta; its dimensions are {', '.join(map(str, self.ds.dims)) or 'none'}"
             )
         names = [str(name) for name in self.ds.data_vars if {*self.plane} & {*self.ds[name].dims}]
-        self.fields = {"fields": names}
+        self.fields = {"fields": dict(zip(names, names, strict=True))}
+        self.vectors = [name for name in names if self.rank_of(name) == 1]
         self.axes = [str(label) for label in self.ds.get("component", [])]
         self.phases = [str(label) for label in self.ds.get("phase", [])]
         self.drawn_phases = self.phases
@@ -138,6 +167,16 @@ class Pictures:
         if len(self.plane) == 3:
             self.views["slice"] = list(combinations(self.plane, 2))
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
+
+    def text_of_step(self, time: int) -> str:
+        """Return the time and number of a step, as text."""
+        texts = []
+        for name in ("time", "step"):
+            if name in self.ds.coords:
+                value = np.atleast_1d(self.ds[name].to_numpy())[time]
+                unit = drawing.unit_in_unicode(str(self.ds[name].attrs.get("units", "")))
+                texts.append(f"{name} {value:.6g} {unit}".rstrip())
+        return ", ".join(texts) or f"step {time + 1} of {self.steps}"
 
     def rank_of(self, field: str) -> int:
         """Return the number of indices of a field: 0 of a scalar, 1 of a vector, 2 of a tensor."""
@@ -190,20 +229,38 @@ class Pictures:
         """Return the fields of the step that the picture is drawn from."""
         step = self._step(choice.time)
         if choice.view == "profile" and len(self.plane) > 1:
-            return profile(step, choice.axes[0])
+            return profile(step.drop_vars(self._beside(choice.field)), choice.axes[0])
         return step
+
+    def _beside(self, field: str) -> list[str]:
+        """Return the errors and biases of averages, of which profiles take no mean."""
+        if "averaged_steps" not in self.ds.attrs:
+            return []
+        names = [str(name) for name in self.ds.data_vars]
+        return [name for name in names if name.endswith((ERROR, BIAS)) and name != field]
 
     def numbers(self, choice: Choice) -> xr.DataArray:
         """Return the numbers of the picture, as `plot` draws them."""
-        return numbers_of(self.result(choice), choice.field, **self._drawing(choice))
+        return self.picture(choice)[choice.field]
+
+    def picture(self, choice: Choice) -> xr.Dataset:
+        """Return the numbers of the picture and its arrows, as `plot` draws them; ``attrs["drawn"]`` is its name."""
+        arrows = None if choice.view == "profile" else choice.arrows
+        return picture_of(self.result(choice), choice.field, arrows=arrows, **self._drawing(choice))
 
     def call(self, choice: Choice) -> str:
         """Return the Python call that makes the picture."""
         averaged = ""
         if choice.view == "profile" and len(self.plane) > 1:
-            averaged = f".cg.profile({choice.axes[0]!r})"
-        drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
-        return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{drawing}"
+            if beside := self._beside(choice.field):
+                averaged = f".drop_vars({beside!r})"
+            averaged += f".cg.profile({choice.axes[0]!r})"
+        return f"{self.name}{self._selection(choice.time)}{averaged}.cg.{self._plot(choice)}"
+
+    def _plot(self, choice: Choice) -> str:
+        """Return the call of `plot`."""
+        arguments = {"field": choice.field, **self._drawing(choice), **choice.colours()}
+        return written_call("plot", arguments)
 
 
 class ScenePictures(Pictures):
@@ -218,11 +275,17 @@ class ScenePictures(Pictures):
         self.size = self.scene.sizes.get("d43", 0.0)
         self.plane = list(self.scene.setup.plane)
         possible = possible_fields(self.scene, Request())
-        others = [name for name in listed() if name not in possible]
+        lacking = {name: missing_for(name, self.scene) for name in listed() if name not in possible}
         self.fields = {
-            "of this scene": list(possible),
-            "with further data or options": others,
+            "of this scene": {name: name for name in possible},
+            "on request": {name: name for name, missing in lacking.items() if not missing},
+            "not of this scene": {
+                f"{name} (needs {', '.join(missing)})": name
+                for name, missing in lacking.items()
+                if missing
+            },
         }
+        self.vectors = [name for name in ("velocity",) if name in possible]
         self.axes = self.plane
         pairs: list[tuple[str, ...]] = list(combinations(self.plane, 2))
         pairs.sort(key=lambda pair: pair != (self.plane[0], self.plane[-1]))
@@ -295,32 +358,46 @@ class ScenePictures(Pictures):
 
     def result(self, choice: Choice) -> xr.Dataset:
         """Return the field of the step, coarse-grained."""
-        return coarse_grain(self._step(choice.time), choice.field, **self._request(choice))
+        fields = self._fields(choice)
+        return coarse_grain(self._step(choice.time), fields, **self._request(choice))
+
+    def _fields(self, choice: Choice) -> str | list[str]:
+        """Return the field, and that of the arrows."""
+        if choice.view != "profile" and choice.arrows not in (None, "auto", choice.field):
+            return [choice.field, str(choice.arrows)]
+        return choice.field
 
     def call(self, choice: Choice) -> str:
         """Return the Python calls that make the picture."""
-        request = {"fields": choice.field, **self._request(choice)}
-        drawing = written_call("plot", {"field": choice.field, **self._drawing(choice)})
+        request = {"fields": self._fields(choice), **self._request(choice)}
         scene = f"{self.name}{self._selection(choice.time)}"
-        return f"f = {scene}.cg.{written_call('coarse_grain', request)}\nf.cg.{drawing}"
+        return f"f = {scene}.cg.{written_call('coarse_grain', request)}\nf.cg.{self._plot(choice)}"
 
-    def grains(self, choice: Choice) -> tuple[Mapping[str, NDArray], int]:
-        """Return circles of the grains of a step on a map, and the number of grains.
+    def grains(self, choice: Choice) -> tuple[Mapping[str, NDArray], str]:
+        """Return circles of the grains of a step on a map, and a note about which they are.
 
-        A slice shows the circles in which it cuts the grains; a map shows all grains at their full
-        size. Of more than `MOST_GRAINS`, every second, third ... is returned.
+        Those of a volume are the circles in which a plane cuts the grains: that of the slice, or of
+        a map the one in the middle. Of more than `MOST_GRAINS`, those with the smallest hash of
+        their id are returned: a random choice that stays the same in all steps.
         """
         frame, lattice, _ = frame_at(
             self._step(choice.time), 0, ["particle_id", "position", "diameter"]
         )
         cut = {}
+        note = ""
         if choice.view == "slice":
             cut = {self.cut_axis(choice): choice.position}
-        centre, radius, _ = circles_of(frame, choice.axes, cut, lattice)
-        count = len(radius)
-        some = slice(None, None, -(-count // MOST_GRAINS) or 1)
-        across, up = centre[some].T
-        return {"x": across, "y": up, "radius": radius[some]}, count
+        elif len(self.plane) == 3:
+            axis = self.cut_axis(choice)
+            cut = {axis: float(f"{np.mean(self.range_of(axis)):.4g}")}
+            note = f"grains at {axis} = {cut[axis]:.4g}"
+        centre, radius, rows = circles_of(frame, choice.axes, cut, lattice)
+        if len(rows) > MOST_GRAINS:
+            note = f"{MOST_GRAINS} of {len(rows)} grains are drawn"
+            some = np.argsort(hashed(frame["particle_id"][rows]), kind="stable")[:MOST_GRAINS]
+            centre, radius = centre[some], radius[some]
+        across, up = centre.T
+        return {"x": across, "y": up, "radius": radius}, note
 
     def errors(self, choice: Choice) -> dict[str, NDArray]:
         """Return bias, noise and total error of one step against ``width`` (in d43), by name.
@@ -329,6 +406,8 @@ class ScenePictures(Pictures):
         without such an error, as stress and density, has ``bias with noise``: the bias of
         `width_sweep`, which the noise of few grains adds to.
         """
+        if choice.field.endswith((ERROR, BIAS)):
+            raise ValueError(f"{choice.field} is an error itself, and has none of its own")
         step = self._step(choice.time)
         request = self._request(choice)
         names = {"axes", "at", "extent"}
@@ -349,6 +428,20 @@ class ScenePictures(Pictures):
             parts = {"bias with noise": (of_bias / of_field) ** 0.5}
         values = {part: errors.to_numpy() for part, errors in parts.items()}
         return {"width": sweep["width"].to_numpy() / self.size, **values}
+
+
+def missing_for(name: str, scene: Description) -> list[str]:
+    """Return the variables and the option that a field needs and a scene lacks."""
+    row = FIELDS[name]
+    missing = sorted(variables_of((name,), {*scene.columns}, Options()) - scene.columns.keys())
+    if row.option:
+        missing.append(f"{row.option}=")
+    return missing
+
+
+def hashed(ids: NDArray) -> NDArray:
+    """Return a pseudo-random number for each id (Knuth's multiplicative hash, 32 bits)."""
+    return ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)
 
 
 def written_call(function: str, arguments: Mapping[str, Any]) -> str:

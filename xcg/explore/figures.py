@@ -11,21 +11,42 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.plots import may_diverge
+from xcg.analysis.plots import may_diverge, segments_of
 from xcg.common import drawing
 from xcg.common.checks import extra
+from xcg.explore.choices import Choice
 from xcg.scene.frame import evenly_spaced, with_rising
 from xcg.scene.schema import COMPONENTS
 
-LONGEST = 520  # pixels of the longer side of a map
-SHORTEST = 80  # pixels of its shorter side; very flat maps are not to scale
+HIGHEST = 620  # pixels of the height of a map
+NARROWEST = 260  # pixels of its width, with labels; the narrowest maps are not to scale
+SHORTEST = 80  # pixels of its height; very flat maps are not to scale
+BESIDE = 170  # pixels of labels and colour bar
+SIDE = 260  # pixels of the square of errors
 LETTERS = 60  # in a line of a title
+OF_BAR = 50  # letters in a line beside a colour bar
 COLOURS = 256
 _OF_ERRORS = {"bias": "#1f77b4", "bias with noise": "#1f77b4", "noise": "#ff7f0e", "total": "black"}
 CLEAR = "rgba(0, 0, 0, 0)"
 TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 _EMPTY_IMAGE: dict[str, list] = {"image": [], "x": [], "y": [], "dw": [], "dh": []}
 _EMPTY_LINES: dict[str, list] = {"x": [], "y": [], "colour": [], "label": []}
+_EMPTY_ARROWS: dict[str, list] = {"x0": [], "y0": [], "x1": [], "y1": []}
+# colours by their names in matplotlib
+PALETTES = {
+    "viridis": "Viridis256",
+    "plasma": "Plasma256",
+    "inferno": "Inferno256",
+    "cividis": "Cividis256",
+    "turbo": "Turbo256",
+    "RdBu_r": "RdBu11",
+}
+# a map fills the width of the page, and its height follows by the ratio of its axes
+FOLLOW = """
+const [ratio, shortest] = figure.tags;
+const height = Math.max(shortest, Math.round(figure.inner_width * ratio));
+if (figure.inner_width && figure.frame_height != height) figure.frame_height = height;
+"""
 _EMPTY_CIRCLES: dict[str, list] = {"x": [], "y": [], "radius": []}
 
 
@@ -60,8 +81,12 @@ class Map:
     ----------
     figure : bokeh.plotting.figure
         To be shown.
-    image, circles : bokeh.models.ColumnDataSource
+    image, circles, arrows : bokeh.models.ColumnDataSource
         Its numbers.
+    bar : bokeh.models.ColorBar
+        Its colour bar.
+    range : tuple of float
+        Ends of the colours.
     """
 
     def __init__(self) -> None:
@@ -70,14 +95,26 @@ class Map:
         self._extent: tuple[Any, ...] = ()
         self.image = models.ColumnDataSource(_EMPTY_IMAGE)
         self.circles = models.ColumnDataSource(_EMPTY_CIRCLES)
-        self._colours = models.LinearColorMapper(palette="Viridis256", nan_color=CLEAR)
+        self.arrows = models.ColumnDataSource(_EMPTY_ARROWS)
+        self._linear = models.LinearColorMapper(palette="Viridis256", nan_color=CLEAR)
+        self._logarithm = models.LogColorMapper(palette="Viridis256", nan_color=CLEAR)
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            x_range=models.Range1d(0, 1), y_range=models.Range1d(0, 1), tools=TOOLS, name="map"
+            x_range=models.Range1d(0, 1),
+            y_range=models.Range1d(0, 1),
+            tools=TOOLS,
+            name="map",
+            sizing_mode="stretch_width",
+            frame_height=HIGHEST,
+            min_width=NARROWEST,
         )
-        drawn = self.figure.image(
+        self.figure.tags = [1.0, SHORTEST]
+        follow = models.CustomJS(args={"figure": self.figure}, code=FOLLOW)
+        self.figure.js_on_change("inner_width", follow)
+        self.figure.js_on_change("tags", follow)
+        self._drawn = self.figure.image(
             **{name: name for name in _EMPTY_IMAGE},
             source=self.image,
-            color_mapper=self._colours,
+            color_mapper=self._linear,
         )
         self.figure.circle(
             "x",
@@ -88,16 +125,37 @@ class Map:
             line_color="black",
             line_alpha=0.5,
         )
+        self.figure.segment(
+            **{name: name for name in _EMPTY_ARROWS},
+            source=self.arrows,
+            line_color="white",
+            line_width=3.5,
+        )
+        self.figure.add_layout(
+            models.Arrow(
+                **{
+                    f"{axis}_{end}": f"{axis}{k}"
+                    for axis in "xy"
+                    for k, end in enumerate(("start", "end"))
+                },
+                source=self.arrows,
+                end=models.VeeHead(size=7, fill_color="black", line_color="white"),
+                line_color="black",
+                line_width=1.5,
+            )
+        )
         hover = models.HoverTool(
-            renderers=[drawn], tooltips=[("value", "@image"), ("place", "$x, $y")]
+            renderers=[self._drawn], tooltips=[("value", "@image"), ("place", "$x, $y")]
         )
         self.figure.add_tools(hover)
-        self.figure.add_layout(models.ColorBar(color_mapper=self._colours), "right")
+        self.bar = models.ColorBar(color_mapper=self._linear, title_standoff=8)
+        self.figure.add_layout(self.bar, "right")
         self.figure.grid.visible = False
         self.figure.toolbar.logo = None
 
-    def draw(self, numbers: xr.DataArray) -> None:
-        """Draw numbers (up, across). The view stays as the user zoomed it while the axes stay."""
+    def draw(self, picture: xr.Dataset, choice: Choice) -> None:
+        """Draw numbers (up, across) and arrows. The view stays as the user zoomed it while the axes stay."""
+        numbers = picture[choice.field]
         up, across = (str(dim) for dim in numbers.dims)
         numbers = with_rising(numbers, (up, across))
         for axis in (across, up):
@@ -108,41 +166,58 @@ class Map:
         width = edges_across[-1] - edges_across[0]
         y = edges_up[0]
         height = edges_up[-1] - edges_up[0]
-        known = values[np.isfinite(values)]
-        label = label_of(numbers, str(numbers.name))
-        if may_diverge(numbers):
-            known, note = drawing.without_tail(known)
-            label += note
-        colours = drawing.colours_of(known, None, None, None)
-        palette = self._palettes.Viridis256
-        if colours["cmap"] != "viridis":
-            palette = self._palettes.interp_palette(self._palettes.RdBu11, COLOURS)
-        self._colours.update(palette=palette, low=colours["vmin"], high=colours["vmax"])
+        label = self._colour(numbers, choice)
         self.image.data = {"image": [values], "x": [x], "y": [y], "dw": [width], "dh": [height]}
+        self.arrows.data = segments_of(picture, across, up)
         figure = self.figure
         extent = (across, x, width, up, y, height)
         if extent != self._extent:
             self._extent = extent
             figure.x_range.update(start=x, end=x + width, reset_start=x, reset_end=x + width)
             figure.y_range.update(start=y, end=y + height, reset_start=y, reset_end=y + height)
-            longest = max(width, height)
-            figure.frame_width = max(SHORTEST, round(LONGEST * width / longest))
-            figure.frame_height = max(SHORTEST, round(LONGEST * height / longest))
+            ratio = height / width
+            figure.max_width = max(NARROWEST, round(HIGHEST / ratio) + BESIDE)
+            figure.tags = [ratio, SHORTEST]
         figure.xaxis.axis_label = label_of(numbers[across], across)
         figure.yaxis.axis_label = label_of(numbers[up], up)
         figure.title.text = _title(label, place_of(numbers))
 
-    def draw_grains(self, circles: Mapping[str, NDArray], count: int) -> None:
-        """Draw circles of grains, of `count` in all."""
+    def _colour(self, numbers: xr.DataArray, choice: Choice) -> str:
+        """Set colours and their ends as `plot` has them; return the label of the colour bar."""
+        known = numbers.to_numpy()
+        known = known[np.isfinite(known)]
+        label = label_of(numbers, str(numbers.name))
+        mapper = self._linear
+        cmap = choice.cmap or "viridis"
+        if choice.is_logarithmic:
+            mapper = self._logarithm
+            low, high = drawing.ends_of(known[known > 0])
+            low = low if choice.vmin is None else choice.vmin
+            high = high if choice.vmax is None else choice.vmax
+        else:
+            if choice.vmax is None and may_diverge(numbers):
+                known, note = drawing.without_tail(known)
+                label += note
+            colours = drawing.colours_of(known, choice.cmap, choice.vmin, choice.vmax)
+            low, high, cmap = colours["vmin"], colours["vmax"], colours["cmap"]
+        palette = getattr(self._palettes, PALETTES[cmap])
+        mapper.update(palette=self._palettes.interp_palette(palette, COLOURS), low=low, high=high)
+        self._drawn.glyph.color_mapper = mapper
+        self.bar.update(color_mapper=mapper, title=textwrap.fill(label, OF_BAR))
+        self.range = (low, high)
+        return label
+
+    def draw_grains(self, circles: Mapping[str, NDArray], note: str) -> None:
+        """Draw circles of grains, and write a note about them into the title."""
         self.circles.data = dict(circles)
-        drawn = len(circles["x"])
-        if drawn < count:
-            self.figure.title.text += f"\n{drawn} of {count} grains are drawn"
+        if note:
+            self.figure.title.text += f"\n{note}"
 
     def clear(self) -> None:
         """Draw nothing."""
         self.image.data = _EMPTY_IMAGE
         self.circles.data = _EMPTY_CIRCLES
+        self.arrows.data = _EMPTY_ARROWS
         self.figure.title.text = ""
 
 
@@ -161,7 +236,12 @@ class Profile:
         self.lines = extra("bokeh.models", "explore", "explore").ColumnDataSource(_EMPTY_LINES)
         self._palette = extra("bokeh.palettes", "explore", "explore").Category10[10]
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            frame_width=LONGEST, frame_height=LONGEST, tools=TOOLS, name="profile"
+            frame_height=HIGHEST * 3 // 4,
+            sizing_mode="stretch_width",
+            max_width=HIGHEST + BESIDE,
+            min_width=NARROWEST,
+            tools=TOOLS,
+            name="profile",
         )
         self.figure.multi_line(
             "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
@@ -169,8 +249,9 @@ class Profile:
         self.figure.add_layout(self.figure.legend[0], "right")
         self.figure.toolbar.logo = None
 
-    def draw(self, numbers: xr.DataArray) -> None:
+    def draw(self, picture: xr.Dataset, choice: Choice) -> None:
         """Draw numbers (axis, ...): one line for each of the other labels."""
+        numbers = picture[choice.field]
         axis, *others = (str(dim) for dim in numbers.dims)
         parts = list(product(*(numbers[dim].to_numpy() for dim in others)))
         values = [numbers.sel(dict(zip(others, part, strict=True))).to_numpy() for part in parts]
@@ -210,8 +291,8 @@ class Errors:
         models = extra("bokeh.models", "explore", "explore")
         self.lines = models.ColumnDataSource(_EMPTY_LINES)
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
-            frame_width=LONGEST // 2,
-            frame_height=LONGEST // 2,
+            frame_width=SIDE,
+            frame_height=SIDE,
             tools="save",
             name="errors",
             x_axis_type="log",
@@ -243,10 +324,10 @@ class Errors:
         }
         self.mark(width)
 
-    def refuse(self, message: str) -> None:
-        """Show in place of errors why they are unknown."""
+    def clear(self, title: str = "") -> None:
+        """Draw nothing but a title."""
         self.lines.data = _EMPTY_LINES
-        self._set_title(message)
+        self._set_title(title)
 
     def mark(self, width: float) -> None:
         """Mark the present width (d43), with its errors in the title."""

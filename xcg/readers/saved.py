@@ -111,6 +111,20 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     return ds.assign(lazy)
 
 
+def open_result(path: str) -> xr.Dataset | None:
+    """Open fields or another result that xcg saved, lazily; None for other files, scenes among them."""
+    if Path(path).suffix.lower() not in _SUFFIXES or not os.path.exists(path):
+        return None
+    try:
+        ds = xr.open_dataset(path)
+    except DAMAGED:
+        return None
+    if "history" in ds.attrs and not _OF_SCENES & ds.variables.keys() - {"time"}:
+        return ds
+    ds.close()
+    return None
+
+
 def _lazy(values: xr.Variable, named: str, chunks: Mapping[Hashable, Any], key: str) -> xr.Variable:
     """Wrap a lazy variable so that its errors name it and its file; xarray's errors do not."""
     import dask.array as da  # slow to import
