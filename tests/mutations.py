@@ -412,6 +412,14 @@ TABLE = [
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(
+        "fields/formulas/averages.py", "if lacking.all([", "if not lacking.all([",
+        "test_runs_are_independent_samples_of_ratios_of_averaged_sums",
+    ),
+    Mutation(
+        "fields/formulas/averages.py", "if independent:", "if not independent:",
+        "test_a_drift_from_run_to_run_is_scatter",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "independent**0.5", "independent",
         "test_an_average_over_steps_has_the_larger_error_and_names_it",
     ),

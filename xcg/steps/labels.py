@@ -216,8 +216,9 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     averaged = []
     if ds.attrs.get("averaged_axes"):
         averaged.append(f"along {', '.join(str(ds.attrs['averaged_axes']))}")
-    if "averaged_steps" in ds.attrs:
-        averaged.append(f"over {ds.attrs['averaged_steps']} steps")
+    for what in ("steps", "runs"):
+        if f"averaged_{what}" in ds.attrs:
+            averaged.append(f"over {ds.attrs[f'averaged_{what}']} {what}")
     phases = [dim for dim in PHASES if dim in ds.coords]
     known = {*of_frame, "time", *PHASES, *AXES}
     return Summary.of(

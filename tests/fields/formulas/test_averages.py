@@ -849,3 +849,82 @@ def test_attributes_say_how_a_field_is_averaged():
     assert said["friction_coefficient"].startswith("computed anew from averaged sums")
     assert said["heat_flux"].startswith("means of the values of steps")
     assert f.cg.time_average().velocity.attrs["averages"] == said["velocity"]
+
+
+# --- runs as samples -------------------------------------------------------------------------------------
+
+
+def runs(count, fields=("density", "velocity", "stress", "friction_coefficient"), **options):
+    """Return results of runs that differ by their random numbers."""
+    options = {"width": 1.0, "axes": "z", "bounds": {"z": (0.0, 4.0)}, "spacing": 1.0} | options
+    results = []
+    for k in range(count):
+        scenes = [xcg.datasets.random_scene(200, seed=2 * k + step) for step in (0, 1)]
+        steps = [ds.cg.coarse_grain([*fields], **options) for ds in scenes]
+        results.append(xr.concat([f.assign_coords(time=[t]) for t, f in enumerate(steps)], "time"))
+    return results
+
+
+def test_runs_are_independent_samples_of_ratios_of_averaged_sums():
+    parts = runs(10)
+    mean = xr.concat(parts, "run").cg.time_average(dim="run")
+    assert "run" not in mean.dims
+    assert mean.sizes["time"] == 2
+    density = np.stack([f.density for f in parts])
+    np.testing.assert_allclose(mean.density, density.mean(axis=0), rtol=1e-12)
+    scatter = density.std(axis=0, ddof=1) / np.sqrt(len(parts))
+    np.testing.assert_allclose(mean.density_error, scatter, rtol=1e-9)
+    momentum = sum(f.density * f.velocity for f in parts)
+    expected = momentum / sum(f.density for f in parts)
+    np.testing.assert_allclose(mean.velocity.transpose(*expected.dims), expected, rtol=1e-12)
+    assert {"friction_coefficient_bias", "friction_coefficient_error"} <= {*mean.data_vars}
+    assert mean.attrs["averaged_runs"] == 10
+    assert "share_with_drift" not in mean.density_error.attrs
+
+
+def test_a_drift_from_run_to_run_is_scatter():
+    """Runs are in no order: with the drift of a series, a time average would warn."""
+    f = xr.concat(runs(32, ("density",)), "run")
+    f = f.assign(density=f.density * (1 + 10 * xr.DataArray(np.arange(32.0), dims="run")))
+    mean = f.cg.time_average(dim="run")
+    scatter = f.density.std("run", ddof=1) / np.sqrt(32)
+    np.testing.assert_allclose(mean.density_error, scatter, rtol=1e-9)
+
+
+def test_averages_over_time_are_samples_without_their_own_errors():
+    parts = [f.cg.time_average() for f in runs(4)]
+    mean = xr.concat(parts, "run").cg.time_average(dim="run")
+    steps = [f.assign_coords(time=f.time + 2 * k) for k, f in enumerate(runs(4))]
+    both = xr.concat(steps, "time").cg.time_average()
+    for name in ("density", "velocity", "stress", "friction_coefficient"):
+        np.testing.assert_allclose(mean[name], both[name], rtol=1e-10)
+    density = np.stack([f.density for f in parts])
+    np.testing.assert_allclose(mean.density_error, density.std(axis=0, ddof=1) / 2, rtol=1e-9)
+
+
+def test_runs_on_other_meshes_and_of_other_options_are_refused_by_name():
+    a, b = runs(2, ("density",))
+    short, long = (runs(1, ("density",), bounds={"z": (0.0, high)})[0] for high in (2.0, 3.0))
+    with pytest.raises(ValueError, match=r"the results differ in z, .*like=first"):
+        xr.concat([short, long], "run", join="outer").cg.time_average(dim="run")
+    later = b.assign_coords(time=b.time + 100)
+    with pytest.raises(ValueError, match="the results differ in time,"):
+        xr.concat([a, later], "run", join="outer").cg.time_average(dim="run")
+    wider = runs(1, ("density",), width=1.5)[0]
+    with pytest.raises(xcg.SceneError, match=r"width is 1\.0 and 1\.5"):
+        xr.concat([a, wider], "run").cg.time_average(dim="run")
+    for wrong in ("run", "z", "component"):
+        with pytest.raises(ValueError, match="join the results of runs along a dimension"):
+            a.cg.time_average(dim=wrong)
+    with pytest.raises(ValueError, match="a window is of steps"):
+        xr.concat([a, b], "run").cg.time_average(2, dim="run")
+
+
+def test_lazy_runs_are_averaged_to_the_same_bits():
+    f = xr.concat(runs(9), "run")
+    lazy = f.chunk()
+    with raise_if_dask_computes():
+        mean = lazy.cg.time_average(dim="run")
+    xr.testing.assert_identical(
+        mean.compute().drop_attrs(), f.cg.time_average(dim="run").drop_attrs()
+    )

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -104,8 +104,10 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     return _with_larger(mean, of_nodes, "scatter_of_places").set_coords(beside)
 
 
-def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
-    """Average a result over time, or over moving windows, with standard errors from block averages.
+def time_average(
+    f: xr.Dataset, window: int | None = None, *, every: int = 1, dim: str = "time"
+) -> xr.Dataset:
+    """Average a result over time, over moving windows, or over runs, with standard errors.
 
     Steps of a simulation are correlated, so the scatter of single steps over sqrt(n) is too small
     an error. Means of blocks of 1, 2, 4, ... steps give errors that grow with the block until
@@ -114,23 +116,29 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     sums. Where the series is too short to reach that plateau (fewer than 16 blocks left), the last
     error is a lower bound.
 
+    Runs are independent: their error is the scatter over sqrt(n), of ratios by the jackknife.
+
     Parameters
     ----------
     f : xarray.Dataset
-        A result of `xcg.coarse_grain` with several steps, weighing the same.
+        A result of `xcg.coarse_grain` with several steps, weighing the same. With `dim`, results of
+        several runs, or their averages over time, joined by ``xr.concat(results, dim)``.
     window : int, optional
         Steps in a moving window; all by default.
     every : int
         Steps from one window to the next.
+    dim : str
+        Dimension that samples are along: "time", or that of runs, which time_average keeps apart
+        from the steps: with both, the average of the runs at each time.
 
     Returns
     -------
     xarray.Dataset
-        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Fields that
+        Means and, under ``<name>_error``, their standard errors; NaN for a single step or run. Fields that
         are no sums and no ratios of two sums, such as pressure, mu, I, anisotropies, order and
         shear rate, have their bias from the same blocks beside them, ``<name>_bias``: the mean of a
         norm of few samples is larger than the norm of the mean. Subtract it; there is none for
-        fewer than 8 steps. Without `time`, or with the mean time of each window. Where the result
+        fewer than 8 steps or runs. Without `time`, or with the mean time of each window. Where the result
         has errors of one step (``coarse_grain(errors=True)``), the larger of the two, and
         ``<name>_error_from`` says which: noise of independent steps, or their scatter.
 
@@ -146,28 +154,36 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         If results of different options were joined, or the result has lost its options or has no
         step.
     ValueError
-        If there is no time, the window does not fit, or a sum that a ratio needs is not in the
-        result.
+        If there is no time or no dimension of runs, the meshes of runs differ, the window does not
+        fit, or a sum that a ratio needs is not in the result.
     """
-    f, sums_beside = _with_sums(with_facts(with_time(f)))
+    of_runs = dim != "time"
+    if of_runs:
+        f, sums_beside = _with_sums(with_facts(f))
+        f = _of_equal_runs(f, dim, window)
+    else:
+        f, sums_beside = _with_sums(with_facts(with_time(f)))
     f, noise = _without_noise(f)
-    if "time" not in f.dims:
+    if dim not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
     require_steps(f, "time_average")
-    count = f.sizes["time"]
+    count = f.sizes[dim]
     check("window", window, whole(1, count), optional=True, hint=", the number of steps")
     check("every", every, whole(1, count), hint=", the number of steps")
     if window is None and every != 1:
         raise ValueError(
             f"every={every!r} is the distance of windows: give their length, window=, too"
         )
-    f = f.assign_attrs(
-        provenance(f, format_call("time_average", {"window": window, "every": every}))
-    )
-    bare = f.drop_vars("step", errors="ignore")
+    arguments: dict[str, Any] = {"window": window, "every": every}
+    if of_runs:
+        arguments = {"dim": dim}
+    f = f.assign_attrs(provenance(f, format_call("time_average", arguments)))
+    bare = f
+    if not of_runs:
+        bare = f.drop_vars("step", errors="ignore")
     bare = bare.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
-        samples = bare.rename(time=_SAMPLE).drop_vars(_SAMPLE, errors="ignore")
+        samples = bare.rename({dim: _SAMPLE}).drop_vars(_SAMPLE, errors="ignore")
     else:
         window = int(window)
         steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
@@ -178,7 +194,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     samples = samples.drop_vars([_noise_of(name) for name in noise])
     samples = _to_sums(samples, "time_average", [_SAMPLE])
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
-    blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f))
+    blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f), independent=of_runs)
     in_a_mean = samples.sizes[_SAMPLE]
     names = [name for name in map(str, mean.data_vars) if name not in sums_beside]
     steadiness = _Steadiness(blocks, names, in_a_mean, active_call())
@@ -200,15 +216,53 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
             bias = blocks.biases[name].variable.where(known)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias
-    mean = mean.assign(beside).assign_attrs(averaged_steps=in_a_mean)
+    averaged = "averaged_runs" if of_runs else "averaged_steps"
+    mean = mean.assign(beside).assign_attrs({averaged: in_a_mean})
     of_steps = {
         name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
-    mean = _with_larger(mean, of_steps, "scatter_of_steps")
+    mean = _with_larger(mean, of_steps, "scatter_of_runs" if of_runs else "scatter_of_steps")
     # what was not asked for has no error
     loose = [f"{name}{end}" for name in sums_beside for end in ENDS]
     mean = mean.drop_vars(loose, errors="ignore")
     return mean.set_coords(sums_beside)
+
+
+def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
+    """Return results of runs without their errors; raise ValueError unless all have the same nodes and times.
+
+    xarray joins different nodes to those of all, where the fields of some runs are NaN. Lazy fields
+    are not read: there, averages are NaN.
+    """
+    axes = (*COMPONENTS, "r", "theta", *_NOT_NODES)
+    if dim in axes or dim not in f.dims:
+        raise ValueError(
+            f"time_average(dim={dim!r}): join the results of runs along a dimension of its own first, "
+            "xr.concat(results, 'run').cg.time_average(dim='run'); averages over axes are those of f.cg.profile(axis)"
+        )
+    if window is not None:
+        raise ValueError(f"time_average(dim={dim!r}): a window is of steps; leave window= out")
+    differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
+    rows = {name: row for name, row in _rows_of(f).items() if row}
+    sums = [name for name, row in rows.items() if row.additive and dim in f[name].dims]
+    if sums and f[sums[0]].chunks is None:
+        lacking = f[sums[0]].isnull().any(dim)
+        for axis in map(str, lacking.dims):
+            if lacking.all([other for other in lacking.dims if other != axis]).any():
+                differing.append(axis)
+    if differing:
+        raise ValueError(
+            f"time_average(dim={dim!r}): the results differ in {', '.join(dict.fromkeys(differing))}, so that some "
+            "have no value where others have: compute all on one mesh, ds.cg.coarse_grain(..., like=first), and at "
+            "equal times, or take f.cg.time_average() of each before they are joined"
+        )
+    if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
+        errors = _errors_among(map(str, f.data_vars))
+        f = f.drop_vars([*errors, *(f"{name}_from" for name in errors)], errors="ignore")
+    # xarray joins sums that are equal in all runs to one
+    equal = {name: f[name] for name in rows if name in f and dim not in f[name].dims}
+    count = f.sizes[dim]
+    return f.assign({name: values.expand_dims({dim: count}) for name, values in equal.items()})
 
 
 def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
@@ -313,7 +367,7 @@ def _noise_of(name: str) -> str:
 
 def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
     """Remove the errors of single steps from a result; return them by the names of their fields."""
-    if "averaged_steps" in f.attrs:
+    if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
         return f, {}
     names = list(map(str, f.data_vars))
     noise = {name: f[f"{name}_error"] for name in names if f"{name}_error" in f}
@@ -414,12 +468,17 @@ class Jackknife(NamedTuple):
 
 
 def jackknife(
-    samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]
+    samples: xr.Dataset,
+    dim: str,
+    function: Callable[[xr.Dataset], xr.Dataset],
+    *,
+    independent: bool = False,
 ) -> Jackknife:
     """Return standard errors and biases of a function of the mean over consecutive samples.
 
-    Both come from the blocks of `block_errors`; the bias is ``(n - 1) (<f of all but one> - f)`` of n
-    blocks (Quenouille 1956). From 8 samples on the last 8 to 15 blocks show drift and growth.
+    Both come from the blocks of `block_errors`, of independent samples from the samples themselves;
+    the bias is ``(n - 1) (<f of all but one> - f)`` of n blocks (Quenouille 1956). From 8 correlated
+    samples on the last 8 to 15 blocks show drift and growth.
     """
     levels: list[xr.Dataset] = []
     biases: list[xr.Dataset] = []
@@ -434,6 +493,8 @@ def jackknife(
         levels.append(_jackknife_error(of_others, dim))
         biases.append((count - 1) * (of_others.mean(dim, skipna=False) - of_mean))
         doubt.append(1 / np.sqrt(2 * (count - 1)))
+        if independent:
+            return Jackknife(levels[0], biases[0], None, None, 0)
         samples = samples.coarsen({dim: 2}, boundary="trim").mean()
     if not levels:
         unknown = function(samples.mean(dim)) * np.nan
