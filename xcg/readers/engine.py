@@ -197,6 +197,9 @@ class Engine(ABC):
     UNNAMED_UNITS : str
         What to do about files that do not name their units, for the warning that such files get;
         without it they are taken as SI without a word.
+    WHOLE_FORCES : str
+        What to do about contacts with normal forces alone, for the warning that such files get;
+        without it these are contact forces without a word.
     WHOLE_VECTORS : bool
         Whether a column holds all components of a vector.
     ROWS_ARE_IDS : bool
@@ -218,6 +221,7 @@ class Engine(ABC):
     OPTIONS: ClassVar[tuple[str, ...]] = ()
     NAMES_IN_ORDER: ClassVar[bool] = False
     UNNAMED_UNITS: ClassVar[str] = ""
+    WHOLE_FORCES: ClassVar[str] = ""
     WHOLE_VECTORS: ClassVar[bool] = False
     ROWS_ARE_IDS: ClassVar[bool] = True
 

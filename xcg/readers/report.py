@@ -51,6 +51,8 @@ class Report:
         The other columns.
     whole_vectors : bool
         Whether vectors are one column each.
+    whole_forces : str
+        What to do where only normal forces are found.
     """
 
     source: str
@@ -59,6 +61,7 @@ class Report:
     dropped: frozenset[str]
     unread: tuple[str, ...]
     whole_vectors: bool = False
+    whole_forces: str = ""
 
     @classmethod
     def of(
@@ -80,7 +83,15 @@ class Report:
         read |= {f"{name}=": name for name in known}
         dropped = frozenset(name for name, target in options.names.items() if target is None)
         unread = [name for name in ref.columns if name not in read and name not in dropped]
-        return cls(source_of(ref), contacts, read, dropped, tuple(unread), engine.WHOLE_VECTORS)
+        return cls(
+            source_of(ref),
+            contacts,
+            read,
+            dropped,
+            tuple(unread),
+            engine.WHOLE_VECTORS,
+            engine.WHOLE_FORCES,
+        )
 
     @property
     def not_read(self) -> tuple[str, ...]:
@@ -94,6 +105,7 @@ class Report:
             self._forces(),
             *self._second_columns(),
             self._resembling(),
+            self._only_normal(),
         ]
         if any(sentences):
             warn_user(f"{self.source}: {'; '.join(filter(None, sentences))}")
@@ -202,6 +214,19 @@ class Report:
         return (
             f"columns {listed} resemble variables and are not read{doubt}; map them{example}, or drop them by "
             f"names={{{next(iter(likely))!r}: None}}"
+        )
+
+    def _only_normal(self) -> str:
+        """Name normal forces that are read as the whole contact forces; "" where others may add to them."""
+        columns = {slot.removesuffix("_x"): column for column, slot in self.read.items()}
+        others = {"contact_force", "tangential_force"}
+        is_part = "normal_force" in columns and not others & columns.keys()
+        is_known = "tangential_force" in self.likely().values()
+        if not (self.contacts and self.whole_forces and is_part) or is_known:
+            return ""
+        return (
+            f"only normal forces ({columns['normal_force']}, ...) were found, and are taken as the contact forces; "
+            f"{self.whole_forces}"
         )
 
     def warn_of_unknown_units(self) -> None:

@@ -169,3 +169,28 @@ def test_components_that_a_mapping_lacks_are_named_with_that_argument(tmp_path, 
     with pytest.raises(xcg.SceneError, match=rf"mapping= lacks {lacking}, .*mapping=\{{") as caught:
         xcg.open_scene(tmp_path / "a.h5", mapping=named)
     assert "names=" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "offer"),
+    [
+        ({"contact_force": None}, r"mapping=\{..., 'contact_force': '...'\}"),
+        ({"contact_j": None}, r"mapping=\{..., 'contact_j': '...'\}"),
+        ({"tangential_force": "/ft"}, "call the first 'normal_force' there"),
+    ],
+)
+def test_mappings_of_contacts_are_offered_by_mapping(tmp_path, change, offer):
+    arrays = {
+        "x": [[0, 0, 0], [0.99, 0, 0]], "id": [1, 2], "i": [1], "j": [2], "f": [[-7.0, 0, 0]], "ft": [[0, 0, 1.0]],
+    }  # fmt: skip
+    path = tmp_path / "s.h5"
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    mapping = {
+        "position": "/x", "particle_id": "/id", "contact_i": "/i", "contact_j": "/j", "contact_force": "/f",
+    } | change  # fmt: skip
+    mapping = {name: place for name, place in mapping.items() if place}
+    with pytest.raises(xcg.SceneError, match=offer) as error:
+        xcg.open_scene(path, contacts=path, mapping=mapping)
+    assert "names=" not in str(error.value)

@@ -321,9 +321,10 @@ def test_contact_forces_are_read(tmp_path, columns, row, names, expected):
 
 
 def test_normal_forces_alone_are_taken_with_a_warning(tmp_path):
+    pairs = write(tmp_path / "c.dump", pairs_text(["1 2 1 2 3"], "id1 id2 fnx fny fnz"))
     with pytest.warns(SceneWarning, match="only normal forces .*'tangential_force_x'"):
-        frame = contacts(tmp_path, pairs_text(["1 2 1 2 3"], "id1 id2 fnx fny fnz"))
-    np.testing.assert_array_equal(frame["contact_force"], [[1, 2, 3]])
+        ds = open_scene(write(tmp_path / "p.dump", dump_text()), pairs)
+    np.testing.assert_array_equal(ds.contact_force[0], [[1, 2, 3]])
 
 
 def test_optional_columns_of_contacts_are_read(tmp_path):

@@ -98,6 +98,22 @@ class Hdf5(Columnar):
 
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
+        vectors = ("contact_force", "normal_force", "tangential_force")
+        total, normal, tangential = (f"{vector}_x" in ref.columns for vector in vectors)
+        lacking = [name for name in ("contact_i", "contact_j") if name not in ref.columns]
+        if not total and not normal:
+            lacking.append("contact_force")
+        if lacking:
+            more = ", ".join(f"{name!r}: '...'" for name in lacking)
+            raise SceneError(
+                f"{ref.path}: mapping= lacks {' and '.join(lacking)} of contacts, and has {', '.join(ref.columns)}: "
+                f"add the paths of their datasets, mapping={{..., {more}}}"
+            )
+        if total and tangential and not normal:
+            raise SceneError(
+                f"{ref.path}: mapping= has 'contact_force', the whole force, and 'tangential_force', a part: "
+                "call the first 'normal_force' there to add the two up, or leave the second out"
+            )
         return super().contact_columns(ref, _by_themselves(ref, options))
 
 

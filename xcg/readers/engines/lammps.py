@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError
 from xcg.readers import wall_columns
 from xcg.readers.assigned import FEWEST_OF_LIGGGHTS, unread_by_number
 from xcg.readers.columns import Columnar
@@ -106,6 +106,7 @@ class Lammps(Dumps):
     """Dumps of LAMMPS."""
 
     UNNAMED_UNITS = "have the files say it by 'dump_modify ... units yes'; for files of LIGGGHTS give engine='liggghts'"
+    WHOLE_FORCES = "map the others with names={'column': 'tangential_force_x', ...}"
 
     def recognises(self, path: str) -> bool:
         """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
@@ -119,17 +120,6 @@ class Lammps(Dumps):
         if is_of_liggghts(columns):
             return False
         return not is_numbered(columns) or len(columns) < FEWEST_OF_LIGGGHTS
-
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``dump local`` files."""
-        refs = super().index_contacts(paths, options)
-        columns = self.contact_columns(refs[0], options)
-        if "normal_force_x" in columns and "tangential_force_x" not in columns:
-            warn_user(
-                f"{source_of(refs[0])}: only normal forces ({columns['normal_force_x']}, ...) were found, and they are "
-                "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
-            )
-        return refs
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls of a step; each grain may touch each wall once."""

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, unknown, warn_user
+from xcg.common.messages import SceneError, unknown
 from xcg.readers import names
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.lammps import Dumps, body_columns, is_numbered, without_index
@@ -55,6 +55,7 @@ class Liggghts(Dumps):
 
     MORE_DIGITS = 'dump_modify ... format "%.10g %.10g ...", with one %.10g for each column'
     PARTICLE_SLOTS: ClassVar[names.Slots] = names.slots_of(names.PARTICLES, "liggghts")
+    WHOLE_FORCES = "have LIGGGHTS write the word 'force'"
 
     def recognises(self, path: str) -> bool:
         """Return whether the first lines identify a dump; LAMMPS comes first."""
@@ -72,15 +73,10 @@ class Liggghts(Dumps):
     def _checked(self, refs: list[StepRef], options: ReadOptions) -> list[StepRef]:
         """Check the columns of the first step, and guessed words with some of its rows."""
         first = next((ref for ref in refs if ref.rows), refs[0])
-        columns = self.contact_columns(first, options)
+        self.contact_columns(first, options)
         guess = _guess(first, options)
         if guess and not _words_of(first, options):
             _check_guess(first, guess)
-        if "normal_force_x" in columns and "tangential_force_x" not in columns:
-            warn_user(
-                f"{source_of(first)}: only normal forces were found, and they are taken as the contact forces; have "
-                "LIGGGHTS write the word 'force'"
-            )
         return refs
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
