@@ -29,6 +29,17 @@ def test_results_of_one_scene_are_the_same_bits(options):
     assert differ <= {"history"}
 
 
+def test_lengths_of_averages_are_plain_text_and_json_of_earlier_versions_is_read():
+    ds = xcg.datasets.random_scene(50, seed=1)
+    f = ds.cg.coarse_grain("density", axes="z", extent={"x": 2.0, "y": 1 / 3})
+    assert f.attrs["extent"] == "x = 2.0, y = 0.3333333333333333"
+    old = f.drop_vars("setup").assign_attrs(extent='{"x": 2.0, "y": 0.3333333333333333}')
+    for pattern in (f, old):
+        again = ds.cg.coarse_grain("density", like=pattern)
+        assert again.attrs["extent"] == f.attrs["extent"]
+        xr.testing.assert_equal(again.density, f.density)
+
+
 def test_nodes_of_a_reversed_result_are_the_same():
     ds = xcg.datasets.random_scene(200, seed=1)
     f = ds.cg.coarse_grain("density", axes="xz")

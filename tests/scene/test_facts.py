@@ -83,7 +83,8 @@ def test_titles_tables_and_reprs_have_no_json_and_the_width():
         plt.close("all")
         assert "width = 1.0 [m]" in title
         assert "{" not in title
-    for ds in (f, scene, mean, f.cg.profile("z")):
+    over_lengths = scene.cg.coarse_grain("density", axes="z", extent={"x": 2.0})
+    for ds in (f, scene, mean, f.cg.profile("z"), over_lengths):
         code = ds.setup.item()
         tables = [ds.to_dataframe(), ds[next(iter(ds.data_vars))].to_dataframe()]
         for table in tables:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from xcg.fields.plan import Plan
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
 from xcg.scene.description import Description
-from xcg.scene.facts import SETUP, setup_of
+from xcg.scene.facts import SETUP, extent_text, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
@@ -262,7 +261,7 @@ def _choices(plan: Plan) -> dict[str, Any]:
         "lag": options.lag,
     }
     if lengths:
-        choices["extent"] = json.dumps(lengths)
+        choices["extent"] = extent_text(lengths)
     return {name: value for name, value in choices.items() if value is not None}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ import xarray as xr
 
 from xcg.common.messages import SceneError
 from xcg.fields.request import Request
-from xcg.scene.facts import require_facts, with_facts
+from xcg.scene.facts import extent_of, require_facts, with_facts
 from xcg.scene.frame import with_rising
 from xcg.scene.schema import COMPONENTS
 
@@ -62,7 +61,7 @@ def request_like(request: Request) -> Request:
     if options["temperature"] == "mixture":
         options["temperature"] = "unbiased"  # with the same by=
     if "extent" in f.attrs:
-        options["extent"] = json.loads(f.attrs["extent"])
+        options["extent"] = extent_of(f.attrs)
     if "phase" in f.dims:
         options["by"] = str(f["phase"].attrs.get("long_name", "")).removeprefix("phase by ")
         labels = f["phase"].to_numpy().tolist()

@@ -212,6 +212,23 @@ def _differences(codes: Sequence[str]) -> str:
     return "; ".join(texts)
 
 
+def extent_text(lengths: Mapping[str, float]) -> str:
+    """Return the attribute ``extent`` of a result: lengths of averages along axes (m)."""
+    return ", ".join(f"{axis} = {float(length)!r}" for axis, length in lengths.items())
+
+
+def extent_of(attrs: Mapping[Any, Any]) -> dict[str, float]:
+    """Return the lengths of averages (m) by axis from the attribute ``extent``, which was JSON in earlier versions."""
+    text = str(attrs.get("extent", ""))
+    if text.startswith("{"):
+        return json.loads(text)
+    lengths = {}
+    for part in text.split(", ") if text else ():
+        axis, length = part.split(" = ")
+        lengths[axis] = float(length)
+    return lengths
+
+
 def require_facts(ds: xr.Dataset, names: Sequence[str], purpose: str, way_out: str) -> None:
     """Raise SceneError unless the Dataset has these attributes; the message lists the missing ones."""
     missing = [name for name in names if name not in ds.attrs]

@@ -20,7 +20,7 @@ from xcg.fields.coarse_grain import answer, coarse_grain
 from xcg.fields.request import OF_PRESETS, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
-from xcg.scene.facts import OF_RESULTS, OF_SCENES
+from xcg.scene.facts import OF_RESULTS, OF_SCENES, extent_of
 from xcg.scene.frame import check_times
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import chunks_of_time, each_step
@@ -233,7 +233,7 @@ def _with_time(fields: xr.Dataset) -> xr.Dataset:
 def _check_request(request: Request, recorded: xr.Dataset) -> None:
     """Raise SceneError if width, mesh, extent or phases are not those of the recorded steps."""
     pairs: dict[str, tuple[Any, Any]] = {}  # values of the request, and of the file
-    extent = json.loads(recorded.attrs.get("extent", "{}"))
+    extent = extent_of(recorded.attrs)
     for a, length in (request.extent or {}).items():
         pairs[f"extent along {a}"] = (length, extent.get(a, np.nan))
     pairs |= _spacings(request, recorded)
@@ -287,7 +287,7 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
     fixed: dict[str, Any] = {"bounds": bounds or None}
     if "extent" in fields.attrs:
-        fixed["extent"] = json.loads(fields.attrs["extent"])
+        fixed["extent"] = extent_of(fields.attrs)
     if len(spacing) == len(nodes):
         fixed["spacing"] = spacing or None
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
