@@ -45,6 +45,14 @@ def test_the_history_of_a_sweep_is_its_own_call():
     )
 
 
+def test_biases_and_slopes_have_no_formula_or_averaging_rule_of_their_field():
+    ds = xcg.datasets.random_scene(60, seed=1)
+    s = ds.cg.width_sweep([0.5, 0.7, 0.9], "velocity", axes="z")
+    assert "formula" in s.velocity.attrs
+    for name in ("bias", "extrapolated", "too_wide", "slope", "plateau_width"):
+        assert set(s[f"velocity_{name}"].attrs) == {"units", "long_name"}
+
+
 def test_a_missing_plateau_is_reported():
     """The density at a lone grain falls as w^-3 for ever."""
     ds = xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0], density=1.0)

@@ -20,7 +20,14 @@ from xcg.scene.frame import (
     with_time,
 )
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.labels import annotated, format_call, labelled, provenance
+from xcg.steps.labels import (
+    annotated,
+    format_call,
+    labelled,
+    labelled_table,
+    provenance,
+    with_errors,
+)
 from xcg.steps.mapping import apply_along
 
 _TAIL = ("component", "direction")
@@ -111,10 +118,7 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     series = series.drop_vars(of_steps)
     mean = _correlation_in_space(series.mean("time"))
     errors = block_errors(series, "time", _correlation_in_space)
-    data = {}
-    for name, (units, long_name) in about.items():
-        data[name] = labelled(mean[name], units, long_name)
-        data[f"{name}_error"] = labelled(errors[name], units, f"standard error of {name}")
+    data = with_errors(mean, errors, about)
     result = xr.Dataset(data, attrs=provenance(f, call))
     pairs = sums["pairs"]
     if "time" in sums.dims:
@@ -250,7 +254,7 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
         "correlation_time": (duration, second, "time at which the mean correlation falls to 1/e"),
         "correlation_time_error": (duration_error, second, "standard error of correlation_time"),
     }
-    data = {key: labelled(*entry) for key, entry in about.items()}
+    data = labelled_table(about)
     call = format_call("time_correlation", {"field": field, "max_lag": last})
     return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
 

@@ -21,10 +21,24 @@ from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
 from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
-from xcg.steps.labels import annotated, call_of, phases_of, provenance, with_phase_labels
+from xcg.steps.labels import (
+    annotated,
+    call_of,
+    labelled,
+    phases_of,
+    provenance,
+    with_errors,
+    with_phase_labels,
+)
 from xcg.steps.mapping import each_step
 
 _TENSOR = ("component", "direction")
+_ABOUT = {
+    "mean_squared_displacement": ("m^2", "mean squared displacement"),
+    "displacement_products": ("m^2", "mean product of components of the displacement"),
+    "self_diffusion": ("m^2 s^-1", "self-diffusion"),
+    "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
+}
 
 
 @takes_scene
@@ -147,40 +161,23 @@ def mean_squared_displacement(
         common = samples.isel(first=slice(0, steps - chosen[used[-1]]))
         values = values.merge(slope(samples.sum("first")))
         errors = errors.merge(block_errors(common, "first", slope))
-    data = {}
-    for name in map(str, values.data_vars):
-        data[name] = values[name]
-        data[f"{name}_error"] = errors[name]
-    result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
+    system = str(ds.attrs.get("unit_system", "SI"))
+    second = units_in("s", system)
+    data: dict[str, Any] = dict(with_errors(values, errors, _ABOUT, system))
+    pairs = samples["count"].sum("first").astype("int64")
+    data["pair_count"] = labelled(pairs, "1", "number of displacements")
     call = call_of(
         "mean_squared_displacement",
         {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit},
     )
-    result = _label(result.assign_attrs(provenance(ds, call)), chosen)
+    coords = {
+        "lag": annotated("lag", at, second, "time between the steps of a pair"),
+        "steps": annotated("lag", chosen, "1", "steps between"),
+    }
+    result = xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
     if by is not None:
         result = result.assign_coords(phase=phases_of(by, known))
     return with_phase_labels(result)
-
-
-def _label(result: xr.Dataset, lags: Sequence[int]) -> xr.Dataset:
-    system = result.attrs.get("unit_system", "SI")
-    about = {
-        "mean_squared_displacement": ("m^2", "mean squared displacement"),
-        "displacement_products": ("m^2", "mean product of components of the displacement"),
-        "self_diffusion": ("m^2 s^-1", "self-diffusion"),
-        "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
-        "pair_count": ("1", "number of displacements"),
-    }
-    for name in map(str, result.data_vars):
-        units, long_name = about[name.removesuffix("_error")]
-        if name.endswith("_error"):
-            long_name = f"standard error of the {long_name}"
-        result[name].attrs = {"units": units_in(units, system), "long_name": long_name}
-    second = units_in("s", system)
-    return result.assign_coords(
-        lag=annotated("lag", result["lag"].to_numpy(), second, "time between the steps of a pair"),
-        steps=annotated("lag", lags, "1", "steps between"),
-    )
 
 
 def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:

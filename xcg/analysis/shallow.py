@@ -17,9 +17,9 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.facts import SETUP, require_facts, with_facts
 from xcg.scene.frame import with_time
-from xcg.scene.schema import COMPONENTS, units_in
+from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import OnError
-from xcg.steps.labels import call_of, format_call, labelled, provenance
+from xcg.steps.labels import call_of, format_call, labelled_table, provenance
 from xcg.steps.mapping import apply_along
 
 
@@ -190,17 +190,16 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         kwargs={"places": places, "shared": nodes_a_support(height, axes, support)},
     )
     unit = str(height.attrs.get("units", "m"))
-    parts: dict[str, tuple[int | slice, str, str]] = {
-        "slope": (slice(count), "1", "slope of the surface"),
-        "slope_error": (slice(count, 2 * count), "1", "standard error of the slope"),
-        "intercept": (2 * count, unit, f"height of the fit at {' = '.join(axes)} = 0"),
-        "angle": (-2, "degree", "angle of the surface"),
-        "angle_error": (-1, "degree", "standard error of the angle"),
+    at_zero = f"height of the fit at {' = '.join(axes)} = 0"
+    errors = slice(count, 2 * count)
+    parts = {
+        "slope": (fit.isel(number=slice(count)), "1", "slope of the surface"),
+        "slope_error": (fit.isel(number=errors), "1", "standard error of the slope"),
+        "intercept": (fit.isel(number=2 * count), unit, at_zero),
+        "angle": (fit.isel(number=-2), "degree", "angle of the surface"),
+        "angle_error": (fit.isel(number=-1), "degree", "standard error of the angle"),
     }
-    data = {
-        name: fit.isel(number=numbers).assign_attrs(units=units, long_name=text)
-        for name, (numbers, units, text) in parts.items()
-    }
+    data = labelled_table(parts)
     kept = {k: facts.attrs[k] for k in ("surface_axis",) if k in facts.attrs}
     return xr.Dataset(data, attrs=kept).rename(number="component").assign_coords(component=axes)
 
@@ -353,9 +352,7 @@ def depth_average(
     surface = free_surface(profile, axis).drop_vars(SETUP)  # that of the sums holds
     thickness = surface["height"] - surface["base"]
     rows = _of_depth(sums, _transport(profile).integrate(axis), thickness, axis)
-    data = {}
-    for name, (values, units, text) in rows.items():
-        data[name] = labelled(values, units_in(units, scene.setup.unit_system), text)
+    data = labelled_table(rows, scene.setup.unit_system)
     result = with_time(xr.Dataset(data, attrs=sums.attrs))
     return result.assign_attrs(provenance(ds, call), depth_axis=axis)
 

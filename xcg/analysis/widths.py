@@ -25,7 +25,7 @@ from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
 from xcg.scene.facts import SETUP, with_setup
 from xcg.scene.schema import units_in
-from xcg.steps.labels import provenance
+from xcg.steps.labels import labelled_table, provenance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -212,7 +212,7 @@ def _bias(
     what = field.attrs.get("long_name", name)
     units = field.attrs.get("units", "1")
     share = f"more than {max_bias:g} of its largest value"
-    return _named(
+    return labelled_table(
         {
             f"{name}_bias": (bias, units, f"bias of {what} by the width of the kernel"),
             f"{name}_extrapolated": (field - bias, units, f"{what} without the bias of the width"),
@@ -223,14 +223,6 @@ def _bias(
             ),
         }
     )
-
-
-def _named(table: Mapping[str, tuple[Any, str, str]]) -> dict[str, xr.DataArray]:
-    """Return values with their units and long names."""
-    return {
-        name: xr.DataArray(values).assign_attrs(units=units, long_name=text)
-        for name, (values, units, text) in table.items()
-    }
 
 
 def _plateau(
@@ -249,7 +241,7 @@ def _plateau(
     unit = field.coords["width"].attrs.get("units", "m")
     what = field.attrs.get("long_name", name)
     value = value.assign_attrs(field.attrs, long_name=f"{what} at its plateau")
-    return _named(
+    return labelled_table(
         {
             f"{name}_slope": (slope, "1", f"size of the logarithmic slope of {what} by width"),
             f"{name}_plateau_width": (width, unit, f"width at the plateau of {what}"),
@@ -509,7 +501,7 @@ def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[st
         "target_width": (target_width, unit, f"width to reach an error of {target:g}"),
         "target_frames": (needed[fewest], "1", f"frames to reach an error of {target:g}"),
     }
-    return _named(table)
+    return labelled_table(table)
 
 
 def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:

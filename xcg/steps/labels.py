@@ -92,6 +92,28 @@ def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
     return values
 
 
+def labelled_table(
+    table: Mapping[str, tuple[Any, str, str]], system: str = "SI"
+) -> dict[str, xr.DataArray]:
+    """Return values by name, each with its SI unit and long name, as results of a unit system have them."""
+    return {
+        name: labelled(xr.DataArray(values), units_in(units, system), long_name)
+        for name, (values, units, long_name) in table.items()
+    }
+
+
+def with_errors(
+    values: xr.Dataset, errors: xr.Dataset, about: Mapping[str, tuple[str, str]], system: str = "SI"
+) -> dict[str, xr.DataArray]:
+    """Return each variable and its standard error, with units and long names from `about`."""
+    table: dict[str, tuple[Any, str, str]] = {}
+    for name in map(str, values.data_vars):
+        units, long_name = about[name]
+        table[name] = (values[name], units, long_name)
+        table[f"{name}_error"] = (errors[name], units, f"standard error of the {long_name}")
+    return labelled_table(table, system)
+
+
 def name_skipped(result: xr.Dataset) -> xr.Dataset:
     """List the steps that were skipped in the attribute ``skipped_steps``, if that is known and there are any."""
     skipped = result.coords.get(SKIPPED)
