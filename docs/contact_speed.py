@@ -181,7 +181,7 @@ def measure(kind: str, count: int, ratios: tuple[int, ...], repeat: int) -> list
             "ratio": ratio,
             "count": len(packing.radius),
             "pairs": len(pairs) / len(packing.radius),
-            "levels": len(packing.lists(None).largest),
+            "levels": len(packing.lists(None).levels.largest),
             "hierarchical": ours(packing, "hierarchical", repeat),
             "linked": ours(packing, "linked-cell", repeat),
             "tree": tree(packing, min(repeat, 2)),

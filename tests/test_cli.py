@@ -3,6 +3,7 @@
 import gzip
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -109,14 +110,13 @@ def few(series):
 
 
 def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
+    """The example as it is, on the frame beside it."""
     folder = real_data("mfix_chute")
-    text = changed(
-        particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out"
-    )
-    (tmp_path / "config.ini").write_text(text)
+    shutil.copy(ROOT / "examples" / "config.ini", tmp_path)
+    shutil.copytree(folder, tmp_path / "data" / "mfix_chute")
     said = xcg_run("run", tmp_path / "config.ini")
     assert "x: 0.04, z: 0.02, in the files' unit" in said
-    out = tmp_path / "out"
+    out = tmp_path / "PysammosCG"
     assert sorted(p.name for p in out.iterdir()) == [
         "CG_GranularTemperature_slices.h5", "CG_Lucy_Monodisperse.h5", "CG_Lucy_Monodisperse_0004.vtkhdf",
     ]  # fmt: skip

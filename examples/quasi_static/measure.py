@@ -51,34 +51,37 @@ def overlaps(ds: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mean), np.array(largest)
 
 
-def measure(folder: Path) -> tuple[pd.DataFrame, np.ndarray]:
-    """History of a run, and number of contacts by normal force in its steady part."""
+def measure(folder: Path) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
+    """History of a run; contacts by normal force, and shares of grains by partners, in its steady part."""
     ds = open_run(folder)
-    m = ds.cg.microstructure([*COLUMNS, "normal_force_count"], force_bins=FORCE_BINS).compute()
+    names = [*COLUMNS, "normal_force_count", "connectivity"]
+    m = ds.cg.microstructure(names, force_bins=FORCE_BINS).compute()
     table = pd.DataFrame({short: m[name].values for name, short in COLUMNS.items()})
     record = np.load(folder / "record.npz")
     table["lammps_mean_stress"] = (record["lammps_x"] + record["lammps_y"] + record["lammps_z"]) / 3
     table["overlap_mean"], table["overlap_max"] = overlaps(ds)
     steady = m.axial_strain.values > WINDOW
-    return table, m.normal_force_count.values[steady].sum(axis=0)
+    partners = m.connectivity.values[steady].mean(axis=0)
+    return table, m.normal_force_count.values[steady].sum(axis=0), partners
 
 
 def main(work: Path, results: Path) -> None:
-    """Write history.csv, forces.csv and runs.csv."""
-    histories, forces, runs = [], [], []
+    """Write history.csv, forces.csv, connectivity.csv and runs.csv."""
+    histories, forces, shares, runs = [], [], [], []
     for record_file in sorted(work.glob("ratio_*/*/record.npz")):
         folder = record_file.parent
         ratio, run = folder.parent.name.removeprefix("ratio_"), folder.name.removeprefix("rate_")
         cached = folder / "history.pkl"
         if not cached.exists():
-            table, count = measure(folder)
-            pd.to_pickle((table, count), cached)
-        table, count = pd.read_pickle(cached)
+            pd.to_pickle(measure(folder), cached)
+        table, count, partners = pd.read_pickle(cached)
         record = np.load(record_file)
         labels = {"ratio": ratio, "run": run}
         histories.append(table.assign(**labels))
         bins = {"low": FORCE_BINS[:-1], "high": FORCE_BINS[1:], "contacts": count}
         forces.append(pd.DataFrame(bins).assign(**labels))
+        share = {"partners": np.arange(len(partners)), "share": partners}
+        shares.append(pd.DataFrame(share).assign(**labels))
         means = record["chunk_means"]
         steady = means[int(len(means) * WINDOW / table.axial_strain.iloc[-1]) :]
         particles = int(open_run(folder).isel(time=0).particle_id.size)
@@ -96,7 +99,13 @@ def main(work: Path, results: Path) -> None:
             flush=True,
         )
     results.mkdir(parents=True, exist_ok=True)
-    for name, rows in (("history", histories), ("forces", forces), ("runs", [pd.DataFrame(runs)])):
+    tables = {
+        "history": histories,
+        "forces": forces,
+        "connectivity": shares,
+        "runs": [pd.DataFrame(runs)],
+    }
+    for name, rows in tables.items():
         whole = pd.concat(rows)
         first = ["ratio", "run"]
         whole = whole[first + [c for c in whole.columns if c not in first]]

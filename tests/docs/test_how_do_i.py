@@ -8,7 +8,7 @@ import matplotlib as mpl
 import pandas as pd
 import pytest
 
-from tests import ROOT, pyvista_draws
+from tests import ROOT, pyvista_draws, real_data
 
 mpl.use("agg")
 PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
@@ -56,8 +56,8 @@ def files(tmp_path, monkeypatch):
     chute, data = ROOT / "examples" / "data" / "lammps_chute", ROOT / "tests" / "data"
     places = {
         **{p.name: p for p in chute.glob("*.gz")},
-        "P_0004.vtp": data / "mfix_chute" / "P_FB1_0004.vtp",
-        "FC_0004.vtp": data / "mfix_chute" / "FC_0004.vtp",
+        "P_0004.vtp": real_data("mfix_chute") / "P_FB1_0004.vtp",
+        "FC_0004.vtp": real_data("mfix_chute") / "FC_0004.vtp",
         **{
             f"run.{kind}": data / "mercury_synthetic" / f"syn200.{kind}"
             for kind in ("data", "fstat", "restart")

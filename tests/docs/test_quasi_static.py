@@ -136,3 +136,13 @@ def test_closed_form_is_the_sum_over_sliding_contacts(example_on_path):
             assert stress[2, 2] / stress[0, 0] == pytest.approx(
                 summary.sliding_array(friction, slope)
             )
+
+
+def test_partners_of_grains_make_the_coordination_number(tables):
+    """Of the steady part of each run, from the distribution and from the mean of the same frames."""
+    history = tables["history"]
+    for (ratio, run), table in tables["connectivity"].groupby(["ratio", "run"]):
+        part = history[(history.ratio == ratio) & (history.run == run)]
+        mean = part[part.axial_strain > 0.05].coordination_number.mean()
+        assert table.share.sum() == pytest.approx(1, abs=1e-5)
+        assert (table.partners * table.share).sum() == pytest.approx(mean, rel=1e-4)

@@ -5,7 +5,7 @@ import runpy
 import numpy as np
 import pytest
 
-from docs import lattice, nine_grains
+from docs import contact_speed, cost, lattice, levels, nine_grains
 from tests import ROOT
 
 
@@ -95,3 +95,12 @@ def test_phases_of_the_mixture_and_of_the_pile_are_those_put_in():
     parts = f.isel(phase=f.phase != "bulk").contact_stress.sum("phase")
     bulk = f.contact_stress.sel(phase="bulk")
     np.testing.assert_allclose(parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()))
+
+
+def test_scripts_that_measure_run():
+    (row,) = contact_speed.measure("bidisperse", 500, (2,), 1)
+    assert row["levels"] == 1
+    assert levels.times("series A", 3, range(1, 3), 500).keys() == {0, 1, 2}
+    table = cost.measure(1000, 1)
+    assert len(table) == 2 * len(cost.WIDTHS)
+    assert cost.rows(table).count("\n") == 1 + len(table)
