@@ -412,6 +412,14 @@ TABLE = [
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(
+        "fields/sums/moments.py", "high > _VARIED * low and", "high > low and",
+        "test_strong_contacts_warn_where_the_mean_force_grows_with_depth",
+    ),
+    Mutation(
+        "fields/sums/moments.py", "if not is_bounded or", "if",
+        "test_strong_contacts_of_packings_without_gravity_and_along_periods_are_silent",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "if lacking.all([", "if not lacking.all([",
         "test_runs_are_independent_samples_of_ratios_of_averaged_sums",
     ),

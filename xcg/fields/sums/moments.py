@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_once
 from xcg.compiled import points as loops
 from xcg.scene.contacts import Contacts
-from xcg.scene.schema import ROTATION, Frame, powers_of
+from xcg.scene.schema import COMPONENTS, ROTATION, Frame, powers_of
 
 Column = Callable[[Frame, Contacts], NDArray]
 # Share of Coulomb's limit from which a contact slides: codes write forces with few digits.
@@ -100,8 +101,44 @@ def tangential_normals(frame: Frame, contacts: Contacts) -> NDArray:
 
 def strong_forces(frame: Frame, contacts: Contacts) -> NDArray:
     """Return the forces of strong contacts on both sides, zero for the others; (2, n, 3)."""
+    _warn_of_depth(contacts)
     force = np.where(contacts.strong[:, None], contacts.force, 0.0)
     return np.stack([force, -force])
+
+
+_SLICES = 8  # of equal numbers of contacts along an axis
+_IN_A_SLICE = 25  # contacts, at least
+_VARIED = 2.0  # ratio of mean forces from which strong contacts show the place
+_ERRORS = 4.0  # of the difference of two slices, by which it has to exceed noise
+
+
+def _warn_of_depth(contacts: Contacts) -> None:
+    """Warn where the mean force varies along an axis, as with depth: strong contacts are those of one region.
+
+    Not along periodic axes, where no mean stress can grow steadily.
+    """
+    push = (contacts.normal_force > 0) & (contacts.first_row >= 0)
+    force = contacts.normal_force[push]
+    slices = min(_SLICES, len(force) // _IN_A_SLICE)
+    if slices < 2:
+        return
+    noise = force.std() * math.sqrt(2 * slices / len(force))  # of the difference of two slices
+    is_open = contacts.lattice.open_axes
+    for axis, places, is_bounded in zip(COMPONENTS, contacts.point[push].T, is_open, strict=True):
+        if not is_bounded or np.ptp(places) == 0:
+            continue
+        parts = np.array_split(force[np.argsort(places, kind="stable")], slices)
+        means = [part.mean() for part in parts]
+        low = min(means)
+        high = max(means)
+        if high > _VARIED * low and high - low > _ERRORS * noise:
+            warn_once(
+                "strong contacts",
+                f"strong_contact_stress: the mean force of contacts varies by {high / low:.2g} along "
+                f"{axis}, as with depth under gravity, so that strong contacts, which push more than the mean of the "
+                f"step, are those of one region: select a part that is thin along {axis}, ds.cg.select(...)",
+            )
+            return
 
 
 WALL_VELOCITY = "contact_wall_velocity"

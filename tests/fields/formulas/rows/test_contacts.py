@@ -1,10 +1,14 @@
 """Stress, force and fabric: sums against brute force, anisotropies against distributions that have them."""
 
+import re
+import warnings
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from tests import truths
 from tests.brute_force import BruteKernel, weights
 from tests.scenes import random_steps
 
@@ -385,3 +389,31 @@ def test_only_needed_variables_are_read():
         "contact_j",
         "contact_point",
     }
+
+
+def of_depth(ds, force):
+    """Return what strong contacts of a packing warn of, whose forces are multiplied by a function of z."""
+    z = ds.contact_point.sel(component="z", drop=True)
+    ds = ds.assign(contact_force=ds.contact_force * force(z))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        ds.cg.coarse_grain("strong_contact_stress")
+    return [str(one.message) for one in told if "strong_contact_stress" in str(one.message)]
+
+
+def test_strong_contacts_warn_where_the_mean_force_grows_with_depth():
+    ds = xcg.datasets.dense_packing(2000, periodic="xy")
+    height = float(ds.position.sel(component="z").max())
+    (text,) = of_depth(ds, lambda z: 1.0 - 0.9 * z / height)
+    assert re.search(r"varies by [3-9][.\d]* along z, .*thin along z", text)
+    assert of_depth(ds, lambda z: 1.0 - 0.3 * z / height) == []
+    assert of_depth(ds, xr.ones_like) == []
+
+
+def test_strong_contacts_of_packings_without_gravity_and_along_periods_are_silent():
+    for seed in range(5):
+        ds = xcg.datasets.random_scene(300, seed=seed, periodic="")
+        assert of_depth(ds, xr.ones_like) == []
+    assert of_depth(truths.packing(steps=1), xr.ones_like) == []
+    waves = xcg.datasets.dense_packing(2000)
+    assert of_depth(waves, lambda z: 1.1 + np.sin(z)) == []
