@@ -102,6 +102,10 @@ def view() -> None:
     plotter = pyvista.Plotter(off_screen=True, window_size=(620, 420))
     volume.cg.view("velocity", plotter=plotter)
     write("view", Image.fromarray(np.asarray(plotter.screenshot(return_img=True))))
+    grains = xcg.datasets.open("plane_shear").isel(time=[-1]).cg.derive("pressure")
+    plotter = pyvista.Plotter(off_screen=True, window_size=(620, 420))
+    grains.cg.view("pressure", plotter=plotter)
+    write("grains", Image.fromarray(np.asarray(plotter.screenshot(return_img=True))))
 
 
 def main() -> None:

@@ -108,7 +108,7 @@ CALLS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "bond_order": lambda ds: ds.cg.bond_order(neighbours=4),
     "bond_order by distance": lambda ds: ds.cg.bond_order([5], r_max=1.0),
     "select": lambda ds: _stress(ds.cg.select("z > 1.5 and species == 1")),
-    "derive_velocity": lambda ds: ds.drop_vars("velocity").cg.derive_velocity(),
+    "derive": lambda ds: ds.drop_vars("velocity").cg.derive("velocity"),
     "group_bodies": lambda ds: _stress(ds.drop_vars("species").cg.group_bodies()),
     "assign_phases": lambda ds: ds.cg.assign_phases(mapping={1: 2, 2: 1}),
     "fit_law": _fitted_shear,

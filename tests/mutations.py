@@ -672,6 +672,14 @@ TABLE = [
         "test_the_band_of_a_line_is_that_of_its_formula",
     ),
     Mutation(
+        "analysis/derive.py", "np.bincount(row, age, len(ids)) / count", "np.bincount(row, age, len(ids))",
+        "test_mean_ages_grow_with_time_while_contacts_last",
+    ),
+    Mutation(
+        "analysis/derive.py", "/ len(plane)", "/ 2",
+        "test_stress_and_pressure_are_those_of_particle_stress",
+    ),
+    Mutation(
         "analysis/compare.py", "of_before**2 + of_after**2", "of_after**2 - of_before**2",
         "test_the_difference_of_repeated_runs_scatters_by_its_error",
     ),

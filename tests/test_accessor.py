@@ -124,7 +124,10 @@ def test_completion_offers_the_methods_of_each_kind(scene):
     )
     assert (
         offered["fields"]
-        == {"coarsen", "profile", "time_average", "to_vtu"} | correlations | pictures | shared
+        == {"coarsen", "compare", "profile", "time_average", "to_vtu"}
+        | correlations
+        | pictures
+        | shared
     )
     assert offered["chains"] >= {
         "select_chains",

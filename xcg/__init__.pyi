@@ -10,7 +10,8 @@ from .analysis.compare import compare
 from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
 from .analysis.correlations import spatial_correlation, time_correlation
-from .analysis.derived import derive_director, derive_superquadric, derive_velocity
+from .analysis.derive import derive
+from .analysis.derived import derive_director, derive_superquadric
 from .analysis.diffusion import mean_squared_displacement
 from .analysis.displacement import displacement
 from .analysis.find_contacts import find_contacts
@@ -97,9 +98,9 @@ __all__ = [
     "contact_value",
     "datasets",
     "depth_average",
+    "derive",
     "derive_director",
     "derive_superquadric",
-    "derive_velocity",
     "displacement",
     "find_contacts",
     "find_pairs",

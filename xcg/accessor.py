@@ -45,6 +45,7 @@ _OTHER_NAMES = {
     "principal_stress": "principal",
     "eigenvalues": "principal",
     "slope": "fit_slope",
+    "derive_velocity": "derive",
     "query": "select",
     "where": "select",
     "filter": "select",
@@ -182,7 +183,7 @@ class CoarseGrainAccessor:
     select_walls = Method("xcg.scene.contacts", SCENE)
     derive_director = Method("xcg.analysis.derived", SCENE)
     derive_superquadric = Method("xcg.analysis.derived", SCENE)
-    derive_velocity = Method("xcg.analysis.derived", SCENE)
+    derive = Method("xcg.analysis.derive", SCENE)
 
     principal = Method("xcg.analysis.principal", RESULT)
     plot_principal = Method("xcg.analysis.principal", RESULT)

@@ -13,7 +13,8 @@ from xcg.analysis.compare import compare
 from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
 from xcg.analysis.correlations import spatial_correlation, time_correlation
-from xcg.analysis.derived import derive_director, derive_superquadric, derive_velocity
+from xcg.analysis.derive import derive
+from xcg.analysis.derived import derive_director, derive_superquadric
 from xcg.analysis.diffusion import mean_squared_displacement
 from xcg.analysis.displacement import displacement
 from xcg.analysis.find_contacts import find_contacts
@@ -101,7 +102,7 @@ class CoarseGrainAccessor:
     select_walls = _Bound(select_walls)
     derive_director = _Bound(derive_director)
     derive_superquadric = _Bound(derive_superquadric)
-    derive_velocity = _Bound(derive_velocity)
+    derive = _Bound(derive)
     principal = _Bound(principal)
     plot_principal = _Bound(plot_principal)
     profile = _Bound(profile)

@@ -19,7 +19,7 @@ def motion(steps=6, count=20, dt=0.1, seed=1):
 def test_velocities_are_exact_for_constant_acceleration(chunk):
     position, velocity, time = motion()
     ds = xcg.scene_from_arrays(position, time=time, diameter=np.ones(20))
-    ds = ds.cg.derive_velocity() if chunk is None else ds.chunk(time=chunk).cg.derive_velocity()
+    ds = ds.cg.derive("velocity") if chunk is None else ds.chunk(time=chunk).cg.derive("velocity")
     assert (ds.velocity.chunks is not None) == (chunk is not None)
     np.testing.assert_allclose(ds.velocity[1:-1], velocity[1:-1], atol=1e-12)
     np.testing.assert_allclose(ds.velocity[0], (position[1] - position[0]) / 0.1, atol=1e-12)
@@ -31,14 +31,14 @@ def test_uneven_steps_are_divided_by_their_time():
     time = np.array([0.0, 0.1, 0.4])
     ds = xcg.scene_from_arrays(
         time[:, None, None] * [[[2.0, 0, 0]]], time=time, diameter=[1.0]
-    ).cg.derive_velocity()
+    ).cg.derive("velocity")
     np.testing.assert_allclose(ds.velocity[:, 0, 0], 2.0)
 
 
 def test_missing_velocities_and_what_to_do():
     ds = xcg.datasets.random_scene(100, seed=1).drop_vars("velocity")
     for fields, instead in (("velocity", False), (["density", "pressure"], True)):
-        with pytest.raises(xcg.SceneError, match=r"or call ds\.cg\.derive_velocity\(\)") as raised:
+        with pytest.raises(xcg.SceneError, match=r"or call ds\.cg\.derive\('velocity'\)") as raised:
             ds.cg.coarse_grain(fields)
         assert ("or ask for contact_stress" in str(raised.value)) == instead
     assert "contact_stress" in ds.cg.coarse_grain("contact_stress", axes="z")
@@ -56,7 +56,7 @@ def test_velocities_across_edges_and_in_a_sheared_box():
     wrapped[..., 0] -= 4 * beyond
     ds = xcg.scene_from_arrays(wrapped, time=time, diameter=np.ones(30), periodic="xyz",
                                box=dict.fromkeys("xyz", (0.0, 4.0)), lattice={"xy": tilt})  # fmt: skip
-    v = ds.cg.derive_velocity().velocity
+    v = ds.cg.derive("velocity").velocity
     np.testing.assert_allclose(
         v[..., 0], np.broadcast_to(0.3 + rate * start[:, 1], (5, 30)), atol=1e-12
     )
@@ -70,7 +70,7 @@ def test_velocities_of_particles_that_come_and_go():
     rows[3] = [0, 2, 1]
     ds = xcg.scene_from_arrays([position[t][r] for t, r in enumerate(rows)], particle_id=ids, time=time,
                                diameter=[np.ones(len(r)) for r in rows])  # fmt: skip
-    v = ds.cg.derive_velocity()
+    v = ds.cg.derive("velocity")
     of = {int(k): v.velocity.values[2, row] for row, k in enumerate(v.particle_id.values[2])}
     np.testing.assert_allclose(of[1], (position[3, 0] - position[1, 0]) / 0.2)
     assert np.isnan(of[2]).all()  # in no neighbouring step
@@ -91,7 +91,7 @@ def test_tables_of_trackpy_are_read():
     ds = xcg.scene_from_table(
         table[["x", "y", "frame", "particle", "mass"]].assign(z=0.0, diameter=3.0), names=names, dimension=2,
         thickness=1.0, density=1.0,
-    ).cg.derive_velocity()  # fmt: skip
+    ).cg.derive("velocity")  # fmt: skip
     seven = ds.velocity.where(ds.particle_id == 7).sel(component="x").max("particle")
     np.testing.assert_allclose(seven[:2], 3.0)
     assert np.isnan(seven[3])  # a gap before it
@@ -104,11 +104,11 @@ def test_tables_of_trackpy_are_read():
 
 def test_single_steps_and_falling_times_raise():
     with pytest.raises(xcg.SceneError, match="two steps or more"):
-        xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0]).cg.derive_velocity()
+        xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0]).cg.derive("velocity")
     ds = xcg.scene_from_arrays(np.zeros((2, 1, 3)), time=[0.0, 1.0], diameter=[1.0])
     with pytest.raises(xcg.SceneError, match="rise"):
-        ds.isel(time=[1, 0]).cg.derive_velocity()
-    assert isinstance(ds.cg.derive_velocity(), xr.Dataset)
+        ds.isel(time=[1, 0]).cg.derive("velocity")
+    assert isinstance(ds.cg.derive("velocity"), xr.Dataset)
 
 
 def pegs_tables():
@@ -205,4 +205,4 @@ def test_large_moves_across_a_period_warn():
         position, diameter=[0.1], time=[0.0, 1.0, 2.0], box=[[0, 4]] * 3, periodic="x"
     )
     with pytest.warns(xcg.SceneWarning, match=r"by up to 0\.33 of the period along 'x'"):
-        ds.cg.derive_velocity()
+        ds.cg.derive("velocity")

@@ -162,7 +162,7 @@ def test_grains_that_may_have_crossed_half_a_period_are_named(jump, fires):
         box=[[0, 1]] * 3, periodic="xyz",
     )  # fmt: skip
     calls = {
-        "velocities": lambda: ds.cg.derive_velocity(),
+        "velocities": lambda: ds.cg.derive("velocity"),
         "displacements": lambda: ds.cg.displacement("displacement", axes="", width=0.3),
         "mean square": lambda: ds.cg.mean_squared_displacement([1]),
     }
@@ -189,7 +189,7 @@ def test_few_steps_of_a_walk_may_be_longer_than_a_quarter_of_the_period(grains, 
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
-        ds.cg.derive_velocity().velocity.compute()
+        ds.cg.derive("velocity").velocity.compute()
     said = [str(w.message) for w in warned if "of the period along" in str(w.message)]
     assert [f"{large} of {grains} by more than a quarter" in text for text in said] == [
         True

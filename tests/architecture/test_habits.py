@@ -70,7 +70,7 @@ RESULTS_OF = {
     "bond_order": lambda ds: ds.cg.bond_order(neighbours=4),
     "force_chains": lambda ds: ds.cg.force_chains(),
     "find_contacts": lambda ds: ds.cg.find_contacts(k_n=1.0),
-    "derive_velocity": lambda ds: ds.drop_vars("velocity").cg.derive_velocity(),
+    "derive": lambda ds: ds.drop_vars("velocity").cg.derive("velocity"),
     "derive_superquadric": lambda ds: ds.assign(
         {f"half_axis_{a}": ds.diameter.assign_attrs(units="m") for a in "xyz"}
     ).cg.derive_superquadric(),

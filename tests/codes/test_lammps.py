@@ -183,7 +183,7 @@ def test_motion_across_edges_is_that_of_lammps(packing, tmp_path, form):
     packing.command("uncompute away")
     assert np.abs(away[:, 0]).min() > 1.5 * edges(packing)[0, 0]
     ds = xcg.open_scene(tmp_path / FORMS[form][0])
-    velocity = ds.cg.derive_velocity().velocity[1].values
+    velocity = ds.cg.derive("velocity").velocity[1].values
     seconds = float(ds.time[2] - ds.time[0])
     moved = velocity * seconds / METRES[packing.extract_global("units")]
     np.testing.assert_allclose(moved, away, rtol=0, atol=1e-11 * np.abs(away).max())

@@ -12,7 +12,7 @@ OFFSETS = np.array([0.0, 0.4, 2.3])
 OTHERS = {
     "displacement": "between steps, whose offsets differ by other periods",
     "mean_squared_displacement": "between steps",
-    "derive_velocity": "between steps",
+    "derive": "between steps",
     "structure_factor of waves": "whole numbers name other waves",
     "cell_volumes": "cells lie along the axes",
 }

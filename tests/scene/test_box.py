@@ -274,7 +274,7 @@ def test_images_follow_grains_beside_the_motion_of_their_box(kind, unwrapped):
     msd = ds.cg.mean_squared_displacement(1, remove_drift=False).mean_squared_displacement
     np.testing.assert_allclose(msd, [OWN @ OWN], rtol=1e-9)
     if kind in ("constant", "tilted"):
-        velocity = ds.cg.derive_velocity().velocity
+        velocity = ds.cg.derive("velocity").velocity
         np.testing.assert_allclose(velocity, np.broadcast_to(OWN, velocity.shape), rtol=1e-9)
 
 
@@ -314,7 +314,7 @@ def test_selections_and_saved_scenes_keep_images(tmp_path, lazy):
         xcg.open_scene(tmp_path / "s.zarr"),
     ]
     for part in selections:
-        velocity = part.cg.derive_velocity().velocity.transpose("time", "particle", "component")
+        velocity = part.cg.derive("velocity").velocity.transpose("time", "particle", "component")
         velocity = velocity.sel(component=["x", "y", "z"])
         np.testing.assert_allclose(velocity, np.broadcast_to(OWN, velocity.shape), rtol=1e-9)
 

@@ -92,7 +92,7 @@ def test_arrays_and_tables_take_the_same_times(values):
     for ds in (scene, other):
         np.testing.assert_array_equal(ds.time, [0, 1.5])
         assert ds.attrs.get("start") == (read_times(values, "")[1] or None)
-        velocity = xcg.derive_velocity(ds).velocity
+        velocity = xcg.derive(ds, "velocity").velocity
         np.testing.assert_allclose(velocity.isel(particle=0), 0.5)
 
 

@@ -203,58 +203,19 @@ def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
     )
 
 
+_NAME = "derive('velocity')"
+
 # --- velocities from positions ---------------------------------------------------------------------------
 
 
-@takes_scene
 def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
-    """Add velocities from positions by differences in time; lazy where the scene is.
-
-    ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id; one-sided in the first
-    and last step, and where a particle is missing before or after. Exact for constant acceleration
-    and even steps. Across periodic edges particles are followed by ``image`` of the scene. Without
-    it the image nearest relative to the box is taken, and steps have to be so close that no
-    particle moves by half a period: from there on the nearest image is another one, and the
-    velocity is wrong.
-
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        A scene of two steps or more, with ids that stay the same.
-
-    Returns
-    -------
-    xarray.Dataset
-        The scene with ``velocity`` (m/s), in place of a former one; NaN for particles that are in
-        no neighbouring step: leave these out, ``ds.where(ds.velocity.notnull().all("component"))``.
-
-    Raises
-    ------
-    SceneError
-        If there is one step only, or times are not known or do not rise.
-
-    Warns
-    -----
-    SceneWarning
-        When it is computed, if more than 1 % of the particles move by more than a quarter of a
-        period between two steps, or one by more than 0.4, and the scene has no ``image``.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import xcg
-    >>> t = np.array([0.0, 0.1, 0.2])
-    >>> r = np.stack([0.5 * 9.81 * t**2, 0 * t, 0 * t], axis=-1)[:, None]
-    >>> ds = xcg.scene_from_arrays(r, time=t, diameter=[0.01])
-    >>> derive_velocity(ds).velocity.sel(component="x").values.round(6)[1]
-    array([0.981])
-    """
-    require_scene(ds, (), "derive_velocity")
-    require_ids(ds, "derive_velocity")
+    """Add velocities from positions by differences in time; see `xcg.derive`."""
+    require_scene(ds, (), _NAME)
+    require_ids(ds, _NAME)
     count = ds.sizes["time"]
     if count < 2:
-        raise SceneError("derive_velocity needs two steps or more, and this scene has one")
-    require_times(ds, "derive_velocity")
+        raise SceneError("derive('velocity') needs two steps or more, and this scene has one")
+    require_times(ds, _NAME)
     # displacements are relative to the box of each step, whose rates they do not need
     series = ds.drop_vars("lattice_velocity", errors="ignore")
     made = run(series, _Velocity())
@@ -265,7 +226,7 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
 class _Velocity(FrameAnalysis):
     """Velocity of each particle from its places in the steps before and after."""
 
-    name = "derive_velocity"
+    name = _NAME
     optional = MOTION
 
     @property

@@ -211,7 +211,7 @@ def _way_to(missing: Set[str], present: Iterable[str]) -> str:
     ):
         way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
         ways.append(
-            way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing)
+            way + ", or call ds.cg.derive('velocity') on several steps" * ("velocity" in missing)
         )
     if "director" in missing:
         ways.append("quaternions to ds.cg.derive_director()")

@@ -294,8 +294,8 @@ def test_particles_without_ids_warn(tmp_path):
     write_vtp(tmp_path / "P_2.vtp", np.ones((2, 3)))
     with pytest.warns(SceneWarning, match="no column of particle ids.*the columns are coordinates"):
         ds = xcg.open_scene(str(tmp_path / "P_*.vtp"), times=[0.0, 1.0])
-    with pytest.raises(SceneError, match="derive_velocity follows particles by their ids"):
-        ds.cg.derive_velocity()
+    with pytest.raises(SceneError, match=r"derive\('velocity'\) follows particles by their ids"):
+        ds.cg.derive("velocity")
 
 
 def test_colliding_ids_beyond_float32_raise(tmp_path):

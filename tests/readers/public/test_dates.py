@@ -38,7 +38,7 @@ def test_dates_in_text_are_seconds_from_the_first(tmp_path, way, separator):
     scene = xcg.open_scene(path, density=1)
     np.testing.assert_array_equal(scene.time, [0, 1, 2])
     assert scene.attrs["start"].startswith("2024-01-31T")
-    np.testing.assert_allclose(xcg.derive_velocity(scene).velocity.isel(component=0), 0.25)
+    np.testing.assert_allclose(xcg.derive(scene, "velocity").velocity.isel(component=0), 0.25)
 
 
 def test_names_of_columns_above_dates_may_be_a_comment(tmp_path):

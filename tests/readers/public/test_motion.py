@@ -55,7 +55,7 @@ def columns_of(places):
 
 def check_motion(ds):
     """Velocities, displacements and diffusion are those of a constant velocity of two periods a step."""
-    ds = ds.cg.derive_velocity()
+    ds = ds.cg.derive("velocity")
     np.testing.assert_allclose(
         ds.velocity, np.broadcast_to(VELOCITY, ds.velocity.shape), rtol=1e-9, atol=1e-9
     )
@@ -240,7 +240,7 @@ def test_images_along_an_axis_that_is_not_periodic_raise(tmp_path):
     path = dump_of(tmp_path / "p.dump", "x y z ix iy iz")
     ds = xcg.open_scene(path, timestep=1.0, periodic="x")
     with pytest.raises(SceneError, match="another image along 'y'"):
-        ds.cg.derive_velocity().compute()
+        ds.cg.derive("velocity").compute()
 
 
 # --- times that are not known ----------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def untimed(tmp_path, kind):
 
 CENTRE = {"y": 0.5, "z": 0.5}
 RATES = {
-    "derive_velocity": lambda ds: ds.cg.derive_velocity(),
+    "derive": lambda ds: ds.cg.derive("velocity"),
     "mean_squared_displacement": lambda ds: ds.cg.mean_squared_displacement(1),
     "self_diffusion": lambda ds: ds.cg.displacement("self_diffusion"),
     "balance": lambda ds: ds.assign(velocity=0 * ds.position).cg.balance(
@@ -323,7 +323,7 @@ def test_times_given_at_any_place_make_rates(tmp_path):
         ds.chunk(time=1).assign_coords(time=ds.time * 1e-5),
     ]
     for scene in scenes:
-        velocity = scene.cg.derive_velocity().velocity
+        velocity = scene.cg.derive("velocity").velocity
         np.testing.assert_allclose(velocity.sel(component="x"), expected, rtol=1e-9)
 
 

@@ -50,7 +50,7 @@ def write_steps(folder, columns):
 def test_ids_of_any_spelling_follow_grains_whose_rows_change(tmp_path, name):
     files = write_steps(tmp_path, {"id": name})
     ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0])
-    velocity = ds.cg.derive_velocity().velocity
+    velocity = ds.cg.derive("velocity").velocity
     np.testing.assert_allclose(velocity.sel(component="x"), STEP, rtol=1e-12)
 
 
@@ -59,14 +59,14 @@ def test_velocities_of_numbered_rows_are_an_error_that_names_the_columns(tmp_pat
     with pytest.warns(xcg.SceneWarning, match="no column of particle ids.*columns are code x"):
         ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0])
     for call in (
-        ds.cg.derive_velocity,
+        lambda: ds.cg.derive("velocity"),
         lambda: ds.cg.displacement(width=0.1),
         ds.cg.mean_squared_displacement,
     ):
         with pytest.raises(xcg.SceneError, match="follows particles by their ids"):
             call()
     ds = xcg.open_scene(files, density=1.0, times=[0.0, 1.0, 2.0], names={"code": "particle_id"})
-    velocity = ds.cg.derive_velocity().velocity
+    velocity = ds.cg.derive("velocity").velocity
     np.testing.assert_allclose(velocity.sel(component="x"), STEP, rtol=1e-12)
 
 
