@@ -777,6 +777,46 @@ TABLE = [
         "scene/gaps.py", "gap = -pairs.overlap", "gap = pairs.overlap", "test_ids_off_by_one_are_named",
     ),
     Mutation(
+        "scene/gaps.py", "_FEW = 10 ", "_FEW = 200 ", "test_few_gaps_are_no_verdict",
+    ),
+    Mutation(
+        "scene/gaps.py", "_FEW = 10 ", "_FEW = 5 ", "test_few_gaps_are_no_verdict",
+    ),
+    Mutation(
+        "scene/gaps.py", "_FEW_WIDE = 3", "_FEW_WIDE = 4", "test_few_gaps_are_no_verdict",
+    ),
+    Mutation(
+        "scene/gaps.py", "_MOST = 0.01 ", "_MOST = 0.2 ", "test_few_gaps_are_no_verdict",
+    ),
+    Mutation(
+        "scene/gaps.py", "pairs.overlap / pairs.touching\n    factor", "pairs.overlap / pairs.touching / 2\n    factor",
+        "test_sizes_in_another_unit_than_positions_are_named",
+    ),
+    Mutation(
+        "scene/normals.py", "unit_vectors(pairs.branch)", "-unit_vectors(pairs.branch)",
+        "test_normals_of_zero_follow_from_positions",
+    ),
+    Mutation(
+        "scene/sanity.py", "abs(ratio / 8 - 1)", "abs(ratio / 4 - 1)",
+        "test_volumes_that_are_not_those_of_the_axes_are_named",
+    ),
+    Mutation(
+        "fields/grids/frames.py", "rotated.axes[:2] @", "rotated.axes[1:] @",
+        "test_an_axis_far_from_the_particles_is_named",
+    ),
+    Mutation(
+        "readers/files/blocks.py", "unit[0] if convert else 1.0", "1.0 / unit[0] if convert else 1.0",
+        "test_times_in_a_text_have_units",
+    ),
+    Mutation(
+        "readers/files/blocks.py", "below = k + 1 + bool(", "below = k + bool(",
+        "test_texts_of_any_suffix_are_recognised_below_lines_with_the_time",
+    ),
+    Mutation(
+        "readers/files/blocks.py", "            time = None\n", "            pass\n",
+        "test_tables_without_a_time_between_them_are_an_error",
+    ),
+    Mutation(
         "scene/normals.py", "np.abs(cosine) < _ANGLE", "cosine < _ANGLE", "test_opposite_normals_are_turned",
     ),
     Mutation(

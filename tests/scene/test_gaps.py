@@ -100,6 +100,26 @@ def test_a_hundredth_of_the_contacts_is_no_verdict():
         _open(grains, pd.concat([contacts, contacts.iloc[:1].assign(id2=60)]))
 
 
+@pytest.mark.parametrize(
+    ("pairs", "apart", "gap", "is_named"),
+    [
+        (100, 9, 0.2, False), (100, 10, 0.2, True), (100, 2, 1.5, False), (100, 3, 1.5, True),
+        (2000, 15, 0.2, False), (2000, 80, 0.2, True),
+    ],
+)  # fmt: skip
+def test_few_gaps_are_no_verdict(pairs, apart, gap, is_named):
+    x = 10.0 * np.arange(pairs)
+    distance = np.where(np.arange(pairs) < apart, 1.0 + gap, _SPACING)
+    grains = pd.DataFrame({"x": np.r_[x, x + distance], "y": 0.0, "z": 0.0, "radius": 0.5})
+    grains = grains.assign(id=np.arange(2 * pairs))
+    contacts = pd.DataFrame({"id1": grains.id[:pairs], "id2": grains.id[:pairs] + pairs})
+    contacts = contacts.assign(fx=-7.0, fy=0.0, fz=0.0)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        _open(grains, contacts)
+    assert any("across a gap" in str(warning.message) for warning in said) == is_named
+
+
 @pytest.mark.parametrize("force", [1.0, -1.0])
 def test_bridges_and_bonds_may_have_gaps(force):
     grains, contacts = _lattice()

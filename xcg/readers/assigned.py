@@ -202,8 +202,10 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     """Make the error of a file that lacks a column, with the mapping that names it."""
     filled = columns_by_name(ref.columns, ALL_SLOTS)
     partners = ("contact_i", "contact_j")
-    together = [f"{vector_of(slot)}_{axis}" for axis in COMPONENTS]
-    if slot in partners:
+    together = [slot]
+    if vector_of(slot) != slot:
+        together = [f"{vector_of(slot)}_{axis}" for axis in COMPONENTS]
+    elif slot in partners:
         together = [*partners]
     likely = {other: _likely(ref, other) for other in together if other not in filled}
     if slot not in likely or None in likely.values():

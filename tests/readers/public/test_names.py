@@ -184,6 +184,12 @@ def test_tensors_and_vectors_of_other_names_are_no_velocities(tmp_path, columns)
     xcg.open_scene(path)
 
 
+def test_a_dump_without_ids_is_offered_the_column_that_resembles_them(tmp_path):
+    text = dumps.dump_text().replace("ATOMS id", "ATOMS serial")
+    with pytest.raises(xcg.SceneError, match=r"no id of the particle .*'serial': 'particle_id'"):
+        xcg.open_scene(dumps.write(tmp_path / "p.dump", text))
+
+
 def test_four_numbers_of_a_quaternion_are_named(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("id,x,y,z,c_q[1],c_q[2],c_q[3],c_q[4]\n1,0,0,0,1,0,0,0\n")
