@@ -144,9 +144,10 @@ def save(
         ``0.5 * 10**-digits``, and compress well then. The attribute ``precision`` of each variable
         says so. By default all are kept.
     compression : int, optional
-        Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for
-        fields of fewer digits or single precision; none for fields of full precision, which become
-        a fifth smaller only.
+        Level of compression, 1 (fastest) to 9, or 0 for none. Only Zarr (Zstandard) has levels:
+        NetCDF, HDF5 and VTKHDF are compressed by one fast encoder at any of them. By default 1 for
+        scenes, and for fields of fewer digits or single precision; none for fields of full
+        precision, which become a fifth smaller only.
     resume : bool
         Continue a file that an earlier call of this kind began, of the same scene, by the same
         call, and that was interrupted: steps that are complete are kept. Until the file is whole,

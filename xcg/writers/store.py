@@ -161,12 +161,18 @@ class StoreLayout:
         """Return the same Dataset with placeholders, which nothing computes, for the arrays that tasks write."""
         import dask.array as da  # slow to import
 
-        outline = self.ds.copy()
+        placeholders: dict[str, xr.Variable] = {}
         for name in self.over:
             data = self.ds.variables[name]
-            zeros = da.zeros(data.shape, dtype=self.encoding.type_of(data.dtype), chunks=-1)
-            outline[name] = data.copy(data=zeros)
-        return outline
+            # with a name dask need not hash what it is made of
+            zeros = da.zeros(
+                data.shape,
+                dtype=self.encoding.type_of(data.dtype),
+                chunks=-1,
+                name=f"outline-{name}",
+            )
+            placeholders[name] = data.copy(data=zeros)
+        return self.ds.assign(placeholders)
 
 
 def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
