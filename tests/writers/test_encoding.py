@@ -107,7 +107,7 @@ def test_files_of_fields_are_smaller_by_digits(tmp_path):
 
 
 def test_all_levels_of_hdf5_take_one_encoder(tmp_path):
-    f = steps_of_random_scenes(2).cg.coarse_grain(["density"])
+    f = random_steps(2).cg.coarse_grain(["density"])
     chunks = []
     for level in (1, 4, 9):
         path = xcg.save(f, tmp_path / f"{level}.nc", compression=level)
