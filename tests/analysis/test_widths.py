@@ -1,5 +1,6 @@
 """Bias, plateau and choice of the width against flows that are known."""
 
+import warnings
 from functools import partial
 
 import numpy as np
@@ -173,7 +174,8 @@ def test_the_frames_for_a_target_reach_it():
     assert true_error(flow, width, frames) / size == pytest.approx(0.08, rel=0.2)
     assert true_error(flow, width, frames / 2) / size > 0.085
     with pytest.warns(
-        xcg.SceneWarning, match="at 2, the narrowest .* a narrower one may be better"
+        xcg.SceneWarning,
+        match="at 2, the narrowest .* a narrower one may be better.* leave them out with bounds=",
     ):
         wide = flow.scene.cg.choose_width("velocity", widths=[2.0, 3.0, 4.0], target=0.02, **NODES)
     assert np.isnan(wide.target_frames)
@@ -251,3 +253,18 @@ def test_the_picture_has_labels_and_the_choice():
     assert texts[-1] == f"best width, {found.best_width.item():.3g} m"
     with pytest.raises(ValueError, match="choose_width"):
         found.drop_vars("best_width").cg.plot_width()
+
+
+def test_slip_at_the_walls_of_a_shear_cell_asks_for_bounds_between_them():
+    """The velocity jumps by a third from the walls of frozen grains to the first layer."""
+    ds = xcg.datasets.open("plane_shear")
+    with pytest.warns(
+        xcg.SceneWarning, match="slips, no width is right: leave them out with bounds="
+    ):
+        ds.cg.choose_width("velocity", axes="z")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = ds.cg.choose_width("velocity", axes="z", bounds={"z": (3.0, 8.2)})
+        xcg.datasets.open("chute").cg.choose_width("velocity", axes="z")
+    size = ds.attrs["d43"]
+    assert size < found.best_width < 2 * size

@@ -471,11 +471,18 @@ def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[st
     ends = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}
     text = f"width with the least error{ends.get(best, '')}"
     if best in ends:
-        wider = "narrower" if best == 0 else "wider"
+        wider = "wider"
+        walls = ""
+        if best == 0:
+            wider = "narrower"
+            walls = (
+                ". Where the field jumps at walls, as a velocity that slips, no width is right: leave them out with "
+                "bounds="
+            )
         warn_user(
             SceneWarning(
                 f"choose_width: the error of {', '.join(names)} is least, {worst[best]:.2g}, at "
-                f"{fine[best]:.3g}{ends[best]}; a {wider} one may be better: extend widths= to that side"
+                f"{fine[best]:.3g}{ends[best]}; a {wider} one may be better: extend widths= to that side{walls}"
             )
         )
     leading = int(totals[:, best].argmax())
