@@ -204,6 +204,14 @@ def test_saved_results_are_read_with_the_present_names_of_fields(tmp_path):
         assert back.cg.plot("boundary_force_density", **drawn) is not None
 
 
+def test_saved_depth_averages_are_read_with_the_present_name_of_the_solid_depth():
+    f = xcg.datasets.open("chute").cg.depth_average("z").compute()
+    old = f.rename(solid_depth="depth")
+    xr.testing.assert_identical(with_facts(old), with_facts(f))
+    other = xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", width=1.0)
+    assert "depth" in with_facts(other.assign(depth=other.density))
+
+
 def test_variables_of_scenes_may_have_former_names_of_fields():
     ds = xcg.datasets.simple_cubic(3)
     ds["wall_traction"] = ds.mass.dims, ds.mass.values

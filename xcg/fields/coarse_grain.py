@@ -67,7 +67,9 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     -----
     A field is ``sum_i q_i Psi(r - r_i)`` over particles or, for contact stress, ``sum f_ij a_ij
     int_0^1 Psi(r - r_i + s a_ij) ds`` over both sides of every contact. Sources: Goldhirsch (2010);
-    Weinhart et al. (2012).
+    Weinhart et al. (2012). Friction coefficient, inertial number, fabric and anisotropies differ
+    from those of `microstructure` by constant factors, see the table "Factors to the fields" of the
+    page on microstructure (docs/microstructure.md#factors-to-the-fields).
 
     Examples
     --------

@@ -63,12 +63,17 @@ RENAMED = {
     "wall_traction": "boundary_force_density",
     "effective_viscosity": "relative_viscosity",
 }
+# the same of results of depth_average, which alone have a mass per area
+_OF_DEPTH = {"depth": "solid_depth"}
 
 
 def with_present_names(f: xr.Dataset) -> xr.Dataset:
     """Return a result with its fields, and their errors, under their present names."""
     names = {}
-    for old, new in RENAMED.items():
+    table = RENAMED
+    if "mass_per_area" in f.variables:
+        table = RENAMED | _OF_DEPTH
+    for old, new in table.items():
         for end in ("", "_error", "_error_from", "_bias"):
             if old + end in f.variables and new + end not in f.variables:
                 names[old + end] = new + end

@@ -928,3 +928,15 @@ def test_lazy_runs_are_averaged_to_the_same_bits():
     xr.testing.assert_identical(
         mean.compute().drop_attrs(), f.cg.time_average(dim="run").drop_attrs()
     )
+
+
+def test_differences_of_lazy_steps_without_the_sums_beside_them_stay_lazy():
+    ds = truths.gas(2)
+    ds = ds.chunk(time=1).assign_coords(step=ds.step)  # in memory, as of files
+    f = ds.cg.coarse_grain("stress", axes="z")
+    alone = ds.cg.coarse_grain("stress", axes="z", for_averages=False).stress
+    stress = f.stress.drop_vars(["density", "velocity"])
+    with raise_if_dask_computes():
+        differences = [one.isel(time=0) - one.isel(time=1) for one in (stress, alone)]
+    for difference in differences:
+        np.testing.assert_array_equal(difference, f.stress[0].data - f.stress[1].data)
