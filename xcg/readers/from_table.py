@@ -76,6 +76,13 @@ def scene_from_table(
         If a column is missing, holds something other than numbers, is also given as an argument, or
         the tables disagree; the message names table, column and row.
 
+    Warns
+    -----
+    SceneWarning
+        If columns resemble variables that are not read, or name a unit that is not known; if steps
+        of the particles have no rows of contacts, rows of several steps have no ids, or no particle
+        recurs. The scene is checked as that of files, see `xcg.open_scene`.
+
     Examples
     --------
     >>> import pandas as pd, xcg

@@ -201,10 +201,12 @@ def open_scene(
     -----
     SceneWarning
         If a step occurs twice with the same particles (the later one counts), steps are left out, a
-        LAMMPS file does not name its units, files of contacts are of another box, or columns look
-        like forces or contacts with walls and are not read. If contacts contradict the positions
-        and radii of spheres (no force across a gap, a false overlap, a point off both surfaces), or
-        most particles are of one body; the message says what becomes of these. If no particle of
+        LAMMPS file does not name its units, files of contacts are of another box, or columns and
+        words of headers are not understood: they resemble variables, forces, contacts with walls,
+        times or units that are not read. If contacts contradict the positions and radii of spheres
+        (a force across a gap, none across one, a false overlap, a point off both surfaces, a normal
+        of another length or sign), sizes, masses, volumes, positions and box contradict each other,
+        or most particles are of one body; the message says what becomes of these. If no particle of
         the first step is in the last or the second one, where names of files or a column tell the
         steps apart, as they may be pieces of one step.
 

@@ -91,8 +91,9 @@ def test_a_column_of_times_in_units_of_a_row_separates_steps(tmp_path):
     assert ds.time.values.tolist() == [0.5, 1.0]
 
 
-def test_tables_without_a_time_between_them_are_an_error(tmp_path):
-    text = "EDEM\n" + f"{NAMES}\n{ROWS}\n" * 2
+@pytest.mark.parametrize("first", ["EDEM", "TIME: 0.5 s"])
+def test_tables_without_a_time_between_them_are_an_error(tmp_path, first):
+    text = f"{first}\n" + f"{NAMES}\n{ROWS}\n" * 2
     with pytest.raises(
         xcg.SceneError, match=r"line 6 names the columns of one more table.*no line"
     ):
