@@ -97,6 +97,31 @@ def draw(ds: xr.Dataset, f: xr.Dataset, path: Path) -> None:
     figure.savefig(path, dpi=90)
 
 
+def draw_series(f: xr.Dataset, path: Path) -> None:
+    """Draw the velocity over time and height, and means with standard errors at the end."""
+    figure, (left, middle, right) = plt.subplots(
+        1, 3, figsize=(12, 3.8), layout="constrained", sharey=True, width_ratios=[1.6, 1, 1]
+    )
+    speed = f.velocity.sel(component="x").where(f.volume_fraction > 0.05)
+    drawn = left.pcolormesh(f.time, f.z, speed.transpose("z", "time"), shading="nearest")
+    figure.colorbar(drawn, ax=left, label=r"velocity $V_x$ [$\sqrt{g d}$]")
+    mean = f.isel(time=slice(-2 * STEPS, None)).cg.time_average().compute()
+    mean = mean.isel(z=slice(None, None, 3)).sel(z=slice(1, 15))
+    middle.errorbar(
+        mean.velocity.sel(component="x"), mean.z, fmt="o", ms=3, capsize=2,
+        xerr=2 * mean.velocity_error.sel(component="x"),
+    )  # fmt: skip
+    right.errorbar(
+        mean.granular_temperature, mean.z, fmt="o", ms=3, capsize=2,
+        xerr=2 * mean.granular_temperature_error,
+    )  # fmt: skip
+    left.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$ [$d$]", ylim=(0, 16))
+    middle.set(xlabel=r"mean velocity $V_x$ [$\sqrt{g d}$]")
+    right.set(xlabel=r"mean temperature $T$ [$g d$]")
+    middle.set_title(f"last {2 * STEPS} steps, bars: two standard errors", fontsize="small")
+    figure.savefig(path, dpi=90)
+
+
 def main(output: Path) -> None:
     """Print the mean profiles at both ends, and draw all of them."""
     output.mkdir(parents=True, exist_ok=True)
@@ -113,6 +138,7 @@ def main(output: Path) -> None:
             values = [f"{key} {float(field.interp(z=z)):.3f}" for key, field in table.items()]
             print(f"  z = {z:4.1f}: {', '.join(values)}")
     draw(ds, f, output / "erodible_bed.png")
+    draw_series(f, output / "erodible_series.png")
     plt.close("all")
 
 

@@ -1,5 +1,6 @@
 """Claims of docs/works.md beside those of the papers, on the scripts' own scenes."""
 
+import json
 import runpy
 
 import numpy as np
@@ -104,3 +105,33 @@ def test_scripts_that_measure_run():
     table = cost.measure(1000, 1)
     assert len(table) == 2 * len(cost.WIDTHS)
     assert cost.rows(table).count("\n") == 1 + len(table)
+
+
+def test_the_notebook_runs(tmp_path, monkeypatch):
+    """Its cells in order, beside the sample data."""
+    from matplotlib import pyplot as plt
+
+    plt.switch_backend("agg")
+    (tmp_path / "data").symlink_to(ROOT / "examples" / "data")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "examples" / "first_steps.ipynb").read_text())["cells"]
+    names = {}
+    for cell in cells:
+        assert not cell.get("outputs"), "the notebook is kept without outputs"
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), "first_steps.ipynb", "exec"), names)
+    plt.close("all")
+    assert names["ds"].velocity.chunks is not None
+    assert "phase" not in names["f"].velocity.dims
+    assert "phase" in names["by_species"].velocity.dims
+    assert (names["m"].velocity_error.sel(component="x", z=8.0) > 0).all()
+    assert (tmp_path / "erodible.nc").exists()
+
+
+def test_the_sheet_of_the_gallery_shows_scripts():
+    pytest.importorskip("pyvista")
+    from docs import gallery_sheet
+
+    for script in gallery_sheet.SCRIPTS:
+        assert (gallery_sheet.GALLERY / f"{script}.py").exists()
+    assert gallery_sheet.picture_of("cases/heap").ndim == 3

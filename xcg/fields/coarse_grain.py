@@ -52,7 +52,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Fields with dimensions (time, x, y, z, phase, component, direction), as far as they apply.
+        Fields with dimensions (time, x, y, z, phase, component, direction), as far as they apply:
+        ``phase`` with `by` only.
         Sums are zero where nothing reaches; ratios are NaN there, and ``sample_count`` says how
         many particles each node saw.
 
