@@ -137,6 +137,18 @@ def _descending(matrix, n):
     return first, third, second
 
 
+@inlined
+def _quotient(tensor, axis):
+    """Rayleigh quotient of a matrix (3, 3) and an axis (3,): without the rounding of all turns."""
+    upper = 0.0
+    lower = 0.0
+    for i in range(3):
+        lower += axis[i] * axis[i]
+        for j in range(3):
+            upper += axis[i] * tensor[i, j] * axis[j]
+    return upper / lower
+
+
 @jit
 def principal(tensor, values, vectors):
     """Eigenvalues, largest first, and eigenvectors of symmetric matrices.
@@ -172,6 +184,8 @@ def principal(tensor, values, vectors):
                 for q in range(p + 1, 3):
                     _rotate(matrix, axes, p, q, turns, cosine, sine)
         for n in range(many):
+            for k in range(3):
+                matrix[k, k, n] = _quotient(tensor[first + n], axes[:, k, n])
             order = _descending(matrix, n)
             for k in range(3):
                 values[first + n, k] = matrix[order[k], order[k], n]
