@@ -543,7 +543,7 @@ def _follow(job: Job, steps: Iterator[tuple[int, int]], *, quiet: bool) -> int:
 
 
 def _added(of_job: Any, names: Any) -> Any:
-    """Return names beside those of a job, where both are mappings; else in their place."""
+    """Return the names of a job and further ones, where both are mappings; else the further ones."""
     if isinstance(of_job, Mapping) and isinstance(names, Mapping):
         return {**of_job, **names}
     return names

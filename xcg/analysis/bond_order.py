@@ -241,7 +241,7 @@ class BondOrder(FrameAnalysis):
 def _waves(degree: int, bond: NDArray) -> list[NDArray]:
     """Return exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
 
-    They are scaled so that `_length` is the bond order: those of -m have the same length, and count
+    They are scaled so that `_length` is the bond order: values at -m have the same length, and count
     by a factor of sqrt(2).
     """
     if bond.shape[1] == 2:

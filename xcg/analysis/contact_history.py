@@ -61,10 +61,10 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
         By contact, in the rows of the scene: ``contact_age`` (s), 0 in the first step of a contact;
         ``contact_turned`` (radians), the angle between the normal and that of the first step;
         ``contact_turning_rate`` (radians/s), the angle to the normal of the step before over the
-        interval, NaN where there is none. By step: ``contact_count``, ``births``, ``losses``; the
+        interval, NaN in the first step of a contact. By step: ``contact_count``, ``births``, ``losses``; the
         first step has no births. By lag: ``persistence``, the share of contacts that are there in
         all steps up to a lag, and its standard error ``persistence_error``. By lost contact:
-        ``lifetime`` (s), of those that are born and lost within the series.
+        ``lifetime`` (s), if it was born within the series.
 
     Raises
     ------
@@ -81,8 +81,8 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
 
     Notes
     -----
-    ``C(t) = sum N(t0, t0 + t) / sum N(t0)``, N(t0) the contacts of step t0 and N(t0, t0 + t) those of
-    them in all steps up to ``t0 + t``, over all t0; pairs of steps with a gap between are left out.
+    ``C(t) = sum N(t0, t0 + t) / sum N(t0)``, N(t0) the contacts of step t0 and N(t0, t0 + t) its contacts
+    that are in all steps up to ``t0 + t``, over all t0; pairs of steps with a gap between are left out.
     A contact is lost with its particle.
 
     Ages of contacts of the first step are lower bounds. Births and losses are dated to the middle

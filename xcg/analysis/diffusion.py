@@ -103,7 +103,7 @@ def mean_squared_displacement(
     Notes
     -----
     ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside
-    the motion of the box; in a flow that differs from place to place, those of the flow are in
+    the motion of the box; in a flow that differs from place to place, displacements by the flow are in
     them: take ``d2min`` and ``self_diffusion`` of `displacement`, which leave out its linear part.
     Grains that leave and come back are new ones; frozen ones do not count.
 

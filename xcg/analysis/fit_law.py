@@ -111,7 +111,7 @@ def fit_law(
     or there are no more than three points, it is a line, with a warning.
 
     With errors, weights are ``1 / (s_y^2 + (dy/dx)^2 s_x^2)`` (effective variance), and standard
-    errors are those of the data: ``chi_squared`` far above ``degrees_of_freedom`` means that the law
+    errors follow from the errors of the data: ``chi_squared`` far above ``degrees_of_freedom`` means that the law
     does not hold or that they are too small. Without, standard errors follow from the scatter about
     the law. Errors of `x` and `y` count as independent. Nodes closer than the kernel's support share
     grains: the covariance is multiplied by the number of nodes in a support.

@@ -209,7 +209,7 @@ def microstructure(
     In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the
     shear rate over :math:`\sqrt 3` (in a plane: the shear rate).
 
-    Stresses here are those of contacts, and norms are those of soil mechanics, as in [2]_. Fields of
+    Stresses here are contact stresses, with the norms of soil mechanics, as in [2]_. Fields of
     `coarse_grain` have other norms. Where no stress is kinetic, the contact stress is symmetric and
     grains are alike, quantities are these factors times the field:
 

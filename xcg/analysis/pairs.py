@@ -361,7 +361,7 @@ def cells_of(
     Returns
     -------
     CellLists
-        Cells of the particles; in tilted boxes also of those of their images that are near the box.
+        Cells of the particles; in tilted boxes also of their images near the box.
     array
         Row of the particle that each of them is, or is an image of: first the particles in order.
     """

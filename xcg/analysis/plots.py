@@ -66,7 +66,7 @@ def plot(
 ) -> Axes:
     """Draw one field of a result, a profile along one axis or a map over two; or the grains of a scene.
 
-    Profiles show one line for each component of a vector (of a layer, without those that are zero
+    Profiles show one line for each component of a vector (of a layer, without components that are zero
     everywhere) or for each phase, and a band of one standard error on both sides where the result
     has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
     where the field is unknown or no grains are. A map of a vector shows its magnitude, and its
@@ -79,7 +79,7 @@ def plot(
     one above the other in profiles. Of a fit (`fit_law`) the points, the law and its band of one
     standard error are drawn.
 
-    Grains are circles, those of a layer, or those in which a plane cuts the spheres of a volume.
+    Grains are circles: of a layer, or the cuts of a plane with the spheres of a volume.
     Their colours show a variable of the particles.
 
     Parameters

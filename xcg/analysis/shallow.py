@@ -151,7 +151,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If there is no ``height``, or no axis is resolved.
+        If ``height`` is missing, or all axes are averaged or fixed.
     SceneError
         If a Dataset has lost its ``cutoff``, or parts of different widths were joined.
 
@@ -288,7 +288,7 @@ def depth_average(
     xarray.Dataset
         (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``thickness`` (m), the height of
         the free surface above the base (`free_surface` at half of the bulk's volume fraction), NaN
-        where there is none; ``solid_depth``, ``int phi dz`` (m), the height of the grains without
+        without a surface; ``solid_depth``, ``int phi dz`` (m), the height of the grains without
         voids; ``momentum_per_area`` (component, kg/m/s);
         ``depth_averaged_velocity`` (component, m/s), their ratio; ``shape_factor`` (component), 1
         for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with contact forces also

@@ -90,7 +90,7 @@ def voronoi(
     -----
     The cell of particle i is where ``|r - r_i|^2 - R_i^2`` is less than for all others (Gellatly &
     Finney 1982), so that planes between touching spheres touch both. Cells fill the box: near a free
-    surface they reach up to its edge, unless `bounds` ends there. Those of a layer of discs are as
+    surface they reach up to its edge, unless `bounds` ends there. Cells of a layer of discs are as
     high as the layer. Faces below 1e-6 of the mean cell's ``V^(2/3)`` are rounding and do not count,
     nor do faces to edges or to the particle's own images. Boxes of Lees and Edwards are taken as
     they are at each step. Source of the algorithm: Rycroft, Chaos 19 (2009) 041111 (Voro++).

@@ -213,7 +213,7 @@ def without_tail(values: NDArray) -> tuple[NDArray, str]:
     """Return numbers without the tail that makes a picture flat, and a note for its label.
 
     Numbers far beyond the 90th percentile of all sizes are set to the highest of `PERCENTILES` that
-    is not. The note is empty where there are none.
+    is not. The note is empty without such numbers.
     """
     if not values.size:
         return values, ""

@@ -198,7 +198,7 @@ def current_worker() -> Any:
 class Once:
     """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    The key is no part of what dask names tasks by, so that equal calls still have equal names. The
+    dask leaves the key out of the names of tasks, so that equal calls have equal names. The
     latest `REMEMBERED` warnings of the process are remembered.
     """
 

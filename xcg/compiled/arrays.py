@@ -28,7 +28,7 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
 
 @leaf
 def sort_by_key(key, start, order):
-    """Write which thing comes first, second, ... (n,) by its key (n,), a whole number; those of one key stay in order.
+    """Write which thing comes first, second, ... (n,) by its key (n,), a whole number; things of one key stay in order.
 
     `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key
     k.

@@ -173,7 +173,7 @@ def add_unit_squares(row_i, row_j, along, out):
 def side(position, row, point, n, period, lattice):
     """Vector from contact point n to the centre of a row of `position`, zero where the row is negative.
 
-    Images follow from a `lattice` or, if that is None, from periods along the axes.
+    Images follow from a `lattice`, or without it from periods along the axes.
     """
     if row < 0:
         return 0.0, 0.0, 0.0

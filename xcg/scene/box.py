@@ -111,7 +111,7 @@ def domain_of(
 
 
 def _entries(steps: int, given: Mapping[str, ArrayLike], name: str) -> NDArray:
-    """Matrices (t, 3, 3) of numbers such as {"xy": value}, which stands in row y and column x."""
+    """Matrices (t, 3, 3) of numbers such as {"xy": value}, in row y and column x."""
     wrong = {repr(given)}
     if isinstance(given, Mapping):
         wrong = set(given) - set(_SHEARS)

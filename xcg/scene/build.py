@@ -54,7 +54,7 @@ def to_dataset(
     arrays : mapping
         Padded arrays by scene name, time first.
     time : array (t,) or None
-        Times (s); None where they are not known, and the step numbers stand in their place.
+        Times (s); None if they are unknown: the numbers of the steps replace them.
     step : array (t,)
         Step numbers.
     box : mapping

@@ -282,7 +282,7 @@ def _images(
     Raises
     ------
     SceneError
-        If a difference is no sum of whole periods.
+        If a difference is not a sum of whole periods.
     """
     images = np.zeros((len(ids), 3), "int64")
     away = unwrapped - position

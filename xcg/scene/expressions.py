@@ -76,7 +76,7 @@ def evaluate(expression: str, variables: Mapping[str, Any]) -> Any:
     NameError
         If a name is not among `variables`.
     SyntaxError
-        If the text is no expression, or has other parts.
+        If the text is not an expression, or has other parts.
     """
     try:
         return _value(_parsed(expression), variables)

@@ -182,9 +182,9 @@ def _json_object(text: Any) -> dict[str, Any]:
 
 
 def _require_code(ds: xr.Dataset, code: str, facts: Mapping[str, Any]) -> None:
-    """Raise SceneError unless the attributes of a Dataset are those of its code.
+    """Raise SceneError unless the attributes of a Dataset have its code.
 
-    `facts` are those of the coordinate, which are not.
+    `facts` are the attributes of the coordinate, which have another code.
     """
     if _code_of(_facts_in(ds.attrs)) == code:
         return

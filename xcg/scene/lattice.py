@@ -323,7 +323,7 @@ class Lattice:
     def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return the vectors, their rates, and which of them some axes (3,) distinguish.
 
-        The vectors are those that were given, or else the reduced ones, if only their shadows on
+        The vectors are the given ones, or else the reduced ones, if only their shadows on
         these axes are independent.
         """
         assert self.vectors is not None

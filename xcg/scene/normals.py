@@ -60,7 +60,7 @@ def checked_normals(contacts: SphereContacts) -> NDArray:
 def _of_unit_length(contacts: SphereContacts) -> NDArray:
     """Return the normals divided by their lengths, with a warning if these are not 1.
 
-    Normals of pairs that are zero are those of the branches.
+    Zero normals are replaced by the directions of the branches.
     """
     normal = contacts.contacts["contact_normal"]
     length = np.sqrt(np.einsum("nk,nk->n", normal, normal))

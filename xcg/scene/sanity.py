@@ -433,7 +433,7 @@ def _contradiction(grains: Particles) -> str | None:
 
 
 def _volumes_of_shapes(grains: Particles) -> str | None:
-    """Check that volumes are those of ellipsoids or superquadrics of the half-axes."""
+    """Check that volumes agree with ellipsoids or superquadrics of the half-axes."""
     sample = grains.sample
     axes = [f"half_axis_{axis}" for axis in COMPONENTS]
     if not {"volume", *axes} <= set(sample):

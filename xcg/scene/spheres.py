@@ -148,7 +148,7 @@ class SphereContacts:
         return rows
 
     def checked_overlaps(self, column: str) -> NDArray:
-        """Return the overlaps (n,), or those of the spheres with a warning if they are not overlaps.
+        """Return the overlaps (n,); if they are not overlaps, warn and compute them from the spheres.
 
         Parameters
         ----------

@@ -231,7 +231,7 @@ def _with_time(fields: xr.Dataset) -> xr.Dataset:
 
 
 def _check_request(request: Request, recorded: xr.Dataset) -> None:
-    """Raise SceneError if width, mesh, extent or phases are not those of the recorded steps."""
+    """Raise SceneError if width, mesh, extent or phases differ from the recorded steps."""
     pairs: dict[str, tuple[Any, Any]] = {}  # values of the request, and of the file
     extent = extent_of(recorded.attrs)
     for a, length in (request.extent or {}).items():

@@ -175,7 +175,7 @@ def save(
         If variables are quantities of pint.
     ValueError
         If the name ends otherwise, `resume` is asked for in another format, `dtype`, `digits` or
-        `compression` is none of those above, or the format does not take it: chains in VTKHDF take
+        `compression` is not one of the above, or the format does not take it: chains in VTKHDF take
         none of the three, ``*.pvd`` takes no `compression`.
     """
     path = Path(path)

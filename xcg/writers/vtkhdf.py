@@ -4,7 +4,7 @@ Scalars, vectors (``component``) and tensors (``component``, ``direction``) beco
 1, 3 and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases becomes one
 array a phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1". Results with fewer
 axes become images with one node along the others, at the coordinate given by ``at`` or at 0.
-Integers stay integers. Attributes of a field (units, long_name) are on its array, those of the
+Integers stay integers. Attributes of a field (units, long_name) are on its array, attributes of the
 Dataset on the group ``/xcg``.
 
 The file holds what the reader was found to read back, not all that its description allows: axes
