@@ -100,6 +100,8 @@ def _row(name: str) -> str:
     average += ", harmonic" if f.harmonic else ""
     unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), f.units)
     about = f"{f.long_name}<br>{mathematics(f.formula)}"
+    if f.references:
+        about += f" ({f.references})"
     star = "" if f.default else " \\*"
     return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"
 

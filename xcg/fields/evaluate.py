@@ -272,6 +272,7 @@ def about(row: Field, system: str) -> dict[str, str]:
         "long_name": row.long_name,
         "formula": row.formula,
         "source": row.source,
+        "references": row.references,
         "averages": row.text_of_averages,
     }
     if row.source:  # a variable of the scene: it has any unit, and averages need its weight

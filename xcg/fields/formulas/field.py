@@ -177,6 +177,8 @@ class Field:
         ``covariance(f, s, o)`` gives what averages over steps or nodes add to the mean of an
         additive field, of ``f.covariance``, that of the velocities: mean rho (V - U)(V - U), U
         their mean. Linear functions of such a field follow.
+    references : str
+        Where it is defined, authors and year.
     averages : str
         What averages are, where a user may expect something else, for the attributes.
     floor : callable, optional
@@ -210,6 +212,7 @@ class Field:
     by_bulk: bool = False
     harmonic: bool = False
     covariance: Function | None = None
+    references: str = ""
     averages: str = ""
     floor: Callable[[Support], float] | None = None
     usual: float = 0.0

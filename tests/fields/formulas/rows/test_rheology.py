@@ -1,5 +1,7 @@
 """Pressures, magnitudes and dimensionless numbers, from their definitions."""
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import xcg
 from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.rows import rheology
+
+ROOT = Path(__file__).parents[4]
 
 
 def whole_and(**options):
@@ -237,3 +242,18 @@ def test_rheology_is_nan_where_the_pressure_is_not_positive():
     assert 0 < int(tension.sum()) < tension.size
     for name in names[:-1]:
         np.testing.assert_array_equal(np.isnan(f[name]), tension, err_msg=name)
+
+
+@pytest.mark.parametrize("name", [name for name in rheology.ROWS if not name.startswith("_")])
+def test_every_row_cites_its_source(name):
+    row = rheology.ROWS[name]
+    sources = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8").partition("## Sources")[2]
+    for reference in row.references.split("; "):
+        author, year = re.fullmatch(r"(.+?)(?: et al\.)? (\d{4})", reference).groups()
+        assert author.split(" & ")[0] in sources
+        assert f"({year})" in sources
+
+
+def test_results_hold_the_source_of_a_field():
+    f = xcg.datasets.simple_cubic(3).cg.coarse_grain("friction_coefficient", axes="z")
+    assert f.friction_coefficient.attrs["references"] == "Jop et al. 2006"

@@ -109,6 +109,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="stress, compression positive",
         formula="sigma = sigma^c + sigma^k",
+        references="Goldhirsch 2010; Weinhart et al. 2012",
         compute=lambda f, s, o: f.contact_stress + f.kinetic_stress,
         fields=("contact_stress", "kinetic_stress"),
         additive=True,
@@ -118,6 +119,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="pressure",
         formula="p = tr(sigma) / D",
+        references="Weinhart et al. 2012",
         compute=lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane),
         fields=("stress",),
         additive=True,
@@ -128,6 +130,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="deviatoric stress",
         formula="dev sigma = sigma - tr(sigma) / D I",
+        references="Jop et al. 2006",
         compute=lambda f, s, o: deviator(
             restricted(f.stress, o.shear_axes), o.shear_axes or o.plane
         ),
@@ -139,6 +142,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="magnitude of the deviatoric stress",
         formula="|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
+        references="Jop et al. 2006",
         compute=_shear_stress,
         fields=("stress", "deviatoric_stress"),
     ),
@@ -147,6 +151,7 @@ ROWS: dict[str, Field] = {
         long_name="first normal stress difference",
         formula="N1 = sigma_gg - sigma_ff, compression positive, flow f along the first of shear_dims and its "
         "gradient g along the second (by default along the first and last axis of the scene)",
+        references="Srivastava et al. 2021",
         compute=partial(_normal_stress_difference, 0),
         fields=("stress",),
         additive=True,
@@ -156,6 +161,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="second normal stress difference",
         formula="N2 = sigma_vv - sigma_gg, compression positive, v normal to flow f and gradient g",
+        references="Srivastava et al. 2021",
         compute=partial(_normal_stress_difference, 1),
         fields=("stress",),
         additive=True,
@@ -165,6 +171,7 @@ ROWS: dict[str, Field] = {
         long_name="Lode angle of the stress, in radians: 0 in triaxial compression, pi / 3 in extension",
         formula="tan theta_L = sqrt(3) (sigma_2 - sigma_3) / (2 sigma_1 - sigma_2 - sigma_3), principal stresses "
         "sigma_1 >= sigma_2 >= sigma_3, compression positive; NaN where they are equal, and in 2D",
+        references="Lode 1926",
         compute=_lode_angle,
         fields=("stress",),
         default=False,
@@ -173,6 +180,7 @@ ROWS: dict[str, Field] = {
         long_name="angle between the axes of largest stress and of fastest compression, in radians",
         formula="angle of the major axes of sigma and -Gamma, at most a right one, in shear_dims if set; "
         "NaN without such axes",
+        references="Lätzel et al. 2000",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, -f.shear_rate_tensor, o),
         fields=("stress", "shear_rate_tensor"),
         default=False,
@@ -181,6 +189,7 @@ ROWS: dict[str, Field] = {
         long_name="angle between the axes of largest stress and of most contacts, in radians",
         formula="angle of the major axes of sigma and <n n>, at most a right one, in shear_dims if set; "
         "NaN without such axes",
+        references="Lätzel et al. 2000",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, f.contact_fabric, o),
         fields=("stress", "contact_fabric"),
         default=False,
@@ -188,6 +197,7 @@ ROWS: dict[str, Field] = {
     "friction_coefficient": Field(
         long_name="friction coefficient",
         formula="mu = |dev sigma| / p, where p > 0",
+        references="Jop et al. 2006",
         compute=lambda f, s, o: ratio(f.shear_stress, f.pressure),
         fields=("shear_stress", "pressure"),
         floor=floors.friction,
@@ -196,6 +206,7 @@ ROWS: dict[str, Field] = {
     "inertial_number": Field(
         long_name="inertial number",
         formula="I = |dev Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        references="GDR MiDi 2004",
         compute=_inertial_number,
         fields=("shear_rate", "pressure", "particle_density", "_size"),
         floor=floors.inertial_number,
@@ -205,6 +216,7 @@ ROWS: dict[str, Field] = {
         units="s^-1",
         long_name="granular fluidity",
         formula="g = |dev Gamma| / mu, where p > 0",
+        references="Kamrin & Koval 2012",
         compute=lambda f, s, o: ratio(f.shear_rate, f.friction_coefficient),
         fields=("shear_rate", "friction_coefficient"),
         default=False,
@@ -212,6 +224,7 @@ ROWS: dict[str, Field] = {
     "viscous_number": Field(
         long_name="viscous number",
         formula="J = eta_f |dev Gamma| / p, where p > 0",
+        references="Boyer et al. 2011",
         compute=lambda f, s, o: ratio(o.fluid_viscosity * f.shear_rate, f.pressure),
         fields=("shear_rate", "pressure"),
         option="fluid_viscosity",
@@ -219,6 +232,7 @@ ROWS: dict[str, Field] = {
     "relative_viscosity": Field(
         long_name="viscosity of the grains alone relative to that of the fluid",
         formula="eta_s = mu / J = |dev sigma| / (eta_f |dev Gamma|)",
+        references="Boyer et al. 2011",
         compute=lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
         fields=("friction_coefficient", "viscous_number"),
         option="fluid_viscosity",
@@ -227,6 +241,7 @@ ROWS: dict[str, Field] = {
         units="Pa s",
         long_name="granular viscosity",
         formula="eta = |dev sigma| / |dev Gamma|",
+        references="Jop et al. 2006",
         compute=lambda f, s, o: ratio(f.shear_stress, f.shear_rate),
         fields=("shear_stress", "shear_rate"),
         default=False,
