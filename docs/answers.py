@@ -94,6 +94,8 @@ def biaxial() -> None:
     save("strain")
     ds.cg.force_chains(alpha=45, min_stress="mean").cg.plot_chains(index=1)
     save("chains")
+    xcg.datasets.open("plane_shear").cg.plot_rose(plane="xz")
+    save("rose")
 
 
 def view() -> None:

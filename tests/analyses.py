@@ -85,6 +85,7 @@ CALLS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     ),
     "displacement": lambda ds: ds.cg.displacement(axes="z", width=0.8, lag=1),
     "mean_squared_displacement": lambda ds: ds.cg.mean_squared_displacement([1]),
+    "velocity_autocorrelation": lambda ds: ds.cg.velocity_autocorrelation([1]),
     # without its norm, a mean of all nodes that dask takes in another order
     "balance": lambda ds: ds.cg.balance(axes="z", width=0.8, spacing=0.3)[["force_residual"]],
     "width_sweep": lambda ds: ds.cg.width_sweep([0.5, 0.8], "density", axes="z"),
@@ -119,13 +120,14 @@ OTHERS = {
     "contact_graph": "a graph of one step", "measure": "attributes", "size_statistics": "attributes",
     "find_phases": "one answer for the series", "select_walls": "rows of contacts",
     "derive_director": "arithmetic of a variable", "derive_superquadric": "arithmetic of a variable",
-    "plot_phases": "a picture", "plot": "a picture", "to_pyvista": "a mesh", "view": "a picture",
+    "plot_phases": "a picture", "plot_rose": "a picture", "plot": "a picture",
+    "to_pyvista": "a mesh", "view": "a picture",
     "save": "a file", "explore": "a page",
 }  # fmt: skip
 # analyses that are parts of others
 PARTS = {"_Ends": "a check of flow_rate through surfaces with open ends"}
 # results that are computed when the function returns
-COMPUTED = {"contact_history", "mean_squared_displacement", "fit_law"}
+COMPUTED = {"contact_history", "mean_squared_displacement", "velocity_autocorrelation", "fit_law"}
 
 
 def methods(kind: str) -> set[str]:

@@ -680,6 +680,10 @@ TABLE = [
         "test_stress_and_pressure_are_those_of_particle_stress",
     ),
     Mutation(
+        "analysis/diffusion.py", "* velocity[rows[stay]]", "* velocity[: stay.sum()]",
+        "test_velocity_autocorrelation_follows_grains_by_their_ids",
+    ),
+    Mutation(
         "analysis/compare.py", "of_before**2 + of_after**2", "of_after**2 - of_before**2",
         "test_the_difference_of_repeated_runs_scatters_by_its_error",
     ),

@@ -12,7 +12,7 @@ from .analysis.contact_value import contact_value
 from .analysis.correlations import spatial_correlation, time_correlation
 from .analysis.derive import derive
 from .analysis.derived import derive_director, derive_superquadric
-from .analysis.diffusion import mean_squared_displacement
+from .analysis.diffusion import mean_squared_displacement, velocity_autocorrelation
 from .analysis.displacement import displacement
 from .analysis.find_contacts import find_contacts
 from .analysis.fit_law import fit_law
@@ -149,6 +149,7 @@ __all__ = [
     "time_average",
     "time_correlation",
     "track_chains",
+    "velocity_autocorrelation",
     "voronoi",
     "wall_stress",
     "width_sweep",

@@ -36,6 +36,7 @@ _OTHER_NAMES = {
     "fields": "coarse_grain",
     "rdf": "radial_distribution",
     "g_r": "radial_distribution",
+    "vacf": "velocity_autocorrelation",
     "msd": "mean_squared_displacement",
     "mean": "time_average",
     "average": "time_average",
@@ -153,6 +154,7 @@ class CoarseGrainAccessor:
     explain = Method("xcg.fields.coarse_grain", SCENE)
     displacement = Method("xcg.analysis.displacement", SCENE)
     mean_squared_displacement = Method("xcg.analysis.diffusion", SCENE)
+    velocity_autocorrelation = Method("xcg.analysis.diffusion", SCENE)
     width_sweep = Method("xcg.analysis.widths", SCENE)
     choose_width = Method("xcg.analysis.widths", SCENE)
     balance = Method("xcg.analysis.balance", SCENE)
@@ -205,7 +207,7 @@ class CoarseGrainAccessor:
     chain_table = Method("xcg.analysis.chain_results", CHAINS)
     link_table = Method("xcg.analysis.chain_results", CHAINS)
     plot_chains = Method("xcg.analysis.chain_results", CHAINS)
-    plot_rose = Method("xcg.analysis.chain_results", CHAINS)
+    plot_rose = Method("xcg.analysis.chain_results", SCENE, CHAINS)
     to_csv = Method("xcg.writers.chains", CHAINS)
     to_vtp = Method("xcg.writers.chains", CHAINS)
 

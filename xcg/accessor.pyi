@@ -15,7 +15,7 @@ from xcg.analysis.contact_value import contact_value
 from xcg.analysis.correlations import spatial_correlation, time_correlation
 from xcg.analysis.derive import derive
 from xcg.analysis.derived import derive_director, derive_superquadric
-from xcg.analysis.diffusion import mean_squared_displacement
+from xcg.analysis.diffusion import mean_squared_displacement, velocity_autocorrelation
 from xcg.analysis.displacement import displacement
 from xcg.analysis.find_contacts import find_contacts
 from xcg.analysis.fit_law import fit_law
@@ -72,6 +72,7 @@ class CoarseGrainAccessor:
     explain = _Bound(explain)
     displacement = _Bound(displacement)
     mean_squared_displacement = _Bound(mean_squared_displacement)
+    velocity_autocorrelation = _Bound(velocity_autocorrelation)
     width_sweep = _Bound(width_sweep)
     choose_width = _Bound(choose_width)
     balance = _Bound(balance)

@@ -110,3 +110,31 @@ def test_wrong_plots_raise():
         fc.cg.plot_rose(index=1)
     with pytest.raises(ValueError, match="plot_chains draws one-layer scenes"):
         xcg.datasets.random_scene(20).cg.force_chains().cg.plot_chains()
+
+
+def test_the_rose_of_a_scene_has_the_forces_of_its_contacts_by_direction():
+    """A simple cubic packing has forces along x and z alone, of equal sums; each counts both ways."""
+    plt = pytest.importorskip("matplotlib.pyplot")
+    ds = xcg.datasets.simple_cubic(4, force=1.0)
+    ax = ds.cg.plot_rose(bins=8, plane="xz")
+    heights = np.array([bar.get_height() for bar in ax.patches])
+    assert heights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(heights[:4], heights[4:])
+    sheared = xcg.datasets.open("plane_shear").isel(time=[-1]).load()
+    ax = sheared.cg.plot_rose(bins=4, plane="xz")
+    step = sheared.isel(time=0)
+    i, j = step.contact_i.to_numpy(), step.contact_j.to_numpy()
+    known = (i >= 0) & (j >= 0)
+    row = {int(n): k for k, n in enumerate(step.particle_id.to_numpy())}
+    r = step.position.to_numpy()
+    weight = np.zeros(2)
+    for a, b, force in zip(i[known], j[known], step.contact_force.to_numpy()[known], strict=True):
+        away = r[row[a]] - r[row[b]]
+        for k, axis in enumerate("xy"):
+            period = float(np.ptp(step.box.sel(component=axis).to_numpy()))
+            away[k] -= period * round(away[k] / period)
+        angle = np.arctan2(away[2], away[0]) % np.pi
+        weight[int(angle // (np.pi / 2))] += np.linalg.norm(force)
+    heights = np.array([bar.get_height() for bar in ax.patches])
+    np.testing.assert_allclose(heights[:2], weight / weight.sum() / 2, rtol=1e-3)
+    plt.close("all")

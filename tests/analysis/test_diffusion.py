@@ -194,3 +194,45 @@ def test_few_steps_of_a_walk_may_be_longer_than_a_quarter_of_the_period(grains, 
     assert [f"{large} of {grains} by more than a quarter" in text for text in said] == [
         True
     ] * speaks
+
+
+def test_velocity_autocorrelation_of_langevin_grains_decays_by_its_friction():
+    """v' = a v + sqrt(1 - a^2) xi: <v v(k)> = D a^k of unit variances."""
+    rng = np.random.default_rng(5)
+    a, steps, grains = 0.8, 65, 2000
+    v = np.empty((steps, grains, 3))
+    v[0] = rng.normal(size=(grains, 3))
+    for t in range(1, steps):
+        v[t] = a * v[t - 1] + (1 - a**2) ** 0.5 * rng.normal(size=(grains, 3))
+    r = v.cumsum(axis=0)
+    ds = xcg.scene_from_arrays(
+        list(r), velocity=v, diameter=np.ones((steps, grains)), time=0.5 * np.arange(steps)
+    )
+    c = ds.cg.velocity_autocorrelation([1, 2, 4])
+    np.testing.assert_array_equal(c.lag, [0, 0.5, 1.0, 2.0])
+    expected = 3 * a ** np.array([0, 1, 2, 4])
+    apart = c.velocity_autocorrelation - expected
+    assert (abs(apart) < 4 * c.velocity_autocorrelation_error + 3 / grains).all()
+    np.testing.assert_allclose(c.normalised_autocorrelation, expected / 3, atol=0.02)
+    assert c.pair_count.values.tolist() == [grains * (steps - k) for k in (0, 1, 2, 4)]
+
+
+def test_velocity_autocorrelation_follows_grains_by_their_ids():
+    """Rows of other grains between, and one that leaves."""
+    v = np.array([[1.0, 0, 0], [0, 2.0, 0], [0, 0, 3.0]])
+    ids = [[1, 2, 3], [2, 3], [2, 3]]
+    velocity = [v, v[1:], v[1:]]
+    position = [np.eye(3), np.eye(3)[1:], np.eye(3)[1:]]
+    ds = xcg.scene_from_arrays(
+        position,
+        velocity=velocity,
+        particle_id=ids,
+        diameter=[np.full(len(rows), 0.1) for rows in ids],
+        time=[0.0, 1.0, 2.0],
+    )
+    c = ds.cg.velocity_autocorrelation([1, 2], remove_drift=False)
+    # lag 0: squares 1 + 4 + 9, and 4 + 9 twice, of 7 grains; then 4 + 9 of two grains
+    np.testing.assert_allclose(c.velocity_autocorrelation, [40 / 7, 6.5, 6.5])
+    assert c.pair_count.values.tolist() == [7, 4, 2]
+    with pytest.raises(xcg.SceneError, match="velocity"):
+        ds.drop_vars("velocity").cg.velocity_autocorrelation()

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests.scenes import spheres
@@ -314,3 +315,13 @@ def test_one_phase_and_wrong_arguments_raise():
             ds.cg.microstructure("lacey_index", by="species", **options)
     one = of_phases([[1.0, 1, 1]], [1], box=BOX).cg.microstructure(MIXING, by="species")
     assert np.isnan(one.lacey_index).all()
+
+
+def test_segregation_of_one_phase_is_nan_and_says_why():
+    ds = xcg.datasets.random_scene(50, seed=1, walls=True, periodic="xy")
+    alone = ds.assign(species=xr.ones_like(ds.species))
+    with pytest.warns(
+        xcg.SceneWarning, match="segregation_index is NaN: all 50 grains.*assign_phases"
+    ):
+        m = alone.cg.microstructure(["segregation_index"], by="species", axis="z")
+    assert np.isnan(m.segregation_index.to_numpy()).all()

@@ -821,3 +821,16 @@ def test_rates_of_flow_are_averaged_over_time_with_their_errors():
     rate = q.mass_flow_rate.to_numpy()
     assert mean.mass_flow_rate.item() == pytest.approx(rate.mean())
     assert mean.mass_flow_rate_error.item() >= 0.99 * rate.std(ddof=1) / len(rate) ** 0.5
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        xcg.Cylinder((0.0, 0.0, 0.0), "z", 5000.0, low=0.0, high=10000.0),
+        xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((0, 5000.0), (0, 5000.0))),
+    ],
+)
+def test_a_wall_in_another_unit_is_refused_before_memory_ends(wall):
+    ds = xcg.datasets.random_scene(200, walls=True, periodic="xy")
+    with pytest.raises(ValueError, match="in another unit of length than the scene"):
+        ds.cg.wall_stress(wall, width=0.5)

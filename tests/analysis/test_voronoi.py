@@ -1,6 +1,7 @@
 """Radical Voronoi cells: they fill the box, and are those of half spaces."""
 
 import builtins
+import warnings
 from itertools import product
 
 import numpy as np
@@ -193,3 +194,19 @@ def test_without_pyvoro2_the_extra_is_named(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ImportError, match=r"pip install 'xcg\[voronoi\]'"):
         xcg.voronoi(_scene())
+
+
+def test_cells_of_a_cylinder_in_a_box_are_said_to_reach_beyond_it():
+    """And those of the same grains in a box that they fill are not."""
+    ds = xcg.datasets.random_scene(2000, seed=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", xcg.SceneWarning)
+        ds.cg.voronoi()
+    centre = ds.position.isel(time=0).mean("particle")
+    away = ds.position - centre
+    inside = (away.sel(component="x") ** 2 + away.sel(component="y") ** 2) ** 0.5 < 0.4 * float(
+        np.ptp(ds.position.sel(component="x").to_numpy())
+    )
+    cylinder = ds.assign(inside=inside.astype(int)).cg.select("inside == 1")
+    with pytest.warns(xcg.SceneWarning, match="they reach beyond the grains.*bounds="):
+        cylinder.assign_attrs(periodic="").drop_vars("setup", errors="ignore").cg.voronoi()

@@ -54,6 +54,7 @@ RESULTS_OF = {
     "depth_average": lambda ds: ds.cg.depth_average(width=0.6),
     "flow_rate": lambda ds: ds.cg.flow_rate(MIDDLE, width=0.6),
     "mean_squared_displacement": lambda ds: ds.cg.mean_squared_displacement(),
+    "velocity_autocorrelation": lambda ds: ds.cg.velocity_autocorrelation(),
     "slice_temperature": lambda ds: ds.cg.slice_temperature(axis="z"),
     "wall_stress": lambda ds: ds.cg.wall_stress(FLOOR, width=0.6),
     "width_sweep": lambda ds: ds.cg.width_sweep([0.4, 0.5, 0.6], "density", axes="z"),

@@ -23,13 +23,14 @@ from xcg.common.drawing import (
     with_unit,
 )
 from xcg.common.messages import SceneError
-from xcg.scene.conform import with_components
+from xcg.scene.conform import conform, require_scene, with_components
+from xcg.scene.contacts import Contacts
 from xcg.scene.description import Summary, rows_of_origin
 from xcg.scene.facts import require_facts
-from xcg.scene.frame import particle_rows, step_at, with_time
+from xcg.scene.frame import frame_at, particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import rows_of
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
+from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, PADDING, VARIABLES, Frame, Variable
 from xcg.steps.mapping import each_step
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 Color: TypeAlias = Literal["stress", "chain"]
 # variables that links follow from, besides the ids
 _OF_LINKS = ("link_chain", "contact_j", "contact_force")
+_OF_CONTACTS = (*CONTACT_VARIABLES[:-1], "contact_force")
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
@@ -372,12 +374,15 @@ def plot_rose(
     plane: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw how the links of one step are directed: a rose, both ways, weighted by force.
+    """Draw the rose diagram of one step: how contacts or links of chains are directed, weighted by force.
+
+    Each contact counts both ways. Those of a scene are directed along their normals, contacts with
+    walls included, and links of chains from centre to centre.
 
     Parameters
     ----------
     fc : xarray.Dataset
-        A result of `force_chains`.
+        A scene with contact forces, or a result of `force_chains`.
     index : int
         Position of the step in time; the last one by default.
     bins : int
@@ -395,11 +400,16 @@ def plot_rose(
     Raises
     ------
     SceneError
-        If `fc` is not a result of `force_chains`.
+        If `fc` is a scene without contact forces, or neither a scene nor a result of
+        `force_chains`.
     ValueError
         If an argument is wrong.
     """
-    require_chains(fc, "plot_rose")
+    if "particle_id" in fc and "chain_id" not in fc:
+        fc = conform(fc)
+        require_scene(fc, _OF_CONTACTS, "plot_rose")
+    else:
+        require_chains(fc, "plot_rose")
     if bins < 2 or bins % 2:
         raise ValueError(
             f"bins={bins!r}: expected an even number of petals, as every link points both ways"
@@ -411,12 +421,10 @@ def plot_rose(
             plane = str(fc.attrs.get("plane", "xy"))
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    (step,) = steps_of(step_at(fc, index), ["position", *_OF_LINKS])
+    direction, force = _directions(fc, index)
     ax = ax or new_axes("polar")
-    contact, _, _, branch = _links(step)
-    along, up = branch[:, [COMPONENTS.index(axis) for axis in plane]].T
+    along, up = direction[:, [COMPONENTS.index(axis) for axis in plane]].T
     angle = np.arctan2(up, along) % np.pi
-    force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
     half, edges = np.histogram(angle, bins // 2, (0, np.pi), weights=force)
     petals = np.tile(half / max(2 * half.sum(), np.finfo(float).tiny), 2)
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -433,6 +441,18 @@ def plot_rose(
         np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane]
     )
     return ax
+
+
+def _directions(fc: xr.Dataset, index: int) -> tuple[NDArray, NDArray]:
+    """Return directions (n, 3) of the contacts of a scene or of the links of chains, and their forces (n,)."""
+    if "chain_id" in fc:
+        (step,) = steps_of(step_at(fc, index), ["position", *_OF_LINKS])
+        contact, _, _, branch = _links(step)
+        return branch, np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
+    names = ["particle_id", *_OF_CONTACTS, "contact_normal"]
+    frame, lattice, source = frame_at(fc, index, [name for name in names if name in fc])
+    contacts = Contacts.of(frame, lattice, source)
+    return contacts.normal, np.linalg.norm(contacts.force, axis=1)
 
 
 def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray, NDArray]:

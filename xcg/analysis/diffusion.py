@@ -36,6 +36,8 @@ _TENSOR = ("component", "direction")
 _ABOUT = {
     "mean_squared_displacement": ("m^2", "mean squared displacement"),
     "displacement_products": ("m^2", "mean product of components of the displacement"),
+    "velocity_autocorrelation": ("m^2 s^-2", "velocity autocorrelation"),
+    "normalised_autocorrelation": ("1", "velocity autocorrelation over that at lag 0"),
     "self_diffusion": ("m^2 s^-1", "self-diffusion"),
     "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
 }
@@ -178,6 +180,124 @@ def mean_squared_displacement(
     if by is not None:
         result = result.assign_coords(phase=phases_of(by, known))
     return with_phase_labels(result)
+
+
+@takes_scene
+def velocity_autocorrelation(
+    ds: xr.Dataset,
+    lags: int | Sequence[int] | None = None,
+    *,
+    remove_drift: bool = True,
+) -> xr.Dataset:
+    """Velocity autocorrelation of the grains over several lags (computes, step by step).
+
+    Grains are followed by their ids. As many steps as the longest lag are in memory.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene of several steps at equal distances, with velocities.
+    lags : int or list of int, optional
+        Numbers of steps; one number for all up to it. By default 1, 2, 4, ... up to half of the
+        steps. Lag 0 is always there.
+    remove_drift : bool
+        Subtract, at each step, the mean velocity of all grains (default).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``velocity_autocorrelation`` (lag), the mean of v(t) . v(t + lag) over grains and steps, the
+        axes of the scene added up; ``normalised_autocorrelation``, over its value at lag 0; their
+        standard errors, ``<name>_error``, from blocks of steps as in `time_average`; and
+        ``pair_count``. Frozen grains do not count.
+
+    Raises
+    ------
+    SceneError
+        If there are no velocities or ids, times are not known, or the steps are not at equal
+        distances.
+    ValueError
+        If a lag does not fit the series.
+
+    Notes
+    -----
+    The integral over the lag, divided by the number of dimensions, is the self-diffusion (Green
+    1954; Kubo 1957). In a flow that differs from place to place the flow is part of it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xcg
+    >>> v = np.tile([[1.0, 0, 0], [-1.0, 0, 0]], (4, 1, 1))  # straight on for four steps
+    >>> r = v * np.arange(4.0)[:, None, None]
+    >>> ds = xcg.scene_from_arrays(r, velocity=v, diameter=np.full((4, 2), 0.1), time=np.arange(4.0))
+    >>> ds.cg.velocity_autocorrelation(2).velocity_autocorrelation.values.tolist()
+    [1.0, 1.0, 1.0]
+    """
+    require_scene(ds, ("velocity",), "velocity_autocorrelation")
+    require_ids(ds, "velocity_autocorrelation")
+    steps = ds.sizes["time"]
+    chosen = [0, *chosen_lags(lags, steps, "velocity_autocorrelation")]
+    require_known_times(ds, "velocity_autocorrelation")
+    interval = evenly_spaced(ds["time"].to_numpy(), "times")
+    axes = list(describe(ds).setup.axes)
+    sums = np.zeros((steps, len(chosen), 3))  # of products, of squares at the first step, of pairs
+    recent: deque[tuple[NDArray, NDArray]] = deque(maxlen=chosen[-1] + 1)
+    for t, (ids, velocity) in enumerate(_velocities(ds, axes, remove_drift)):
+        recent.append((ids, velocity))
+        for k, lag in enumerate(chosen):
+            if lag > t:
+                continue
+            old_ids, old_velocity = recent[-1 - lag]
+            rows = rows_of(ids, old_ids)
+            stay = rows >= 0
+            products = (old_velocity[stay] * velocity[rows[stay]]).sum()
+            sums[t - lag, k] = products, (old_velocity[stay] ** 2).sum(), stay.sum()
+    samples = xr.Dataset(
+        {name: (("first", "lag"), sums[..., n]) for n, name in enumerate(("sum", "size", "count"))},
+        {"lag": interval * np.array(chosen)},
+    )
+
+    def means(sums: xr.Dataset) -> xr.Dataset:
+        return xr.Dataset(
+            {
+                "velocity_autocorrelation": sums["sum"] / sums["count"].where(sums["count"] > 0),
+                "normalised_autocorrelation": sums["sum"] / sums["size"].where(sums["size"] > 0),
+            }
+        )
+
+    of_lags = [
+        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
+        for k, lag in enumerate(chosen)
+    ]
+    system = str(ds.attrs.get("unit_system", "SI"))
+    values = means(samples.sum("first"))
+    data: dict[str, Any] = dict(with_errors(values, xr.concat(of_lags, "lag"), _ABOUT, system))
+    pairs = samples["count"].sum("first").astype("int64")
+    data["pair_count"] = labelled(pairs, "1", "number of pairs of velocities")
+    coords = {
+        "lag": annotated("lag", samples["lag"], units_in("s", system), "time between two steps"),
+        "steps": annotated("lag", chosen, "1", "steps between"),
+    }
+    call = call_of("velocity_autocorrelation", {"lags": chosen, "remove_drift": remove_drift})
+    return xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
+
+
+def _velocities(
+    ds: xr.Dataset, axes: Sequence[int], remove_drift: bool
+) -> Iterator[tuple[NDArray, NDArray]]:
+    """Return the ids and velocities (n, axes) of the grains that move, step by step."""
+    read = ("particle_id", "position", "velocity", "frozen", *OF_STEP)
+    names = [name for name in read if name in ds]
+    periodic = str(ds.attrs.get("periodic", ""))
+    for step in each_step(ds[names]):
+        padded = {name: step[name].to_numpy() for name in names}
+        frame, _, _ = next(steps_in(padded, periodic))
+        frame = without_frozen(frame)
+        velocity = frame["velocity"][:, axes]
+        if remove_drift and len(velocity):
+            velocity = velocity - velocity.mean(axis=0)
+        yield frame["particle_id"], velocity
 
 
 def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:

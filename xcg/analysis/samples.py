@@ -485,7 +485,17 @@ class Mixture:
     def segregation(self, which: int) -> float:
         """Return the index of segregation by centres: 1 on top, -1 at the bottom; NaN for the bulk."""
         members = self.phase == which - 1
-        if which == 0 or not members.any() or members.all():
+        if which == 0:
+            return math.nan
+        if len(members) and (members.all() or not members.any()):
+            warn_once(
+                "one phase by height",
+                f"segregation_index is NaN: all {len(members)} grains that move are of one phase; by= names "
+                "the variable that holds the phases, and ds.cg.assign_phases(edges=[...]) makes one from "
+                "diameters",
+            )
+            return math.nan
+        if not len(members):
             return math.nan
         apart = self._rise(members * self.volume)
         order = np.argsort(-self.height)

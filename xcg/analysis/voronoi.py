@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import extra, rising_pair
-from xcg.common.messages import SceneError, plain
+from xcg.common.messages import SceneError, plain, warn_once
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
@@ -26,6 +26,10 @@ _LEAST_AREA = 1e-6
 _ROUNDING = 1e-9
 # Rows of a lazy result; cells of random points have 15.5 faces on average, half of them a pair.
 _PAIRS_A_PARTICLE = 12
+# cells without a face to an edge that tell the packing inside, and share of the volume of those at
+# edges above which they are said to reach beyond the grains: at flat walls a packing is looser by less
+_INSIDE = 20
+_OUTSIDE = 0.4
 
 _ROWS = {
     "particle_id": VARIABLES["particle_id"],
@@ -180,6 +184,7 @@ class _Cells(FrameAnalysis):
         counts = (j >= 0) & (j != i) & (area > _LEAST_AREA)
         with np.errstate(divide="ignore"):
             fraction = np.where(volumes > 0, frame["volume"] / volumes, np.nan)
+        self._warn_of_reach(i, j, area_vector, volumes, fraction, source)
         ids = frame["particle_id"]
         results = {
             "particle_id": ids,
@@ -195,6 +200,37 @@ class _Cells(FrameAnalysis):
             results["face_area"] = area[once] * unit**2
             results["face_normal"] = area_vector[once] / area[once, None]
         return results
+
+    def _warn_of_reach(
+        self,
+        i: NDArray,
+        j: NDArray,
+        area_vector: NDArray,
+        volumes: NDArray,
+        fraction: NDArray,
+        source: str,
+    ) -> None:
+        """Warn if cells at open edges hold much more volume than their grains need inside.
+
+        The packing fraction of grains inside is the median of cells without a face to an open edge.
+        """
+        is_open = [a in self.setup.plane and a not in self.setup.periodic for a in COMPONENTS]
+        faces = (j < 0) & (np.abs(area_vector[:, is_open]).sum(axis=1) > _LEAST_AREA)
+        at_edge = np.zeros(len(volumes), bool)
+        at_edge[i[faces]] = True
+        inside = ~at_edge & np.isfinite(fraction)
+        if inside.sum() < _INSIDE or not at_edge.any():
+            return
+        needed = (fraction[at_edge] * volumes[at_edge]).sum() / np.median(fraction[inside])
+        share = 1 - needed / volumes[at_edge].sum()
+        if share > _OUTSIDE:
+            warn_once(
+                "cells beyond the grains",
+                f"{source}: {at_edge.sum()} cells end at edges of the region, and {share:.0%} of their volume is "
+                "more than their grains take up inside: they reach beyond the grains, as at a free surface or "
+                "in a container that is no box. End the region at the grains, bounds=, or leave these cells "
+                "out: voronoi_fraction is too low there",
+            )
 
     def _region(self, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Return vectors along the edges of the region that cells fill (3, 3), and its corner."""

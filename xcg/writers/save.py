@@ -49,14 +49,20 @@ _NAMES = {
 }
 
 
+_TABLES = (
+    "; a result becomes a table by f.to_dataframe().to_csv(path), and the grains of a scene by "
+    "ds[['particle_id', 'mass']].to_dataframe().to_csv(path), as variables of one kind make a table"
+)
 # what to do instead, by suffixes that others write
 _OTHER_SUFFIXES = {
     ".vtu": "; ParaView opens .vtkhdf and .pvd, and to_vtu writes fields onto a given mesh",
     ".vti": "; ParaView opens .vtkhdf and .pvd",
     ".vtk": "; ParaView opens .vtkhdf and .pvd",
-    ".vtp": "; ParaView opens .vtkhdf and .pvd",
-    ".csv": "; tables are written by ds.to_dataframe().to_csv(path)",
-    ".txt": "; tables are written by ds.to_dataframe().to_csv(path)",
+    ".vtp": "; ParaView opens .vtkhdf and .pvd of fields, and grains by "
+    "ds.cg.to_pyvista(shapes=False)['particles'].save('grains.vtp')",
+    ".csv": _TABLES,
+    ".txt": _TABLES,
+    ".xlsx": _TABLES,
     ".hdf5": "; did you mean .h5?",
     ".png": "; pictures are drawn by plot and view",
 }

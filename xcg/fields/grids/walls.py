@@ -47,6 +47,17 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
+def _check_count(wall: object, *sides: NDArray) -> None:
+    """Raise ValueError if cells on a grid of these sides are more than memory is worth."""
+    count = math.prod(len(side) for side in sides)
+    if count >= _MOST_CELLS:
+        raise ValueError(
+            f"{wall!r} would have {count:.2g} cells of the kernel's size, expected fewer than "
+            f"{_MOST_CELLS:.2g}: is the wall in another unit of length than the scene? Its numbers are "
+            "in the scene's unit, m by default; or give a larger spacing="
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceCells:
     """Cells of a surface.
@@ -260,6 +271,7 @@ class Plane(Wall):
             side = cell_centres(low, high, spacing, dim)
             size *= (high - low) / len(side)
             coords[dim] = (side, f"position along {dim}")
+        _check_count(self, *(side for side, _ in coords.values()))
         sides = np.meshgrid(*(side for side, _ in coords.values()), indexing="ij")
         first, second = (a.reshape(-1, 1) for a in sides)
         centre = self._origin + first * self._frame[1] + second * self._frame[2]
@@ -393,6 +405,7 @@ class Cylinder(Wall):
             high = float(self.high)
         theta = cell_centres(0.0, 2 * np.pi, spacing / self.radius, "theta")
         along = cell_centres(low, high, spacing, "the axis")
+        _check_count(self, theta, along)
         angle, z = (a.ravel() for a in np.meshgrid(theta, along, indexing="ij"))
         axis, first, second = self._frame
         radial = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
