@@ -6,7 +6,8 @@ import runpy
 import numpy as np
 import pytest
 
-from docs import contact_speed, cost, lattice, levels, nine_grains
+import xcg
+from docs import contact_speed, cost, lattice, levels, needs, nine_grains
 from tests import ROOT
 
 
@@ -135,3 +136,12 @@ def test_the_sheet_of_the_gallery_shows_scripts():
     for script in gallery_sheet.SCRIPTS:
         assert (gallery_sheet.GALLERY / f"{script}.py").exists()
     assert gallery_sheet.picture_of("cases/heap").ndim == 3
+
+
+def test_a_box_is_exact_and_nodes_owe_their_spread_to_few_grains():
+    ds = xcg.datasets.dense_packing(4000)
+    for fields in needs.FIELDS:
+        places = [needs.Job(place, fields).spread(ds) for place in needs.PLACES]
+        assert places[0] < 1e-10
+        assert places[1] < 0.3 * places[3]
+    assert needs.explained().count("```text") == 3
