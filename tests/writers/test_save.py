@@ -596,3 +596,41 @@ def test_a_series_without_steps_is_saved(tmp_path, suffix):
         tmp_path / f"f{suffix}", engine="zarr" if suffix == ".zarr" else None
     ) as again:
         assert again.sizes == f.sizes
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("time", [slice(None), 0])
+def test_a_list_of_names_writes_the_same_files(tmp_path, lazy, time):
+    ds = random_steps(4)
+    f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(["density", "velocity"]).isel(time=time)
+    names = ["f.nc", "f.zarr", "f.vtkhdf"]
+    paths = f.cg.save([tmp_path / name for name in names])
+    assert [path.name for path in paths] == names
+    for name, path in zip(names[:2], paths[:2], strict=True):
+        alone = f.cg.save(tmp_path / f"alone_{name}")
+        xr.testing.assert_identical(reopen(path).compute(), reopen(alone).compute())
+    alone = f.cg.save(tmp_path / "alone.vtkhdf")
+    with h5py.File(paths[2]) as image, h5py.File(alone) as image_alone:
+        where = "VTKHDF/PointData/velocity"
+        np.testing.assert_array_equal(image[where], image_alone[where])
+
+
+def test_a_list_of_names_computes_each_step_once(tmp_path):
+    computed = []
+
+    def seen(values):
+        computed.append(len(values))
+        return values
+
+    f = random_steps(4).cg.coarse_grain(["density"]).chunk(time=1)
+    f["density"] = f.density.copy(data=f.density.data.map_blocks(seen, meta=f.density.data._meta))
+    f.cg.save([tmp_path / "f.nc", tmp_path / "f.vtkhdf"])
+    assert computed == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("names", [[], ["f.nc", "f.pvd"], ["f.nc", "f.nc"]])
+def test_lists_that_cannot_be_written_together_raise(tmp_path, names):
+    f = random_steps(1).cg.coarse_grain(["density"])
+    with pytest.raises(ValueError, match="expected different names"):
+        f.cg.save([tmp_path / name for name in names])
+    assert not list(tmp_path.iterdir())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, overload
 
 import xarray as xr
 from numpy.typing import DTypeLike
@@ -15,7 +15,7 @@ from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
 from xcg.writers.paraview import write_pvd
-from xcg.writers.store import Format, write_file
+from xcg.writers.store import Format, Output, write_all
 from xcg.writers.vtkhdf import VTKHDF
 
 
@@ -106,9 +106,33 @@ def register_writer(suffix: str, write: Writer) -> None:
     _WRITERS[suffix] = write
 
 
+@overload
 def save(
     ds: xr.Dataset,
     path: str | os.PathLike[str],
+    *,
+    overwrite: bool = ...,
+    dtype: DTypeLike | None = ...,
+    digits: int | None = ...,
+    compression: int | None = ...,
+    resume: bool = ...,
+    progress: bool | None = ...,
+) -> Path: ...
+@overload
+def save(
+    ds: xr.Dataset,
+    path: list[str] | list[Path],
+    *,
+    overwrite: bool = ...,
+    dtype: DTypeLike | None = ...,
+    digits: int | None = ...,
+    compression: int | None = ...,
+    resume: bool = ...,
+    progress: bool | None = ...,
+) -> list[Path]: ...
+def save(
+    ds: xr.Dataset,
+    path: str | os.PathLike[str] | list[str] | list[Path],
     *,
     overwrite: bool = False,
     dtype: DTypeLike | None = None,
@@ -116,7 +140,7 @@ def save(
     compression: int | None = None,
     resume: bool = False,
     progress: bool | None = None,
-) -> Path:
+) -> Path | list[Path]:
     """Write a scene or a result, as the name says: NetCDF, HDF5, Zarr or VTKHDF.
 
     A scene that is opened again with ``xr.open_dataset(path, chunks={})`` or ``xr.open_zarr(path)``
@@ -134,13 +158,14 @@ def save(
     ----------
     ds : xarray.Dataset
         A scene or a result, lazy or in memory.
-    path : str or path
+    path : str or path, or list of them
         ``*.nc`` for NetCDF 4 (deflate), or ``*.h5`` for the same file, which is HDF5; ``*.zarr``
         for a Zarr folder (Zstandard), which is written and read faster, by several tasks at a time;
         ``*.vtkhdf`` for chains, and for fields on evenly spaced nodes, as one image with time steps
         and an array for each field and phase (``velocity``, ``velocity_phase_1``);
         ``*.pvd`` for fields as images, one file a step, which ParaView before 5.12 reads, too. It
-        appears only when it is whole.
+        appears only when it is whole. A list of names (not of ``*.pvd``) writes all of them, and
+        reads and computes each step once.
     overwrite : bool
         Replace existing files.
     dtype : {"float32", "float64"}, optional
@@ -165,8 +190,8 @@ def save(
 
     Returns
     -------
-    pathlib.Path
-        The file or folder.
+    pathlib.Path, or list of pathlib.Path
+        The file or folder, or those of a list.
 
     Raises
     ------
@@ -184,11 +209,73 @@ def save(
         `compression` is not one of the above, or the format does not take it: chains in VTKHDF take
         none of the three, ``*.pvd`` takes no `compression`.
     """
-    path = Path(path)
+    paths = [Path(each) for each in path] if isinstance(path, list) else [Path(path)]
+    writers = [_writer_of(each) for each in paths]
+    _raise_for_units(ds)
+    encoding = Encoding.of(ds, dtype, digits, compression)
+    for each in paths:
+        check_target(each, overwrite=overwrite)
+    of_chains = VTKHDF in writers and "chain_id" in ds
+    if write_pvd in writers and compression is not None:
+        raise ValueError(
+            f"{paths[writers.index(write_pvd)]}: VTK chooses the compression of images; leave out compression="
+        )
+    formats = [writer for writer in writers if isinstance(writer, Format)]
+    if resume and (of_chains or len(formats) < len(writers)):
+        raise ValueError(
+            f"{paths[0]}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
+        )
+    if isinstance(path, list):
+        if not paths or of_chains or len(formats) < len(paths) or len(set(paths)) < len(paths):
+            names = ", ".join(map(str, paths))
+            raise ValueError(
+                f"path=[{names}]: expected different names for scenes or fields that end with .nc, "
+                ".h5, .zarr or .vtkhdf; save others by calls of their own"
+            )
+        together = [dict(zip(paths, formats, strict=True))]
+        if "time" not in ds.dims:  # images have a time axis, and the other files should not
+            ds = ds.compute()
+            together = [{each: kind} for each, kind in zip(paths, formats, strict=True)]
+        for files in together:
+            write_all(
+                Output(ds, files, encoding), overwrite=overwrite, resume=resume, progress=progress
+            )
+        return paths
+    path = paths[0]
+    writer = writers[0]
+    if of_chains:
+        options = {"dtype": dtype, "digits": digits, "compression": compression}
+        passed = ", ".join(f"{name}=" for name, value in options.items() if value is not None)
+        if passed:
+            raise ValueError(
+                f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
+            )
+        chains.to_vtkhdf(ds, path, overwrite=overwrite)
+    elif isinstance(writer, Format):
+        write_all(
+            Output(ds, {path: writer}, encoding),
+            overwrite=overwrite,
+            resume=resume,
+            progress=progress,
+        )
+    elif writer is write_pvd:
+        write_pvd(ds, path, encoding, overwrite=overwrite, progress=progress)
+    else:
+        writer(ds, path, encoding, overwrite=overwrite)
+    return path
+
+
+def _writer_of(path: Path) -> Writer | Format:
+    """Return the writer that the end of a name chooses."""
     if path.suffix not in _WRITERS:
         known = ", ".join(_NAMES.get(end, end) for end in _WRITERS)
         hint = _OTHER_SUFFIXES.get(path.suffix, "")
         raise ValueError(f"{path}: expected a name that ends with {known}{hint}")
+    return _WRITERS[path.suffix]
+
+
+def _raise_for_units(ds: xr.Dataset) -> None:
+    """Raise TypeError if variables are quantities of pint."""
     with_units = [
         str(name)
         for name, v in ds.variables.items()
@@ -199,30 +286,3 @@ def save(
             f"{', '.join(with_units)}: expected plain numbers, not quantities of pint; "
             "ds.pint.dequantify(format='~C') keeps the units as attributes"
         )
-    encoding = Encoding.of(ds, dtype, digits, compression)
-    check_target(path, overwrite=overwrite)
-    writer = _WRITERS[path.suffix]
-    of_chains = writer is VTKHDF and "chain_id" in ds
-    if writer is write_pvd and compression is not None:
-        raise ValueError(f"{path}: VTK chooses the compression of images; leave out compression=")
-    if resume and (of_chains or not isinstance(writer, Format)):
-        raise ValueError(
-            f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
-        )
-    if of_chains:
-        options = {"dtype": dtype, "digits": digits, "compression": compression}
-        passed = ", ".join(f"{name}=" for name, value in options.items() if value is not None)
-        if passed:
-            raise ValueError(
-                f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
-            )
-        chains.to_vtkhdf(ds, path, overwrite=overwrite)
-    elif isinstance(writer, Format):
-        write_file(
-            ds, path, encoding, writer, overwrite=overwrite, resume=resume, progress=progress
-        )
-    elif writer is write_pvd:
-        write_pvd(ds, path, encoding, overwrite=overwrite, progress=progress)
-    else:
-        writer(ds, path, encoding, overwrite=overwrite)
-    return path

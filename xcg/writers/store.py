@@ -262,23 +262,29 @@ class Output:
 
 
 def write_file(
-    ds: xr.Dataset,
-    path: Path,
-    encoding: Encoding,
-    kind: Format,
+    ds: xr.Dataset, path: Path, encoding: Encoding, kind: Format, *, overwrite: bool
+) -> None:
+    """Write one file."""
+    write_all(Output(ds, {path: kind}, encoding), overwrite=overwrite)
+
+
+def write_all(
+    output: Output,
     *,
     overwrite: bool,
     resume: bool = False,
     progress: bool | None = False,
 ) -> None:
-    """Write one file; `progress` as in `xcg.steps.mapping.shown`."""
+    """Write all files of an output; `progress` as in `xcg.steps.mapping.shown`."""
     work = None
     if resume:
+        path = next(iter(output.files))
         work = path.with_name(f".{path.name}.begun")
-    steps = write_files([Output(ds, {path: kind}, encoding)], overwrite=overwrite, work=work)
+    steps = write_files([output], overwrite=overwrite, work=work)
     done = next(steps)
+    total = output.ds.sizes.get("time", 1)
     # callbacks of dask count the tasks of this process, and those of a cluster report by themselves
-    with shown(ds.sizes.get("time", 1), progress, done=done) as bar, count_tasks(bar, _writes):
+    with shown(total, progress, done=done) as bar, count_tasks(bar, _writes):
         for written in steps:
             bar.update(written - bar.n)
 
@@ -395,7 +401,7 @@ def _laid_out(output: Output, *, is_resumed: bool) -> tuple[StoreLayout, dict[st
         state = state_of(ds, output.encoding, [kind.name for kind in output.files.values()])
     for kind in output.files.values():
         ds = kind.check(ds)
-        together = kind.together
+        together = kind.together or together
     layout = StoreLayout.of(ds, output.encoding, together)
     return layout, state | {"steps in a chunk": str(layout.steps)}
 
