@@ -25,7 +25,7 @@ ABOVE_A_FLOOR = ("depth_average", "wall_stress")
 FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))
 
 
-def scene(name: str, steps: int = 3, offsets: np.ndarray | None = None) -> xr.Dataset:
+def moving_spheres(name: str, steps: int = 3, offsets: np.ndarray | None = None) -> xr.Dataset:
     """Return moving spheres with contacts for a call, in memory: in a periodic box, or above a floor.
 
     Parameters

@@ -20,7 +20,7 @@ from xcg.fields.grids.walls import Wall
 L = np.array([6.0, 5.0, 4.0])
 
 
-def scene(periodic="xy", count=120, seed=3, steps=1, dt=0.0, contacts=False):
+def falling_grains(periodic="xy", count=120, seed=3, steps=1, dt=0.0, contacts=False):
     rng = np.random.default_rng(seed)
     start = rng.uniform(0, 1, (count, 3)) * L
     velocity = rng.normal([0.3, 0.1, -0.5], size=(count, 3))
@@ -64,7 +64,7 @@ def images(ds, k, reach=2):
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
 @pytest.mark.parametrize("k", [0, 2])
 def test_a_whole_plane_by_brute_force(periodic, k):
-    ds, width, place = scene(periodic, contacts=True), 0.8, 1.7
+    ds, width, place = falling_grains(periodic, contacts=True), 0.8, 1.7
     normal = -2.0 * np.eye(3)[k]
     point = np.full(3, 0.4)
     point[k] = place
@@ -89,7 +89,7 @@ def test_a_whole_plane_by_brute_force(periodic, k):
 
 
 def test_momentum_density_times_the_area():
-    ds = scene("xyz")
+    ds = falling_grains("xyz")
     p = ds.cg.coarse_grain("momentum_density", width=1.0, axes="", at={"z": 2.0})
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), width=1.0)
     assert q.mass_flow_rate.item() == pytest.approx(
@@ -98,7 +98,7 @@ def test_momentum_density_times_the_area():
 
 
 def test_a_tilted_plane_by_brute_force():
-    ds, width = scene(""), 0.8
+    ds, width = falling_grains(""), 0.8
     normal, point = np.array([1.0, 2.0, -0.5]), np.array([3.0, 2.0, 2.0])
     q = ds.cg.flow_rate(xcg.Plane(point, normal), ["mass", "momentum"], width=width)
     n = normal / np.linalg.norm(normal)
@@ -109,11 +109,11 @@ def test_a_tilted_plane_by_brute_force():
         q.momentum_flow_rate.values[0], (m[:, None] * v * (v @ n)[:, None] * psi[:, None]).sum(0)
     )
     with pytest.raises(xcg.SceneError, match="average"):
-        scene("xyz").cg.flow_rate(xcg.Plane(point, normal), width=width)
+        falling_grains("xyz").cg.flow_rate(xcg.Plane(point, normal), width=width)
 
 
 def test_phases_add_up():
-    ds = scene()
+    ds = falling_grains()
     q = ds.cg.flow_rate(
         xcg.Plane((0, 0, 2), (0, 0, 1)), ["mass", "momentum"], width=1.0, by="species"
     )
@@ -146,7 +146,7 @@ def mass_within(ds, low, high, width):
 
 def test_outflow_of_a_closed_box_is_its_loss_of_mass():
     ds, low, high, width = (
-        scene("", count=60, steps=3, dt=1e-3),
+        falling_grains("", count=60, steps=3, dt=1e-3),
         [1.5, 1.2, 1.0],
         [4.2, 3.9, 3.1],
         0.7,
@@ -162,7 +162,7 @@ def test_outflow_of_a_closed_box_is_its_loss_of_mass():
 
 
 def test_triangles_and_cylinders_are_sums_over_points():
-    ds, width = scene("", count=200), 0.8
+    ds, width = falling_grains("", count=200), 0.8
     bounds = ((1.0, 5.0), (0.5, 4.5))
     plane = ds.cg.flow_rate(
         xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=bounds), ["mass", "momentum"], width=width
@@ -199,7 +199,7 @@ def test_parts_of_a_triangle_have_its_area_and_its_centre(spacing):
 
 
 def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():
-    ds, plane = scene(steps=4, dt=0.1), xcg.Plane((0, 0, 2), (0, 0, 1))
+    ds, plane = falling_grains(steps=4, dt=0.1), xcg.Plane((0, 0, 2), (0, 0, 1))
     eager, lazy = (one.cg.flow_rate(plane, width=1.0) for one in (ds, ds.chunk(time=1)))
     assert lazy.mass_flow_rate.chunks is not None
     np.testing.assert_array_equal(lazy.mass_flow_rate, eager.mass_flow_rate)
@@ -207,7 +207,7 @@ def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():
 
 
 def test_energy_of_grains_without_contacts():
-    ds, width = scene("xy"), 0.9
+    ds, width = falling_grains("xy"), 0.9
     v, m = ds.velocity.values[0], ds.mass.values[0]
     psi = plane_marginal(width, ds.position.values[0][:, 2] - 2.0)
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "energy", width=width)
@@ -245,7 +245,7 @@ def test_energy_without_rotation_says_so(lacking):
 ])  # fmt: skip
 def test_wrong_arguments_raise(surface, of, message):
     with pytest.raises(ValueError, match=message):
-        scene().cg.flow_rate(surface, of)
+        falling_grains().cg.flow_rate(surface, of)
 
 
 def test_a_layer_has_its_thickness():

@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def opened(code, **names):
+def scene_of_page(code, **names):
     scope = {"xcg": xcg, **names}
     exec(code, scope)
     return scope["ds"].load()
@@ -64,7 +64,7 @@ def test_recipe_for_yade_opens(folder):
     scope = {"O": omega, "Sphere": Sphere}
     exec(script, scope)
     scope["save"](str(folder))
-    ds = opened(blocks("YADE")[0])
+    ds = scene_of_page(blocks("YADE")[0])
     assert (ds.time.item(), ds.step.item()) == (0.5, 20)
     np.testing.assert_array_equal(ds.box[0, :, 1], [10, 11, 12])
     np.testing.assert_array_equal(ds.contact_i[0], [1, 0])
@@ -95,10 +95,10 @@ def test_recipe_for_tables_opens(folder):
         both = pd.concat([pd.DataFrame(table).assign(time=time) for time in (0.0, 0.5)])
         both.to_csv(f"{name}.csv", index=False)
     first, second = blocks("Tables")[0].splitlines()
-    ds = opened(first)
+    ds = scene_of_page(first)
     np.testing.assert_array_equal(ds.contact_force[1], scene.contact_force[0])
-    np.testing.assert_array_equal(opened(second).charge[0], x[0])
-    later = opened(blocks("Tables")[1])
+    np.testing.assert_array_equal(scene_of_page(second).charge[0], x[0])
+    later = scene_of_page(blocks("Tables")[1])
     assert later.time.values.tolist() == [0.5]
     for name in later.data_vars:
         np.testing.assert_array_equal(later[name][0], ds[name][1])
@@ -113,7 +113,7 @@ def test_recipe_for_hdf5_opens(folder):
         for time in (0.5, 1.25):
             for name, values in names.items():
                 file[f"Step{time}/{name}"] = values
-    ds = opened(blocks("HDF5")[0])
+    ds = scene_of_page(blocks("HDF5")[0])
     np.testing.assert_array_equal(ds.time, [0.5, 1.25])
     np.testing.assert_array_equal(ds.contact_force[1, 0], [-5, 1, 0])
     np.testing.assert_array_equal(ds.diameter[0], [1, 1])

@@ -9,7 +9,7 @@ from unittest import mock
 import pytest
 
 from tests import raise_if_dask_computes
-from tests.analyses import CALLS, COMPUTED, OTHERS, PARTS, classes, methods, scene
+from tests.analyses import CALLS, COMPUTED, OTHERS, PARTS, classes, methods, moving_spheres
 from tests.writers.test_save import assert_same_bits
 from xcg.steps import analysis
 
@@ -20,7 +20,7 @@ SLICES = {"one chunk": slice(2, 4), "a part": slice(1, 6), "an empty chunk": sli
 
 @cache
 def series(name):
-    return scene(name, STEPS)
+    return moving_spheres(name, STEPS)
 
 
 @pytest.mark.filterwarnings("ignore:.*granular_temperature is NaN")

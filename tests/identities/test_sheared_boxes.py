@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.analyses import CALLS, EDGE, scene
+from tests.analyses import CALLS, EDGE, moving_spheres
 
 OFFSETS = np.array([0.0, 0.4, 2.3])
 
@@ -24,8 +24,8 @@ WITHOUT_IMAGES = {"slice_temperature", "flow_rate", "assign_phases", "fit_law"}
 @pytest.mark.parametrize("name", [name for name in CALLS if name not in OTHERS])
 def test_an_offset_of_whole_periods_changes_nothing(name):
     call = CALLS[name]
-    f = call(scene(name, offsets=OFFSETS)).drop_vars("lattice", errors="ignore")
-    later = call(scene(name, offsets=OFFSETS + np.array([EDGE, 2 * EDGE, EDGE])))
+    f = call(moving_spheres(name, offsets=OFFSETS)).drop_vars("lattice", errors="ignore")
+    later = call(moving_spheres(name, offsets=OFFSETS + np.array([EDGE, 2 * EDGE, EDGE])))
     for result in f.data_vars:
         np.testing.assert_allclose(later[result], f[result], rtol=1e-9, atol=1e-12)
     if name not in WITHOUT_IMAGES:
@@ -34,7 +34,7 @@ def test_an_offset_of_whole_periods_changes_nothing(name):
 
 
 def test_waves_of_a_sheared_box_have_its_periods():
-    ds = scene("waves", offsets=OFFSETS)
+    ds = moving_spheres("waves", offsets=OFFSETS)
     f = ds.cg.structure_factor(vectors=[(1, 2, 0), (0, 1, 3)])
     position = ds.position.to_numpy()
     for t, offset in enumerate(OFFSETS):

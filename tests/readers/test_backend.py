@@ -20,7 +20,7 @@ def files(tmp_path):
     return series.write_vtp_series(tmp_path, 60, STEPS, base=3)
 
 
-def opened(files, **options):
+def open_by_xarray(files, **options):
     others = {name: value for name, value in files.items() if name != "particles"}
     return xr.open_dataset(files["particles"], engine=SceneBackend, **others, **options)
 
@@ -32,7 +32,7 @@ def test_each_body_is_read_once_for_all_variables(files, reads, chunks, expected
     scene = xcg.open_scene(**files)
     whole = scene.compute()
     reads.clear()
-    ds = opened(files, chunks=chunks)
+    ds = open_by_xarray(files, chunks=chunks)
     assert (ds.position.chunks is None) if expected is None else (ds.position.chunks[0] == expected)
     assert ds.attrs.keys() == scene.attrs.keys()
     assert reads == {("particles", 0): 1, ("particles", STEPS - 1): 1}
@@ -45,7 +45,7 @@ def test_fields_have_the_bits_of_open_scene(files):
     expected = xcg.open_scene(**files).cg.coarse_grain(fields).compute()
     for chunks in (None, {}, {"time": 2}):
         xr.testing.assert_equal(
-            opened(files, chunks=chunks).cg.coarse_grain(fields).compute(), expected
+            open_by_xarray(files, chunks=chunks).cg.coarse_grain(fields).compute(), expected
         )
 
 
@@ -105,7 +105,7 @@ def test_a_relative_path_and_another_current_folder(tmp_path, monkeypatch):
 
 
 def test_options_and_drop_variables_are_taken(files):
-    ds = opened(
+    ds = open_by_xarray(
         files,
         reader="mfix",
         drop_variables=["velocity", "nothing"],
@@ -115,9 +115,9 @@ def test_options_and_drop_variables_are_taken(files):
     assert "velocity" not in ds
     assert ds.attrs["gravity"].tolist() == [0, 0, -9.81]
     with pytest.raises(xcg.SceneError, match="unknown engine 'mfx'; did you mean 'mfix'"):
-        opened(files, reader="mfx")
+        open_by_xarray(files, reader="mfx")
     with pytest.raises(xcg.SceneError, match=r"no argument 'graviti' .*did you mean 'gravity'"):
-        opened(files, graviti=(0, 0, 1))
+        open_by_xarray(files, graviti=(0, 0, 1))
 
 
 def test_only_files_that_an_engine_recognises_are_taken(files, tmp_path):

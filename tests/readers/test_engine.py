@@ -244,7 +244,7 @@ def reader(step=None, **changed):
     return Own
 
 
-def opened(tmp_path, engine):
+def open_own_file(tmp_path, engine):
     (tmp_path / "own.txt").touch()
     return xcg.open_scene(tmp_path / "own.txt", engine=engine, density=1.0).compute()
 
@@ -256,7 +256,7 @@ def test_engines_may_return_lists(tmp_path):
         "periodic": "x",
     }
     velocity = [[3, 3, 3], [1, 1, 1], [2, 2, 2]]
-    ds = opened(
+    ds = open_own_file(
         tmp_path, reader(step, position=np.eye(3).tolist(), velocity=velocity, charge=[6, 4, 5])
     )
     assert ds.velocity.values[0, :, 0].tolist() == [1, 2, 3]
@@ -287,4 +287,4 @@ def test_engines_may_return_lists(tmp_path):
 )
 def test_results_of_engines_are_checked(tmp_path, changed, told):
     with pytest.raises(xcg.SceneError, match=rf"own.txt.*{told}"):
-        opened(tmp_path, reader(**changed))
+        open_own_file(tmp_path, reader(**changed))

@@ -33,7 +33,7 @@ def lattice_of(cell, periodic="xyz", velocity=None):
     return Lattice.of(box | ({} if velocity is None else {"lattice_velocity": velocity}), periodic)
 
 
-def packing(seed, cell, count=60, moving=True):
+def tilted_packing(seed, cell, count=60, moving=True):
     """Random grains in a tilted box, with contacts of all that overlap, across its edges too."""
     rng = np.random.default_rng(seed)
     position = LOW + rng.random((count, 3)) @ cell
@@ -150,7 +150,7 @@ TILTS = [(1.3, -0.7, 2.1), (2.5, 2.5, 3.0), (-4.9, 0.0, 0.0)]
 @pytest.mark.parametrize("axes", ["xyz", "yz", "z"])
 def test_fields_equal_those_of_another_basis_and_other_images(tilt, axes):
     cell = cell_of(tilt)
-    given = packing(1, cell)
+    given = tilted_packing(1, cell)
     rng = np.random.default_rng(2)
     bases = np.array([[1, 0, 0], [3, 1, 0], [-2, -1, 1]])
     again = given | {
@@ -174,7 +174,7 @@ def test_fields_equal_those_of_another_basis_and_other_images(tilt, axes):
 @pytest.mark.parametrize("width", [1.2, 2.1])  # the second reaches over more than a box
 def test_a_box_tilted_by_whole_periods_is_the_box_without_tilt(width, gradient):
     cell = np.diag(LENGTHS)
-    given = packing(3, cell)
+    given = tilted_packing(3, cell)
     one = xcg.scene_from_arrays(**given, box=BOX)
     two = xcg.scene_from_arrays(**given, box=BOX, lattice={"xy": 15.0, "xz": -5.0, "yz": 8.0})
     assert "lattice" not in one
@@ -186,7 +186,7 @@ def test_a_box_tilted_by_whole_periods_is_the_box_without_tilt(width, gradient):
 
 def test_sums_over_images_one_by_one():
     cell = cell_of(TILTS[0])
-    given = packing(4, cell)
+    given = tilted_packing(4, cell)
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
     f = ds.cg.coarse_grain(
         ["density", "momentum_density", "contact_stress"], width=0.8, spacing=2.0, rtol=0
@@ -206,7 +206,7 @@ def test_sums_over_images_one_by_one():
 
 def test_the_integral_of_stress_is_the_virial_and_of_density_the_mass():
     cell = cell_of(TILTS[1])
-    given = packing(5, cell)
+    given = tilted_packing(5, cell)
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
     f = ds.cg.coarse_grain(["density", "contact_stress", "fabric"], width=0.9, spacing=0.25)
     lattice = lattice_of(cell)
@@ -225,7 +225,7 @@ def test_the_integral_of_stress_is_the_virial_and_of_density_the_mass():
 
 
 def test_averages_undefined_by_shifted_images_raise():
-    given = packing(6, cell_of((1.3, 0.0, 0.0)))
+    given = tilted_packing(6, cell_of((1.3, 0.0, 0.0)))
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice={"xy": 1.3})
     with pytest.raises(SceneError, match=r"along y are shifted along x, .*axes='xy'"):
         ds.cg.coarse_grain("density", axes="x", width=1.0)
@@ -362,7 +362,7 @@ def test_wrong_lattices_raise(options, match):
 @pytest.mark.parametrize("tilt", TILTS)
 def test_all_contacts_across_tilted_edges_are_found(tilt):
     cell = cell_of(tilt)
-    given = packing(8, cell)
+    given = tilted_packing(8, cell)
     known = {k: given[k] for k in ("position", "diameter", "density", "periodic")}
     known["position"] = known["position"] + np.random.default_rng(1).integers(-2, 3, (60, 3)) @ cell
     ds = xcg.scene_from_arrays(**known, box=BOX, lattice=cell).cg.find_contacts()
@@ -385,7 +385,7 @@ def test_all_contacts_across_tilted_edges_are_found(tilt):
 
 def test_microstructure_and_chains_equal_those_of_another_basis():
     cell = cell_of(TILTS[0])
-    given = packing(9, cell)
+    given = tilted_packing(9, cell)
     again = given | {
         "position": given["position"] + np.random.default_rng(2).integers(-2, 3, (60, 3)) @ cell
     }

@@ -332,7 +332,7 @@ def chain(shear, count=30):
     return grains, rows
 
 
-def opened(tmp_path, shear, names, columns=RAW):
+def open_chain(tmp_path, shear, names, columns=RAW):
     grains, rows = chain(shear)
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(grains))
     contacts = dumps.write(tmp_path / "c.dump", dumps.pairs_text(rows, columns))
@@ -341,7 +341,7 @@ def opened(tmp_path, shear, names, columns=RAW):
 
 def test_normal_forces_read_as_whole_forces_warn(tmp_path):
     with pytest.warns(xcg.SceneWarning) as said:
-        opened(tmp_path, 2.0, WHOLE).compute()
+        open_chain(tmp_path, 2.0, WHOLE).compute()
     text = only(said)
     assert "c.dump (step 0): all contact forces lie along the branches" in text
     assert "columns c_2[7] c_2[8] c_2[9] are not read" in text
@@ -352,7 +352,7 @@ def test_normal_forces_without_branches_warn(tmp_path):
     """The centres tell the branches; the last columns that nobody wanted are the first guess."""
     names = {column: name for column, name in WHOLE.items() if "branch" not in name}
     with pytest.warns(xcg.SceneWarning) as said:
-        opened(tmp_path, 2.0, names).compute()
+        open_chain(tmp_path, 2.0, names).compute()
     text = only(said)
     assert "columns c_2[1] c_2[2] c_2[3] c_2[7] c_2[8] c_2[9] are not read" in text
     assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
@@ -360,22 +360,22 @@ def test_normal_forces_without_branches_warn(tmp_path):
 
 def test_whole_forces_do_not_warn(tmp_path):
     dropped = WHOLE | {f"c_2[{k}]": None for k in (7, 8, 9)}
-    opened(tmp_path, 2.0, dropped).compute()  # said not to be wanted
+    open_chain(tmp_path, 2.0, dropped).compute()  # said not to be wanted
     parts = {
         column: slot.replace("contact_force", "normal_force") for column, slot in WHOLE.items()
     }
     both = parts | {f"c_2[{7 + k}]": f"tangential_force_{a}" for k, a in enumerate("xyz")}
-    force = opened(tmp_path, 2.0, both).contact_force.values[0]
+    force = open_chain(tmp_path, 2.0, both).contact_force.values[0]
     np.testing.assert_allclose(force[0], [7 * 0.3 - 2 * 0.1, 7 * 0.1 + 2 * 0.3, 0.0], rtol=1e-5)
     # the sum of both in columns that have other columns beside them
     turned = {f"c_2[{7 + k}]": f"contact_force_{a}" for k, a in enumerate("xyz")}
     kept = {column: slot for column, slot in WHOLE.items() if "force" not in slot}
-    opened(tmp_path, 2.0, kept | turned).compute()
+    open_chain(tmp_path, 2.0, kept | turned).compute()
 
 
 def test_unnamed_columns_raise_with_a_table_of_names(tmp_path):
     with pytest.raises(xcg.SceneError) as raised:
-        opened(tmp_path, 2.0, {})
+        open_chain(tmp_path, 2.0, {})
     text = " ".join(str(raised.value).split())
     assert "no ids of both partners among the columns c_1[1] c_1[2] c_2[1]" in text
     assert "which become patom1 patom2 contact_i, contact_j dx dy dz contact_branch_x" in text
@@ -384,7 +384,7 @@ def test_unnamed_columns_raise_with_a_table_of_names(tmp_path):
         in text
     )
     with pytest.raises(xcg.SceneError) as raised:  # not where columns have names
-        opened(tmp_path, 2.0, {}, columns=" ".join("abcdefghijk"))
+        open_chain(tmp_path, 2.0, {}, columns=" ".join("abcdefghijk"))
     assert "patom1" not in str(raised.value)
 
 

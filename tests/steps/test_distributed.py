@@ -11,8 +11,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests.analyses import CALLS
-from tests.analyses import scene as moving_spheres
+from tests.analyses import CALLS, moving_spheres
 from tests.benchmarks import series
 from tests.scenes import random_steps, reopen
 from tests.writers.test_save import assert_same_bits

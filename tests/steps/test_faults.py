@@ -26,7 +26,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def opened(folder, **options):
+def open_dumps(folder, **options):
     return xcg.open_scene(str(folder / "p.*.dump"), contacts=str(folder / "c.*.dump"), **options)
 
 
@@ -37,9 +37,9 @@ def garble(path, old="1.9", new="oops"):
 @pytest.mark.parametrize("chunks", [1, 2, -1])
 @pytest.mark.parametrize("name", ["p.20.dump", "c.20.dump"])
 def test_a_garbled_body_is_raised_or_skipped(folder, name, chunks):
-    whole = opened(folder).cg.coarse_grain(["density", "stress"], axes="z").compute()
+    whole = open_dumps(folder).cg.coarse_grain(["density", "stress"], axes="z").compute()
     garble(folder / name, *(("1.9", "oops") if name[0] == "p" else ("-9", "oops")))
-    ds = opened(folder, chunks=chunks)
+    ds = open_dumps(folder, chunks=chunks)
     with pytest.raises(xcg.SceneError, match=rf"{name} \(step 20\): row \d has 'oops'"):
         ds.cg.coarse_grain(["density", "stress"], axes="z").compute()
     f = ds.cg.coarse_grain(["density", "stress"], axes="z", on_error="skip")
@@ -57,7 +57,7 @@ def test_a_garbled_body_is_raised_or_skipped(folder, name, chunks):
 
 def test_fields_of_particles_do_not_read_damaged_contacts(folder):
     garble(folder / "c.20.dump", "-9", "oops")
-    f = opened(folder).cg.coarse_grain("density", axes="z", on_error="skip").compute()
+    f = open_dumps(folder).cg.coarse_grain("density", axes="z", on_error="skip").compute()
     assert not f.skipped.any()
 
 
@@ -67,15 +67,15 @@ def test_skipping_is_lazy_and_nothing_is_skipped_in_whole_files(folder):
         raise AssertionError(msg)
 
     with dask.config.set(scheduler=refuse):
-        f = opened(folder).cg.coarse_grain(["density", "stress"], axes="z", on_error="skip")
-    plain = opened(folder).cg.coarse_grain(["density", "stress"], axes="z")
+        f = open_dumps(folder).cg.coarse_grain(["density", "stress"], axes="z", on_error="skip")
+    plain = open_dumps(folder).cg.coarse_grain(["density", "stress"], axes="z")
     xr.testing.assert_equal(f.drop_vars("skipped").compute(), plain.compute())
     assert not f.skipped.values.any()
 
 
 def test_every_function_over_time_can_skip(folder):
     garble(folder / "p.20.dump")
-    ds = opened(folder)
+    ds = open_dumps(folder)
     for result in (
         ds.cg.force_chains(on_error="skip"), ds.cg.particle_stress(on_error="skip"),
         ds.cg.microstructure(on_error="skip"), ds.cg.slice_temperature("z", on_error="skip"),
@@ -88,7 +88,7 @@ def test_every_function_over_time_can_skip(folder):
 
 
 def test_a_step_in_memory_that_cannot_be_computed_is_skipped(folder):
-    ds = opened(folder).load()
+    ds = open_dumps(folder).load()
     ds.box.values[1, 0] = np.nan
     with pytest.raises(xcg.SceneError, match="step 10: axis 'x' is periodic"):
         ds.cg.coarse_grain("density", axes="z", extent={"x": 1, "y": 1})
@@ -127,7 +127,7 @@ def test_programming_errors_are_never_skipped(folder):
         msg = "not the data's fault"
         raise TypeError(msg)
 
-    ds = opened(folder)
+    ds = open_dumps(folder)
     out = map_over_time(ds, ["position"], broken, {"a": ((), "float64")}, "broken", "skip")
     with pytest.raises(TypeError, match="not the data"):
         out["a"].compute()
@@ -146,7 +146,7 @@ def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
             raise error
         return {"a": np.ones(len(arrays["step"])), "b": np.ones(len(arrays["step"]), int)}
 
-    ds = opened(folder) if lazy else opened(folder).load()
+    ds = open_dumps(folder) if lazy else open_dumps(folder).load()
     results = {"a": ((), "float64"), "b": ((), "int64")}
     with pytest.warns(
         SkippedStep, match=r"step 20 is skipped: \S"
@@ -170,7 +170,7 @@ def test_errors_of_programs_are_raised(folder, error):
     def broken(arrays):
         raise error
 
-    ds = opened(folder).load()
+    ds = open_dumps(folder).load()
     with pytest.raises(error):
         map_over_time(ds, ["position"], broken, {"a": ((), "float64")}, "broken", "skip")
 
@@ -178,7 +178,7 @@ def test_errors_of_programs_are_raised(folder, error):
 def test_whole_numbers_of_a_skipped_step_are_padding(folder):
     garble(folder / "p.20.dump")
     with pytest.warns(SkippedStep):
-        got = opened(folder).cg.force_chains(on_error="skip").compute()
+        got = open_dumps(folder).cg.force_chains(on_error="skip").compute()
     whole = [name for name, a in got.data_vars.items() if a.dtype.kind == "i"]
     assert len(whole) > 5
     for name in whole:
@@ -186,15 +186,15 @@ def test_whole_numbers_of_a_skipped_step_are_padding(folder):
 
 
 def test_wrong_on_error_raises(folder):
-    for call in (lambda: opened(folder, on_error="ignore"),
-                 lambda: opened(folder).cg.coarse_grain("density", on_error="ignore")):  # fmt: skip
+    for call in (lambda: open_dumps(folder, on_error="ignore"),
+                 lambda: open_dumps(folder).cg.coarse_grain("density", on_error="ignore")):  # fmt: skip
         with pytest.raises(ValueError, match="on_error='ignore': expected 'raise'"):
             call()
 
 
 def test_results_with_skipped_steps_are_saved(folder):
     garble(folder / "p.20.dump")
-    f = opened(folder).cg.coarse_grain(["density"], axes="z", on_error="skip")
+    f = open_dumps(folder).cg.coarse_grain(["density"], axes="z", on_error="skip")
     with pytest.warns(SkippedStep):
         f.to_netcdf(folder / "f.nc")
     with xr.open_dataset(folder / "f.nc") as g:
@@ -218,7 +218,7 @@ def test_messages_escape_control_characters(folder):
     with pytest.raises(xcg.SceneError) as error:
         xcg.open_scene(folder / "p.10.dump")
     with pytest.warns(xcg.SceneWarning) as said:
-        opened(folder, on_error="skip")
+        open_dumps(folder, on_error="skip")
     command = CliRunner().invoke(group, ["info", str(folder / "p.10.dump")])
     for text in (str(error.value), " ".join(str(w.message) for w in said), command.output):
         assert SHOWN in text
@@ -226,7 +226,7 @@ def test_messages_escape_control_characters(folder):
 
 
 def test_the_summary_of_a_scene_is_printable(folder):
-    ds = opened(folder)
+    ds = open_dumps(folder)
     text = repr(ds.assign({CODES: ds["diameter"]}).cg)
     assert SHOWN in text
     assert all(c.isprintable() or c == "\n" for c in text)
@@ -248,9 +248,9 @@ def test_errors_and_warnings_pickle():
 def test_a_file_without_a_header_is_named_or_left_out(folder, damage, step):
     (folder / f"p.{step}.dump").write_text(damage)
     with pytest.raises(ValueError, match=rf"p\.{step}\.dump"):
-        opened(folder, engine="lammps")
+        open_dumps(folder, engine="lammps")
     with pytest.warns(xcg.SceneWarning) as said:
-        ds = opened(folder, on_error="skip")
+        ds = open_dumps(folder, on_error="skip")
     assert any(f"p.{step}.dump" in str(w.message) for w in said)
     assert ds.attrs["skipped_files"].count(f"p.{step}.dump") == 1
     assert ds.step.values.tolist() == [s for s in STEPS if s != step]
@@ -263,8 +263,8 @@ def test_a_garbled_first_or_last_body_stays_a_step(folder):
     garble(folder / "p.0.dump")
     garble(folder / "p.40.dump")
     with pytest.raises(xcg.SceneError, match=r"p\.0\.dump"):
-        opened(folder)
-    ds = opened(folder, on_error="skip")
+        open_dumps(folder)
+    ds = open_dumps(folder, on_error="skip")
     with pytest.warns(SkippedStep) as said:
         f = ds.cg.coarse_grain("density", axes="z", on_error="skip").compute()
     assert len(said) == 2
@@ -274,9 +274,9 @@ def test_a_garbled_first_or_last_body_stays_a_step(folder):
 def test_a_damaged_file_of_contacts_is_no_step_without_contacts(folder):
     (folder / "c.20.dump").write_text("")
     with pytest.warns(xcg.SceneWarning):
-        assert opened(folder, on_error="skip").step.values.tolist() == [0, 10, 30, 40]
+        assert open_dumps(folder, on_error="skip").step.values.tolist() == [0, 10, 30, 40]
     with pytest.raises(xcg.SceneError, match=r"c\.20\.dump.*missing='empty'"):
-        opened(folder, on_error="skip", missing="empty")
+        open_dumps(folder, on_error="skip", missing="empty")
 
 
 def test_missing_files_of_a_list_are_skipped(folder):
@@ -291,11 +291,11 @@ def test_a_series_of_empty_files_raises(folder):
     for path in folder.glob("p.*"):
         path.write_text("")
     with pytest.raises(ValueError, match=r"p\.0\.dump"):
-        opened(folder, on_error="skip", engine="lammps")
+        open_dumps(folder, on_error="skip", engine="lammps")
 
 
 def test_a_file_removed_after_opening_is_skipped(folder):
-    ds = opened(folder)
+    ds = open_dumps(folder)
     (folder / "p.20.dump").unlink()
     with pytest.raises(xcg.SceneError, match="is gone"):
         ds.cg.coarse_grain("density", axes="z").compute()

@@ -13,7 +13,7 @@ from tests.brute_force import BruteKernel
 WIDTH = 0.8
 
 
-def scene(periodic="xy", *, heat=1.0, **options):
+def heated_grains(periodic="xy", *, heat=1.0, **options):
     ds = xcg.datasets.random_scene(60, periodic=periodic, seed=2, **options)
     rate = np.random.default_rng(5).normal(size=ds.sizes["contact"]) * heat
     return ds.assign(contact_heat=(("time", "contact"), rate[None], {"units": "W"}))
@@ -38,7 +38,7 @@ def shifts(ds):
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
 def test_conduction_equals_its_definition(periodic):
-    ds, kernel = scene(periodic), BruteKernel("lucy", WIDTH)
+    ds, kernel = heated_grains(periodic), BruteKernel("lucy", WIDTH)
     nodes = np.random.default_rng(1).uniform(0.2, 4.8, (7, 3))
     s, weights = np.polynomial.legendre.leggauss(120)
     expected = np.zeros_like(nodes)
@@ -74,7 +74,7 @@ def cumulative(x, c):
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
 def test_the_heat_balance_closes(periodic):
     """Content between two planes changes by what grains carry, what contacts conduct, and what walls give."""
-    ds, c, (low, high) = scene(periodic), 2 * WIDTH, (0.4, 3.1)
+    ds, c, (low, high) = heated_grains(periodic), 2 * WIDTH, (0.4, 3.1)
     r, v = ds.position.values[0], ds.velocity.values[0]
     content = np.random.default_rng(3).normal(size=len(r)) + 300.0
     gained = np.zeros(len(r))
@@ -119,7 +119,7 @@ def test_heat_flows_from_j_to_i_and_phases_add_up():
 
 
 def test_wrong_conduction_raises():
-    ds = scene()
+    ds = heated_grains()
     for given, error, message in (
         (xcg.Conduction("mass"), ValueError, "one number for each contact"),
         (xcg.Conduction("contact_force"), ValueError, "one number for each contact"),

@@ -322,7 +322,7 @@ def test_mass_weights_need_masses():
     assert float(f.heat.mean()) == pytest.approx(300, abs=1)
 
 
-def series(steps=3):
+def uneven_steps(steps=3):
     """Steps with different numbers of grains and contacts."""
     many = [arrays(seed) for seed in range(steps)]
     for k, a in enumerate(many):
@@ -349,7 +349,7 @@ ASKED = [
 
 
 def test_lazy_scenes_give_the_same_bits():
-    ds = series()
+    ds = uneven_steps()
     whole = ds.cg.coarse_grain(ASKED, width=WIDTH, spacing=0.3, by="species")
     lazy = ds.chunk(time=1)
     f = lazy.cg.coarse_grain(
@@ -368,7 +368,7 @@ def bounds_of(f):
 
 
 def test_variables_may_be_assigned_lazily():
-    ds = series().chunk(time=1)
+    ds = uneven_steps().chunk(time=1)
     ds = ds.assign(energy=0.5 * ds.mass * (ds.velocity**2).sum("component"))
     dyad = (ds.velocity * ds.whirl.rename(component="direction")).transpose(
         "direction", "component", "time", "particle"
@@ -388,7 +388,7 @@ def test_variables_may_be_assigned_lazily():
 
 
 def test_steps_that_fail_may_be_skipped():
-    ds = series()
+    ds = uneven_steps()
     ds["heat"].values[1, 7] = np.inf
     with pytest.warns(xcg.SkippedStep, match="'heat' of particle 7 is inf"):
         f = ds.cg.coarse_grain("heat", width=WIDTH, axes="z", on_error="skip")
@@ -411,7 +411,7 @@ def test_frozen_grains_are_not_counted():
 
 
 def test_averages_are_ratios_of_sums(tmp_path):
-    ds = series()
+    ds = uneven_steps()
     asked = [
         "heat",
         "density",
@@ -445,7 +445,7 @@ def test_contacts_are_counted_on_request():
 
 
 def test_a_job_file_holds_quantities_as_text(tmp_path):
-    ds = series()
+    ds = uneven_steps()
     job = tmp_path / "job.toml"
     for t in range(2):
         one = ds.isel(time=t)

@@ -22,7 +22,7 @@ directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(
 
 
 @cache
-def scene(periodic="", dimension=3):
+def grains_with_tensors(periodic="", dimension=3):
     ds = xcg.datasets.random_scene(150, periodic=periodic, dimension=dimension)
     return ds.assign(
         pull=ds.velocity * 2.0, strain=ds.velocity * ds.position.rename(component="direction")
@@ -113,7 +113,7 @@ def test_wrong_axes_raise(given, message):
 def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
     if np.linalg.norm(np.cross(x, z)) < 0.01:
         return
-    frame, ds = xcg.Rotated(x=x, z=z, origin=origin), scene()
+    frame, ds = xcg.Rotated(x=x, z=z, origin=origin), grains_with_tensors()
     fields = [*FIELDS, xcg.Mean("pull"), xcg.Mean("strain"), xcg.Variance("pull", name="scatter")]
     f = ds.cg.coarse_grain(fields, frame=frame, spacing=1.5, width=0.9)
     g = by_hand(ds, frame.axes, origin).cg.coarse_grain(fields, spacing=1.5, width=0.9)
@@ -131,7 +131,7 @@ def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
 
 def test_tensors_turn_back_into_those_of_the_scene():
     """One point, given in either axes: what is found there is the same thing."""
-    ds, frame = scene(), xcg.Rotated(z=(1, 2, 3), x=(1, -1, 0.5), origin=(1, 0.5, -2))
+    ds, frame = grains_with_tensors(), xcg.Rotated(z=(1, 2, 3), x=(1, -1, 0.5), origin=(1, 0.5, -2))
     place = np.array([2.0, 2.5, 3.0])
     there = dict(zip("xyz", frame.axes @ (place - frame.origin), strict=True))
     for name in ("velocity", "contact_stress", "velocity_gradient", "granular_temperature"):
@@ -145,7 +145,7 @@ def test_tensors_turn_back_into_those_of_the_scene():
 
 
 def test_arguments_are_in_the_axes_of_the_frame():
-    ds, frame = scene(), xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
+    ds, frame = grains_with_tensors(), xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
     options = {
         "pressure_dims": "z",
         "shear_dims": "xz",
@@ -161,7 +161,7 @@ def test_arguments_are_in_the_axes_of_the_frame():
 
 
 def test_gravity_turns_with_the_frame():
-    ds = scene().assign_attrs(gravity=np.array([0.0, 0.0, -9.81]))
+    ds = grains_with_tensors().assign_attrs(gravity=np.array([0.0, 0.0, -9.81]))
     f = ds.cg.coarse_grain("density", frame=xcg.Rotated(z=(1, 0, 1), x=(1, 0, -1)), spacing=2.0)
     np.testing.assert_allclose(
         f.attrs["gravity"], np.array([1, 0, -1]) * 9.81 / np.sqrt(2), atol=1e-12
@@ -174,7 +174,7 @@ def test_gravity_turns_with_the_frame():
 @pytest.mark.parametrize("z", [(1, 0, 0), (0, -1, 0), (0, 0, -1)])
 def test_periods_along_the_axes_stay_periods_along_axes(z):
     """Quarter turns give the nodes of the periodic mesh, each somewhere else, and averages over the box."""
-    ds, frame = scene("xyz"), xcg.Rotated(z=z)
+    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=z)
     f = ds.cg.coarse_grain(["density", "contact_stress"], frame=frame, spacing=0.5)
     assert f.attrs["wrapped_axes"] == "xyz"
     g = ds.cg.coarse_grain("density", spacing=0.5)
@@ -195,7 +195,7 @@ def test_periods_along_the_axes_stay_periods_along_axes(z):
 @pytest.mark.parametrize("z", [(0, 1, 1), (1, 2, 3)])
 def test_points_in_a_turned_periodic_box(periodic, z):
     """Images follow their box: the same places, in either axes, within it and in the next one."""
-    ds, frame = scene(periodic), xcg.Rotated(z=z, origin=(1, 0, 0))
+    ds, frame = grains_with_tensors(periodic), xcg.Rotated(z=z, origin=(1, 0, 0))
     place = np.random.default_rng(0).uniform(-2, 7, (12, 3))
     turned = (place - frame.origin) @ frame.axes.T
     here, there = (
@@ -212,7 +212,7 @@ def test_points_in_a_turned_periodic_box(periodic, z):
 
 def test_averages_over_the_whole_periods_of_a_turned_box():
     """About y, the axes x and z together still are two axes of the box."""
-    ds, frame = scene("xyz"), xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
+    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
     f = ds.cg.coarse_grain("density", frame=frame, axes="y", spacing=0.5)
     g = ds.cg.coarse_grain("density", axes="y", spacing=0.5)
     np.testing.assert_allclose(f.density, g.density, rtol=1e-12)
@@ -221,19 +221,21 @@ def test_averages_over_the_whole_periods_of_a_turned_box():
 def test_undefined_averages_raise():
     frame = xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
     with pytest.raises(xcg.SceneError, match=r"shifted along z.*does not exist"):
-        scene("xyz").cg.coarse_grain("density", frame=frame, axes="z")
+        grains_with_tensors("xyz").cg.coarse_grain("density", frame=frame, axes="z")
     with pytest.raises(ValueError, match="extent="):
-        scene("y").cg.coarse_grain("density", frame=frame, axes="z")
+        grains_with_tensors("y").cg.coarse_grain("density", frame=frame, axes="z")
     with pytest.raises(xcg.SceneError, match="extent="):
-        scene("x").cg.coarse_grain("density", frame=frame, axes="y")
-    f = scene("y").cg.coarse_grain("density", frame=frame, axes="z", extent={"x": 5.0})
+        grains_with_tensors("x").cg.coarse_grain("density", frame=frame, axes="y")
+    f = grains_with_tensors("y").cg.coarse_grain(
+        "density", frame=frame, axes="z", extent={"x": 5.0}
+    )
     assert float(f.density.sum() * (f.z[1] - f.z[0])) * 25 == pytest.approx(
-        float(scene("y").mass.sum()), rel=0.01
+        float(grains_with_tensors("y").mass.sum()), rel=0.01
     )
 
 
 def test_layers_turn_in_their_plane_only():
-    ds = scene(dimension=2)
+    ds = grains_with_tensors(dimension=2)
     f = ds.cg.coarse_grain(["density", "velocity"], frame=xcg.Rotated(x=(1, 1, 0)), spacing=1.0)
     assert set(f.density.dims) == {"time", "x", "y"}
     with pytest.raises(xcg.SceneError, match="lead out of it"):
@@ -244,7 +246,11 @@ def test_layers_turn_in_their_plane_only():
 
 
 def test_lazy_results_in_turned_axes_equal_eager_ones(tmp_path):
-    ds = xr.concat([scene(), scene().assign_coords(time=[1.0])], "time", data_vars="all")
+    ds = xr.concat(
+        [grains_with_tensors(), grains_with_tensors().assign_coords(time=[1.0])],
+        "time",
+        data_vars="all",
+    )
     ds.cg.save(tmp_path / "scene.nc")
     lazy, frame = (
         xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1}),
@@ -260,11 +266,13 @@ def test_lazy_results_in_turned_axes_equal_eager_ones(tmp_path):
     wide = lazy.cg.coarse_grain(
         "density", frame=frame, spacing=1.0
     )  # around the corners of the grains' extent
-    assert float(wide.density[0].sum()) == pytest.approx(float(scene().mass.sum()), rel=0.05)
+    assert float(wide.density[0].sum()) == pytest.approx(
+        float(grains_with_tensors().mass.sum()), rel=0.05
+    )
 
 
 def test_widths_displacements_and_balances_take_a_frame():
-    ds = scene()
+    ds = grains_with_tensors()
     frame = xcg.Rotated(z=(1, 2, 3), x=(1, -1, 0), origin=(1, 1, 1))
     turned = by_hand(ds, frame.axes, frame.origin)
     at = {"x": 1.0, "y": 1.0, "z": 2.0}
@@ -284,7 +292,7 @@ def test_widths_displacements_and_balances_take_a_frame():
 
 def test_displacements_in_turned_boxes():
     """A periodic box that stays is turned with its grains; one that changes is refused."""
-    ds, frame = scene("xyz"), xcg.Rotated(z=(1, 2, 3))
+    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=(1, 2, 3))
     later = ds.assign(position=(ds.position + 0.1 * ds.velocity) % 5.0).assign_coords(time=[1.0])
     two = xr.concat([ds, later], "time", data_vars="all")
     at = dict.fromkeys("xyz", 2.0)

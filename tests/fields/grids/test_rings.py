@@ -20,7 +20,7 @@ OMEGA = 0.7
 
 
 @cache
-def scene(**options):
+def grains_along_z(**options):
     return xcg.datasets.random_scene(300, **{"periodic": "z", "walls": False, **options})
 
 
@@ -106,7 +106,7 @@ def test_rigid_rotation_in_a_plane():
 
 
 def test_nodes_are_points_whose_fields_are_turned():
-    ds, frame = scene(), xcg.Cylindrical(origin=(2.5, 2.5, 1.0))
+    ds, frame = grains_along_z(), xcg.Cylindrical(origin=(2.5, 2.5, 1.0))
     names = [
         "density",
         "velocity",
@@ -144,7 +144,7 @@ def test_nodes_are_points_whose_fields_are_turned():
 @pytest.mark.parametrize("axes", ["r", "rz"])
 def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
     """Sums at fine angles, turned one by one and averaged; ratios and gradients follow from them."""
-    ds, width = scene(), 0.6
+    ds, width = grains_along_z(), 0.6
     low, high = part or (0.0, 2 * np.pi)
     bounds = (
         {"r": (0.6, 1.8)}
@@ -203,7 +203,7 @@ def test_the_heat_flux_of_a_ring_by_brute_force():
 
 def test_averages_over_theta_are_within_their_stated_error():
     """The error is a bound for each grain, and so for their sum."""
-    ds = scene()
+    ds = grains_along_z()
     options = {"axes": "r", "bounds": {"r": (0.0, 2.0)}, "spacing": 0.4, "width": 0.5}
 
     def density(error):
@@ -250,7 +250,7 @@ def test_the_integral_over_the_cylinder_is_the_mass(axis):
 
 
 def test_profiles_weight_rings_by_their_area():
-    f = scene().cg.coarse_grain(
+    f = grains_along_z().cg.coarse_grain(
         ["density", "velocity", "momentum_density"], frame=xcg.Cylindrical(origin=(2.5, 2.5, 0)), axes="rz",
         bounds={"r": (0, 2.4)}, spacing=0.3, width=0.5,
     )  # fmt: skip
@@ -302,7 +302,9 @@ def test_large_velocities_leave_small_fluctuations():
 
 
 def test_phases_own_variables_and_time_averages():
-    ds = scene().assign(charge=scene().diameter * 2.0, pull=scene().velocity * 3.0)
+    ds = grains_along_z().assign(
+        charge=grains_along_z().diameter * 2.0, pull=grains_along_z().velocity * 3.0
+    )
     options = {
         "frame": xcg.Cylindrical(origin=(2.5, 2.5, 0)), "axes": "r", "width": 0.6, "bounds": {"r": (0.4, 2.0)},
         "spacing": 0.4,
@@ -329,7 +331,7 @@ def test_phases_own_variables_and_time_averages():
 
 
 def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
-    ds = scene()
+    ds = grains_along_z()
     ds.cg.save(tmp_path / "scene.nc")
     lazy = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1})
     options = {
@@ -361,7 +363,7 @@ def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
 )
 def test_meaningless_requests_raise(given, message):
     with pytest.raises(ValueError, match=message):
-        scene().cg.coarse_grain(["velocity_gradient"], frame=xcg.Cylindrical(), **given)
+        grains_along_z().cg.coarse_grain(["velocity_gradient"], frame=xcg.Cylindrical(), **given)
 
 
 def test_wrong_frames_raise():
@@ -375,14 +377,14 @@ def test_wrong_frames_raise():
             xcg.Cylindrical(**given)
     for call in ("balance", "width_sweep"):
         with pytest.raises(ValueError, match="Cartesian axes"):
-            getattr(scene().cg, call)(
+            getattr(grains_along_z().cg, call)(
                 frame=xcg.Cylindrical(), **({"widths": [1, 2, 3]} if call == "width_sweep" else {})
             )
 
 
 @pytest.mark.parametrize("axes", ["rz", "rtz"])
 def test_on_the_axis_the_part_along_it_is_that_of_cartesian_axes(axes):
-    ds = scene()
+    ds = grains_along_z()
     options = {"width": 1.0, "spacing": {"r": 0.5, "theta": 1.0, "z": 1.0}}
     names = ["velocity", "stress", *SUMS]
     frame = xcg.Cylindrical("z", origin=(2.5, 2.2, 0))

@@ -18,7 +18,7 @@ FORCE = np.array([0.3, -0.2, 1.0])
 BOX = [[0, 1], [0, 1], [0, 1]]
 
 
-def scene(position, contacts=((0, 1), (2, 1)), point=None, **options):
+def touching_pairs(position, contacts=((0, 1), (2, 1)), point=None, **options):
     position = np.asarray(position, float)
     i, j = np.array(contacts).T
     if point is None:
@@ -60,7 +60,7 @@ def stress_along_z(z, contacts, cutoff):
 @pytest.mark.parametrize("contacts", [((0, 1), (2, 1)), ((1, 0), (1, 2))])
 def test_the_stress_of_a_contact_with_a_far_partner_is_exact_near_the_mesh(far, contacts, rtol):
     z = np.array([far, 0.5, 0.52])
-    ds = scene(np.column_stack([0 * z, 0 * z, z]), contacts)
+    ds = touching_pairs(np.column_stack([0 * z, 0 * z, z]), contacts)
     options = {
         "axes": "z",
         "bounds": {"z": (0.47, 0.53)},
@@ -79,7 +79,7 @@ def test_the_stress_of_a_contact_with_a_far_partner_is_exact_near_the_mesh(far, 
 
 def test_both_halves_of_a_far_branch_are_cut():
     """The contact point is off the line of centres, so that each half is a segment; along z they follow each other."""
-    ds = scene([[0, 0, 1e9], [0, 0, 0.5]], [(0, 1)], point=[[3e8, 0, 0.8]])
+    ds = touching_pairs([[0, 0, 1e9], [0, 0, 0.5]], [(0, 1)], point=[[3e8, 0, 0.8]])
     with warned_of_far():
         f = ds.cg.coarse_grain(
             "contact_stress", axes="z", bounds={"z": (0.4, 0.45)}, spacing=0.05, width=0.3
@@ -95,7 +95,7 @@ def test_the_far_part_of_a_slanted_branch_does_not_matter():
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.25, "width": 0.2}
     with warned_of_far():
         long, short = (
-            scene([near + length * direction, near], [(0, 1)]).cg.coarse_grain(
+            touching_pairs([near + length * direction, near], [(0, 1)]).cg.coarse_grain(
                 "contact_stress", **options
             )
             for length in (1e6, 4.0)
@@ -105,26 +105,30 @@ def test_the_far_part_of_a_slanted_branch_does_not_matter():
 
 
 def test_a_far_branch_adds_nothing():
-    ds = scene([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)])
+    ds = touching_pairs([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)])
     options = {"axes": "z", "bounds": {"z": (0.4, 0.6)}, "spacing": 0.1, "width": 0.3}
     with warned_of_far():
         f = ds.cg.coarse_grain(["contact_stress", "density"], **options)
     assert (f.contact_stress == 0).all()
-    alone = scene([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)]).isel(particle=[2])
+    alone = touching_pairs([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)]).isel(
+        particle=[2]
+    )
     np.testing.assert_array_equal(f.density, alone.cg.coarse_grain("density", **options).density)
 
 
 @pytest.mark.filterwarnings("ignore:width=")
 def test_a_support_of_1e20_m_sees_all_grains():
     """The one node of a fixed axis has no spacing: a support of 2e20 m sees all grains at its middle."""
-    ds = scene([[0, 0, 0.1], [0, 0, 0.5], [0, 0, 0.52]])
+    ds = touching_pairs([[0, 0, 0.1], [0, 0, 0.5], [0, 0, 0.52]])
     f = ds.cg.coarse_grain("sample_count", axes="", at={"z": 0.0}, width=1e20)
     assert f.sample_count.item() == 3
 
 
 @pytest.mark.filterwarnings("ignore:the grains have .* times the volume of the box")
 def test_too_many_periodic_images_raise():
-    ds = scene([[0, 0, 0], [0.001, 0, 0], [0, 0.001, 0]], box=[[0, 0.006]] * 3, periodic="xyz")
+    ds = touching_pairs(
+        [[0, 0, 0], [0.001, 0, 0], [0, 0.001, 0]], box=[[0, 0.006]] * 3, periodic="xyz"
+    )
     with pytest.raises(
         xcg.SceneError, match=r"the box is so small .* in 2.98e\+08 periodic images"
     ):
@@ -144,7 +148,7 @@ def test_too_many_periodic_images_raise():
     ],
 )  # fmt: skip
 def test_places_too_far_away_raise(position, options, message):
-    ds = scene(position, [(0, 1)], **options)
+    ds = touching_pairs(position, [(0, 1)], **options)
     with pytest.raises(xcg.SceneError, match=message), warned_of_far():
         ds.cg.coarse_grain(
             "contact_stress", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3
@@ -152,7 +156,7 @@ def test_places_too_far_away_raise(position, options, message):
 
 
 def test_a_spacing_far_beyond_the_support_raises():
-    ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
+    ds = touching_pairs([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
     with (
         pytest.raises(xcg.SceneError, match="closer to each other"),
         pytest.warns(xcg.SceneWarning, match="not seen"),
@@ -168,7 +172,7 @@ def test_sizes_whose_powers_overflow_raise():
         xcg.SceneError, match=r"'diameter' of particle 1 is 1e-110 m, expected 1e-75 to 1e\+75 m"
     ):
         xcg.scene_from_arrays(np.eye(3), diameter=[1.0, 1e-110, 1.0])
-    ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
+    ds = touching_pairs([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
     for width in (1e-310, 1e100):
         with pytest.raises(ValueError, match=r"expected a positive length \(m\) from 1e-75"):
             ds.cg.coarse_grain("density", axes="z", width=width, spacing=0.1)

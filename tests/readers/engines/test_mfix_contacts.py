@@ -24,7 +24,7 @@ mfix = Mfix()
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
 
 
-def opened(folder, **options):
+def open_folder(folder, **options):
     return xcg.open_scene(folder / "P_*.vtp", contacts=folder / "FC_*.vtp", **options).compute()
 
 
@@ -96,7 +96,7 @@ def by_pair(ds):
 
 def test_contact_points_of_unlike_spheres_follow_from_their_radii(unlike_spheres):
     folder, exact = unlike_spheres
-    ds = opened(folder, periodic="x", box={"x": (0.0, 0.02)})
+    ds = open_folder(folder, periodic="x", box={"x": (0.0, 0.02)})
     one, two = by_pair(ds), by_pair(exact)
     pairs = [np.sort([s.contact_i.values, s.contact_j.values], axis=0) for s in (one, two)]
     np.testing.assert_array_equal(*pairs)
@@ -110,7 +110,7 @@ def test_partial_pressure_particle_stress_and_chains_of_unlike_spheres(unlike_sp
     """What contact points enter into is that of exact ones; the middle of the centres gives something else."""
     folder, exact = unlike_spheres
     with pytest.warns(SceneWarning, match=r"recovered .*x: 0\.02"):
-        ds = opened(folder, periodic="x")
+        ds = open_folder(folder, periodic="x")
     # by hand: the virial of both sides of each contact, by species
     virial, row = np.zeros((3, 3, 3)), exact.species.values[0]
     names = ("contact_i", "contact_j", "contact_force", "contact_point")
@@ -160,11 +160,11 @@ def test_a_sphere_whose_partner_is_not_in_the_file(tmp_path):
         middle,
         FORCE_CHAIN_OVERLAP=overlap,
     )
-    ds = opened(tmp_path, allow_unknown=True)
+    ds = open_folder(tmp_path, allow_unknown=True)
     np.testing.assert_allclose(ds.contact_point.values[0], [[0, 0, 0.75]] * 2, rtol=1e-6)
     write_contacts(tmp_path / "FC_1.vtp", [4, 8], [7, 4], [[0, 0, -1], [0, 0, 1]], middle)
     with pytest.raises(SceneError, match="none follows without both spheres"):
-        opened(tmp_path, allow_unknown=True)
+        open_folder(tmp_path, allow_unknown=True)
 
 
 def test_messages_count_rows_of_the_file(tmp_path):
@@ -181,9 +181,9 @@ def test_messages_count_rows_of_the_file(tmp_path):
         FORCE_CHAIN_LENGTH=[1.0, 1.0, 4.5],
     )  # fmt: skip
     with pytest.raises(SceneError, match="contact row 2 has contact_j=7"):
-        opened(tmp_path)
+        open_folder(tmp_path)
     with pytest.raises(SceneError, match=r"contact row 2 \(i=4, j=7\) has no contact point"):
-        opened(tmp_path, allow_unknown=True)
+        open_folder(tmp_path, allow_unknown=True)
 
 
 def test_mapped_contact_points_are_kept(unlike_spheres):
@@ -265,7 +265,7 @@ def one_row_a_contact(x, i, j, force, point):
 def test_superquadrics_count_once(tmp_path):
     x, i, j, force, point = write_superquadrics(tmp_path)
     with pytest.warns(SceneWarning, match=r"recovered from contacts .*x: 1"):
-        ds = opened(tmp_path, periodic="x")
+        ds = open_folder(tmp_path, periodic="x")
     found = by_pair(ds)
     pairs = np.sort([found.contact_i.values, found.contact_j.values], axis=0)
     np.testing.assert_array_equal(pairs, np.array([i, j]) + 1)
@@ -297,7 +297,7 @@ def test_a_box_that_contradicts_contacts_across_its_edge_warns(tmp_path, length,
     write_superquadrics(tmp_path)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        opened(tmp_path, periodic="x", box={"x": (-0.1, length - 0.1)})
+        open_folder(tmp_path, periodic="x", box={"x": (-0.1, length - 0.1)})
     expected = (
         f"the period along 'x' is {length:g}, and contacts on both sides of an edge in .* are 1"
     )

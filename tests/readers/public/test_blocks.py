@@ -14,7 +14,7 @@ BLOCK = "\nTIME: {} s\n" + NAMES + "\n" + ROWS
 PLACES = [[0.4, 0.5, 0.6], [0.1, 0.2, 0.3]]  # by id
 
 
-def opened(tmp_path, text, name="p.csv", **options):
+def open_text(tmp_path, text, name="p.csv", **options):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     return xcg.open_scene(path, density=1.0, **options)
@@ -25,7 +25,7 @@ def opened(tmp_path, text, name="p.csv", **options):
 )
 @pytest.mark.filterwarnings("error")
 def test_tables_below_a_text_are_steps_with_the_times_above_them(tmp_path, head):
-    ds = opened(tmp_path, head + BLOCK.format("0.5") + BLOCK.format("1e0"))
+    ds = open_text(tmp_path, head + BLOCK.format("0.5") + BLOCK.format("1e0"))
     assert ds.time.values.tolist() == [0.5, 1.0]
     np.testing.assert_array_equal(ds.position, [PLACES, PLACES])
     np.testing.assert_array_equal(ds.particle_id, [[2, 5]] * 2)
@@ -43,11 +43,11 @@ def test_tables_below_a_text_are_steps_with_the_times_above_them(tmp_path, head)
 )
 @pytest.mark.filterwarnings("error")
 def test_times_in_a_text_have_units(tmp_path, line, time):
-    ds = opened(tmp_path, f"made by X\n{line}\n{NAMES}\n{ROWS}")
+    ds = open_text(tmp_path, f"made by X\n{line}\n{NAMES}\n{ROWS}")
     np.testing.assert_array_equal(ds.position[0], PLACES)
     assert ds.time.values.tolist() == [0.0 if time is None else time]
     if "ms" in line:  # the units of the caller are those of the numbers
-        ds = opened(tmp_path, f"made by X\n{line}\n{NAMES}\n{ROWS}", units={"time": 1e-3})
+        ds = open_text(tmp_path, f"made by X\n{line}\n{NAMES}\n{ROWS}", units={"time": 1e-3})
         assert ds.time.values.tolist() == [time]
 
 
@@ -70,7 +70,7 @@ def test_lines_above_the_names_are_passed_over(tmp_path, head):
         expected = np.multiply(PLACES, 1e-3)
     else:
         expected = PLACES
-    np.testing.assert_allclose(opened(tmp_path, text).position[0], expected, rtol=1e-15)
+    np.testing.assert_allclose(open_text(tmp_path, text).position[0], expected, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_lines_above_the_names_are_passed_over(tmp_path, head):
 @pytest.mark.filterwarnings("error")
 def test_units_in_a_row_of_their_own_are_converted(tmp_path, units):
     text = f"id;x;y;z;vx;vy;vz;radius\n{units}\n5;100;200;300;1;2;3;50\n"
-    ds = opened(tmp_path, text)
+    ds = open_text(tmp_path, text)
     np.testing.assert_allclose(ds.position[0], [[0.1, 0.2, 0.3]], rtol=1e-15)
     np.testing.assert_array_equal(ds.velocity[0], [[1, 2, 3]])
     np.testing.assert_allclose(ds.diameter, 0.1, rtol=1e-15)
@@ -87,7 +87,7 @@ def test_units_in_a_row_of_their_own_are_converted(tmp_path, units):
 
 @pytest.mark.filterwarnings("error")
 def test_a_column_of_times_in_units_of_a_row_separates_steps(tmp_path):
-    ds = opened(tmp_path, "t,id,x,y,z,radius\nms,-,m,m,m,m\n500,1,1,1,1,1\n1000,1,1,1,1,1\n")
+    ds = open_text(tmp_path, "t,id,x,y,z,radius\nms,-,m,m,m,m\n500,1,1,1,1,1\n1000,1,1,1,1,1\n")
     assert ds.time.values.tolist() == [0.5, 1.0]
 
 
@@ -97,7 +97,7 @@ def test_tables_without_a_time_between_them_are_an_error(tmp_path, first):
     with pytest.raises(
         xcg.SceneError, match=r"line 6 names the columns of one more table.*no line"
     ):
-        opened(tmp_path, text)
+        open_text(tmp_path, text)
 
 
 @pytest.mark.parametrize("line", ["7,1,2", "7,1,2,3,4,5", "\n7,1,2,3,1"])
@@ -105,13 +105,13 @@ def test_rows_that_are_cut_off_or_apart_are_an_error(tmp_path, line):
     text = f"EDEM\nTIME: 1 s\n{NAMES}\n{ROWS}{line}\n"
     number = 6 + line.count("\n")
     with pytest.raises(xcg.SceneError, match=f"line {number} begins with a number"):
-        opened(tmp_path, text)
+        open_text(tmp_path, text)
 
 
 def test_a_line_of_groups_above_the_names_is_read_by_pandas(tmp_path):
     text = ",position,position,position,velocity,velocity,velocity,\nid,x,y,z,x,y,z,radius\n1,1,2,3,4,5,6,7\n"
     with pytest.raises(xcg.SceneError, match="names 'x' twice, below a line of groups") as error:
-        opened(tmp_path, text)
+        open_text(tmp_path, text)
     call = str(error.value).partition("read it by ")[2]
     ds = eval(call, {"xcg": xcg, "pandas": pd})
     assert ds.velocity.values[0, 0].tolist() == [4, 5, 6]
@@ -121,13 +121,13 @@ def test_a_line_of_groups_above_the_names_is_read_by_pandas(tmp_path):
 @pytest.mark.parametrize("line", ["Total: 2 particles", "mean,.2,.3,.4,.1"])
 def test_a_line_of_text_below_the_rows_is_named(tmp_path, line):
     with pytest.raises(xcg.SceneError, match=r"line of text below the rows.*skipfooter=1"):
-        opened(tmp_path, f"{NAMES}\n{ROWS}{line}\n").load()
+        open_text(tmp_path, f"{NAMES}\n{ROWS}{line}\n").load()
 
 
 @pytest.mark.filterwarnings("error")
 def test_quoted_names_hold_separators(tmp_path):
     names = "id,\"('pos', 'x')\",\"('pos', 'y')\",\"('pos', 'z')\",radius"
-    np.testing.assert_array_equal(opened(tmp_path, f"{names}\n{ROWS}").position[0], PLACES)
+    np.testing.assert_array_equal(open_text(tmp_path, f"{names}\n{ROWS}").position[0], PLACES)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +137,13 @@ def test_quoted_names_hold_separators(tmp_path):
 @pytest.mark.filterwarnings("error")
 def test_texts_of_any_suffix_are_recognised_below_lines_with_the_time(tmp_path, head, suffix):
     text = head + "id x y z radius\n5 0.1 0.2 0.3 0.05\n2 0.4 0.5 0.6 0.05\n"
-    ds = opened(tmp_path, text, f"p.{suffix}")
+    ds = open_text(tmp_path, text, f"p.{suffix}")
     np.testing.assert_array_equal(ds.position[0], PLACES)
     assert ds.time.values.tolist() == [0.5]
 
 
 def test_units_below_the_names_of_a_text_are_recognised(tmp_path):
-    ds = opened(tmp_path, "id x y z radius\n- mm mm mm mm\n5 1 2 3 .5\n", "p.txt")
+    ds = open_text(tmp_path, "id x y z radius\n- mm mm mm mm\n5 1 2 3 .5\n", "p.txt")
     np.testing.assert_allclose(ds.position[0], [[1e-3, 2e-3, 3e-3]])
 
 
@@ -154,7 +154,7 @@ def test_rows_of_separators_at_the_end_are_none(tmp_path, end, row_end):
     lines = ["time;id;x;y;z;radius", "0;1;0;0;0;.5", "2;1;1;0;0;.5"]
     text = "".join(line + row_end + "\n" for line in lines) + end
     for eol in ("\n", "\r\n"):
-        ds = opened(tmp_path, text.replace("\n", eol)).load()
+        ds = open_text(tmp_path, text.replace("\n", eol)).load()
         np.testing.assert_array_equal(ds.position[:, 0, 0], [0.0, 1.0])
 
 
@@ -163,7 +163,7 @@ def test_the_call_for_decimal_commas_can_be_pasted(tmp_path, sign):
     rows = ["id x y z radius", "1 0,5 0 0 0,25", "2 1,5 0 0 0,25"]
     text = "\n".join(row.replace(" ", sign) for row in rows) + "\n"
     with pytest.raises(xcg.SceneError, match="decimal commas") as error:
-        opened(tmp_path, text, "p.csv").load()
+        open_text(tmp_path, text, "p.csv").load()
     call = str(error.value).partition("read by pandas: ")[2]
     ds = eval(call, {"xcg": xcg, "pandas": pd})  # as a user pastes it
     np.testing.assert_array_equal(ds.position[0, :, 0], [0.5, 1.5])
@@ -174,7 +174,9 @@ def test_the_call_for_decimal_commas_can_be_pasted(tmp_path, sign):
 )
 @pytest.mark.filterwarnings("error")
 def test_times_in_another_language_are_told_by_their_unit(tmp_path, column, seconds):
-    ds = opened(tmp_path, f"{column};id;x;y;z;radius\n0;1;0;0;0;.5\n2;1;1;0;0;.5\n")
+    ds = open_text(tmp_path, f"{column};id;x;y;z;radius\n0;1;0;0;0;.5\n2;1;1;0;0;.5\n")
     assert ds.time.values.tolist() == [0.0, seconds]
     with pytest.warns(xcg.SceneWarning, match="all rows are one step"):
-        opened(tmp_path, "elapsed step time [s];id;x;y;z;radius\n0.1;1;0;0;0;.5\n0.1;2;1;0;0;.5\n")
+        open_text(
+            tmp_path, "elapsed step time [s];id;x;y;z;radius\n0.1;1;0;0;0;.5\n0.1;2;1;0;0;.5\n"
+        )

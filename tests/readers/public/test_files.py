@@ -24,7 +24,7 @@ def write_tables(folder, names, column="id"):
         (folder / name).write_text(f"{column},x,y,z,radius\n1,{place},0,0,0.1\n")
 
 
-def grains(ids, step=0, **options):
+def dump_of_ids(ids, step=0, **options):
     """One step of grains whose x is their id, as a dump."""
     return dump_text([f"{i} 1 {i} 1 1 0 0 0 0.5 1" for i in ids], GRAINS, step=step, **options)
 
@@ -126,7 +126,7 @@ def test_names_of_vtk_files_are_read_alike(tmp_path):
 def write_text_pieces(folder):
     for rank, step in itertools.product(range(3), (0, 1000)):
         ids = [[1, 4], [3], []][rank]
-        write(folder / f"piece.{rank}.{step}.gz", grains(ids, step))
+        write(folder / f"piece.{rank}.{step}.gz", dump_of_ids(ids, step))
 
 
 def write_binary_pieces(folder):
@@ -139,7 +139,7 @@ def write_binary_pieces(folder):
 
 def write_pieces_of_many_steps(folder):
     for rank, ids in enumerate([[1], [4, 3]]):
-        write(folder / f"piece.{rank}", [grains(ids, step) for step in (0, 1000)])
+        write(folder / f"piece.{rank}", [dump_of_ids(ids, step) for step in (0, 1000)])
 
 
 def write_table_pieces(folder):
@@ -199,7 +199,7 @@ def test_a_piece_that_is_missing_is_an_error(tmp_path):
 def test_a_piece_that_changed_after_opening_is_noticed(tmp_path):
     write_text_pieces(tmp_path)
     scene = xcg.open_scene(f"{tmp_path}/piece*")
-    write(tmp_path / "piece.1.1000.gz", grains([3, 5], 1000))
+    write(tmp_path / "piece.1.1000.gz", dump_of_ids([3, 5], 1000))
     with pytest.raises(SceneError, match=r"piece\.1\.1000\.gz .* after the scene was opened"):
         scene.compute()
 
@@ -211,8 +211,10 @@ def test_pieces_without_ids_are_an_error(tmp_path):
 
 
 def test_pieces_of_other_boxes_are_an_error(tmp_path):
-    write(tmp_path / "p.0.5", grains([1], 5))
-    write(tmp_path / "p.1.5", grains([2], 5, box="ITEM: BOX BOUNDS pp pp ff\n0 9\n0 10\n-1 9\n"))
+    write(tmp_path / "p.0.5", dump_of_ids([1], 5))
+    write(
+        tmp_path / "p.1.5", dump_of_ids([2], 5, box="ITEM: BOX BOUNDS pp pp ff\n0 9\n0 10\n-1 9\n")
+    )
     with pytest.raises(SceneError, match=r"has pieces of different boxes, as in .*p\.1\.5"):
         xcg.open_scene(f"{tmp_path}/p.*")
 
@@ -222,7 +224,9 @@ def test_pieces_of_other_boxes_are_an_error(tmp_path):
 
 def write_runs(folder, first, second, one_file):
     """Write the steps of two runs; grain 1 of the second is at 2, and there alone is grain 5."""
-    steps = [grains([1, 3], step) for step in first] + [grains([1, 5], step) for step in second]
+    steps = [dump_of_ids([1, 3], step) for step in first] + [
+        dump_of_ids([1, 5], step) for step in second
+    ]
     if one_file:
         return write(folder / "all.dump", steps)
     for name, numbers in (("a", first), ("b", second)):
@@ -268,7 +272,7 @@ def test_the_last_step_may_be_written_again_where_a_run_goes_on(tmp_path):
 
 def test_contacts_that_go_back_take_the_times_of_the_particles(tmp_path):
     steps = (0, 10, 0, 5)
-    particles = write(tmp_path / "p.dump", [grains([1, 2], step) for step in steps])
+    particles = write(tmp_path / "p.dump", [dump_of_ids([1, 2], step) for step in steps])
     pairs = [
         pairs_text([f"1 2 {place} 0 0 0 0 0"], step=step) for place, step in enumerate(steps, 1)
     ]
@@ -291,7 +295,7 @@ def test_runs_in_one_table_are_an_error(tmp_path, times):
 @pytest.mark.filterwarnings("ignore:the box is periodic along")  # the grains are not of this box
 def test_a_file_that_is_cut_off_says_which_steps_are_kept(tmp_path):
     rng = np.random.default_rng(0)
-    texts = [grains(rng.permutation(20000), step) for step in range(0, 600, 100)]
+    texts = [dump_of_ids(rng.permutation(20000), step) for step in range(0, 600, 100)]
     packed = gzip.compress("".join(texts).encode())
     (tmp_path / "run.dump.gz").write_bytes(packed[: len(packed) * 3 // 5])
     kept = r"cut off .*; 3 whole steps before it \(step 0 to 200\) are kept"
@@ -369,6 +373,6 @@ def test_a_list_of_names_is_for_tables_without_names(tmp_path):
     write_tables(tmp_path, ["p.csv"])
     with pytest.raises(SceneError, match=r"the first line names them .*leave the list out"):
         xcg.open_scene(tmp_path / "p.csv", names=["id", "x", "y", "z", "radius"], density=1)
-    write(tmp_path / "p.dump", grains([1]))
+    write(tmp_path / "p.dump", dump_of_ids([1]))
     with pytest.raises(SceneError, match="'lammps' reads the names of columns from the files"):
         xcg.open_scene(tmp_path / "p.dump", names=["id", "x"], engine="lammps")

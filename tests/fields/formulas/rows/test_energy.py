@@ -174,7 +174,7 @@ def assert_is_definition(
         )
 
 
-def scene(seed=3, count=60, **options):
+def grains_at_moving_walls(seed=3, count=60, **options):
     """Random grains whose walls move, each contact with its own velocity."""
     ds = xcg.datasets.random_scene(count, seed=seed, **{"periodic": "xy", **options})
     rng = np.random.default_rng(seed)
@@ -191,26 +191,34 @@ def scene(seed=3, count=60, **options):
 )
 def test_fields_are_their_definitions(kernel, axes, at):
     width = 1.6 if kernel == "heaviside" else 0.9  # supports of much the same size
-    assert_is_definition(scene(count=150), kernel, width, axes=axes, at=at, spacing=1.3, points=5)
+    assert_is_definition(
+        grains_at_moving_walls(count=150), kernel, width, axes=axes, at=at, spacing=1.3, points=5
+    )
 
 
 @pytest.mark.parametrize("axes", ["xz", "z"])
 def test_fields_on_planes_lines_and_points_are_integrals(axes):
     # 64 Gauss points leave 1e-11 of marginals
     assert_is_definition(
-        scene(), "lucy", 0.8, axes=axes, spacing=0.9, scale=5.0 ** (len(axes) - 3), tolerance=3e-11
+        grains_at_moving_walls(),
+        "lucy",
+        0.8,
+        axes=axes,
+        spacing=0.9,
+        scale=5.0 ** (len(axes) - 3),
+        tolerance=3e-11,
     )
 
 
 def test_all_images_in_a_small_box_are_counted():
-    ds = scene(5, 12, periodic="xyz", edge=1.5)
+    ds = grains_at_moving_walls(5, 12, periodic="xyz", edge=1.5)
     inside = [name for name in NAMES if name != "wall_power"]
     # dozens of images of each contact add up, and cancel
     assert_is_definition(ds, "lucy", 1.2, spacing=0.5, points=4, fields=inside, tolerance=1e-11)
 
 
 def test_a_layer_turns_about_its_normal():
-    ds = scene(4, periodic="x", dimension=2, thickness=0.5)
+    ds = grains_at_moving_walls(4, periodic="x", dimension=2, thickness=0.5)
     assert (ds.angular_velocity.sel(component=["x", "y"]) == 0).all()
     assert_is_definition(ds, "lucy", 0.8, spacing=0.9, scale=2.0, dimension=2)
 
@@ -243,7 +251,7 @@ def test_vorticity_and_stress_power():
 
 @pytest.mark.parametrize("name", [name for name in NAMES if xcg.FIELDS[name].additive])
 def test_phases_add_up(name):
-    ds = scene(7, 150)
+    ds = grains_at_moving_walls(7, 150)
     f = ds.cg.coarse_grain([name], by="species", width=0.8)[name]
     parts, bulk = (
         f.isel(phase=slice(1, None)).sum("phase", skipna=False),
@@ -256,7 +264,7 @@ def test_phases_add_up(name):
 
 
 def test_fluctuations_of_phases_are_about_the_bulk():
-    ds = scene(8, 400)
+    ds = grains_at_moving_walls(8, 400)
     f = ds.cg.coarse_grain(["spin", "spin_fluctuation", "kinetic_heat_flux", "velocity"], by="species", width=1.0,
                            at={"x": 2.0, "y": 2.0, "z": 2.0}, axes="").isel(time=0)  # fmt: skip
     kernel, x = BruteKernel("lucy", 1.0), ds.position.values[0] - 2.0
@@ -276,7 +284,7 @@ def test_fluctuations_of_phases_are_about_the_bulk():
 
 def test_energy_has_three_parts_and_fluxes_add_up():
     names = [*NAMES, "velocity", "stress", "density"]
-    f = scene().cg.coarse_grain(names, width=0.8, by="species")
+    f = grains_at_moving_walls().cg.coarse_grain(names, width=0.8, by="species")
     parts = f.mean_kinetic_energy + f.fluctuating_kinetic_energy + f.rotational_kinetic_energy
     np.testing.assert_allclose(
         f.kinetic_energy, parts, rtol=0, atol=1e-13 * float(f.kinetic_energy.max())
@@ -349,7 +357,7 @@ def test_rotational_temperature_is_unknown_where_the_mean_leaves_less_than_half_
 
 
 def test_averages_equal_those_of_the_sums():
-    steps = [scene(k, 40, periodic="xyz") for k in range(3)]
+    steps = [grains_at_moving_walls(k, 40, periodic="xyz") for k in range(3)]
     names = [
         "velocity",
         "angular_velocity",
@@ -387,7 +395,7 @@ def test_averages_equal_those_of_the_sums():
 
 
 def test_rotation_is_left_out_and_noted_without_angular_velocity():
-    ds = scene()
+    ds = grains_at_moving_walls()
     bare = ds.drop_vars(["angular_velocity", "moment_of_inertia"])
     fields = [name for name in NAMES if name not in ROTATIONAL]
     assert_is_definition(bare, "lucy", 0.9, spacing=1.3, fields=fields)
@@ -403,20 +411,20 @@ def test_rotation_is_left_out_and_noted_without_angular_velocity():
 
 
 def test_other_fields_do_not_depend_on_rotation():
-    ds = scene()
+    ds = grains_at_moving_walls()
     assert not {"angular_velocity", "moment_of_inertia"} & set(ds.cg.explain().variables)
     assert not set(NAMES) & set(ds.cg.coarse_grain(width=0.9))
 
 
 def test_units_of_rotation_and_energy():
-    f = scene().cg.coarse_grain(NAMES, width=0.9, spacing=1.3)
+    f = grains_at_moving_walls().cg.coarse_grain(NAMES, width=0.9, spacing=1.3)
     units = {name: f[name].attrs["units"] for name in NAMES}
     assert units["heat_flux"] == units["contact_energy_flux"] == "W m^-2"
     assert units["dissipation_rate"] == units["stress_power"] == units["wall_power"] == "W m^-3"
     assert units["spin_density"] == "kg m^-1 s^-1"
     assert units["couple_stress"] == units["spin_flux"] == "kg s^-2"
     # a scene in other units of length, mass and time: each field changes as its unit says
-    ds, (length, mass, time) = scene(), (2.0, 3.0, 0.5)
+    ds, (length, mass, time) = grains_at_moving_walls(), (2.0, 3.0, 0.5)
     powers = {name: powers_of(VARIABLES[name].units) for name in ds.data_vars if name != "box"} | {
         "box": (1, 0, 0)
     }
@@ -467,7 +475,7 @@ def test_grains_held_in_place_are_walls_that_move():
 
 def test_the_power_of_moving_walls_closes():
     """Walls given by velocities, and grains fixed in place on either side of a contact."""
-    given = scene(1, 100)
+    given = grains_at_moving_walls(1, 100)
     held = xcg.datasets.random_scene(100, seed=1, periodic="xy", walls=False)
     held = held.assign(frozen=(held.species == 2).astype("int64"))
     for ds in (given, held):
@@ -501,7 +509,7 @@ def closes(ds, width, points):
 
 @pytest.mark.parametrize("options", [{}, {"periodic": "xyz"}, {"dimension": 2, "periodic": "y"}])
 def test_spin_and_energy_of_contacts_close(options):
-    ds = scene(3, **options)
+    ds = grains_at_moving_walls(3, **options)
     points = np.random.default_rng(1).uniform(0.5, 4.0, (4, 3)) * [
         1,
         1,
@@ -517,7 +525,7 @@ def test_spin_and_energy_of_contacts_close_in_output_of_codes(name):
 
 
 def test_residuals_fall_with_the_spacing():
-    ds = scene(1, 100).drop_vars("contact_wall_velocity")
+    ds = grains_at_moving_walls(1, 100).drop_vars("contact_wall_velocity")
     b = [
         ds.cg.balance(quantities=["torque", "power"], width=1.2, spacing=h) for h in (0.4, 0.2, 0.1)
     ]
@@ -585,7 +593,7 @@ def test_a_wrong_force_raises_the_residual():
 
 
 def test_wrong_balances_raise():
-    ds = scene()
+    ds = grains_at_moving_walls()
     with pytest.raises(ValueError, match="expected a list of any of force, torque"):
         ds.cg.balance(quantities="torque")
     with pytest.raises(ValueError, match="expected a list of any of force, torque"):

@@ -16,7 +16,7 @@ NAMES = ["granular_temperature", "directional_temperature", "fluctuation_density
          "sample_count"]  # fmt: skip
 
 
-def scene(count, length, seed, *, spread=1.0, periodic="xyz", steps=1):
+def random_gas(count, length, seed, *, spread=1.0, periodic="xyz", steps=1):
     """Grains anywhere in a box, with independent velocities of temperature 1 in shear; overlaps do not matter."""
     rng = np.random.default_rng(seed)
     position = rng.uniform(0, length, (steps, count, 3))
@@ -72,7 +72,7 @@ def left_by_fit(ds, kernel, node, axes, gradient):
 def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(
     length, count, width, axes, at, gradient
 ):
-    ds = scene(count, length, seed=count, spread=1.5)
+    ds = random_gas(count, length, seed=count, spread=1.5)
     options = {"width": width, "axes": axes, "at": at, "spacing": length / 2, "gradient": gradient}
     names = ["fluctuation_density", "effective_count", "fluctuation_density_by_pair"]
     f = ds.cg.coarse_grain(names, by="species", **options)
@@ -112,8 +112,8 @@ def averaged(f, name="granular_temperature", of="fluctuation_density"):
 )
 def test_the_temperature_of_a_gas_is_recovered(width, spread, phi):
     length = 10.0
-    count = round(phi * length**3 / float(scene(2000, length, 0, spread=spread).volume.mean()))
-    ds = scene(count, length, seed=1, spread=spread, steps=16_000 // count)
+    count = round(phi * length**3 / float(random_gas(2000, length, 0, spread=spread).volume.mean()))
+    ds = random_gas(count, length, seed=1, spread=spread, steps=16_000 // count)
     options = {"width": width, "by": "species"}
     for axes in ("xyz", "xz", "z"):
         f = ds.cg.coarse_grain(NAMES, axes=axes, spacing=1.4, **options)
@@ -135,7 +135,7 @@ def test_a_layer_and_a_polydisperse_gas_by_direction():
 
 
 def test_the_biased_definition_is_a_choice():
-    ds = scene(300, 6.0, seed=5)
+    ds = random_gas(300, 6.0, seed=5)
     new, old = (
         ds.cg.coarse_grain(NAMES, width=1.0, temperature=way) for way in ("unbiased", "biased")
     )
@@ -190,7 +190,7 @@ def test_two_grains_have_a_temperature_while_their_masses_are_alike(ratio, known
 
 
 def test_averages_add_fluctuations_and_their_densities_separately():
-    ds = scene(40, 6.0, seed=6, steps=40)
+    ds = random_gas(40, 6.0, seed=6, steps=40)
     f = ds.cg.coarse_grain(NAMES, width=0.9)
     assert float(f.granular_temperature.isnull().mean()) > 0.1
     profile = f.cg.profile("z")
@@ -213,7 +213,7 @@ def test_averages_add_fluctuations_and_their_densities_separately():
 
 
 def test_errors_of_one_step_follow_from_the_effective_count():
-    ds = scene(600, 10.0, seed=7, steps=200)
+    ds = random_gas(600, 10.0, seed=7, steps=200)
     f = ds.cg.coarse_grain(
         ["velocity", "effective_count", "granular_temperature"], width=1.5, spacing=5.0
     )
@@ -227,7 +227,7 @@ def test_errors_of_one_step_follow_from_the_effective_count():
 
 @pytest.mark.parametrize("lazy", [False, True])
 def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
-    ds = scene(40, 6.0, seed=8, steps=3)
+    ds = random_gas(40, 6.0, seed=8, steps=3)
     if lazy:
         ds = ds.chunk(time=1)
     with warnings.catch_warnings(record=True) as found:
@@ -352,7 +352,7 @@ def test_warnings_about_mixtures_name_the_way_out():
         warnings.simplefilter("error")
         ds.cg.coarse_grain(["granular_temperature"], by="species", axes="z")
         ds.cg.coarse_grain("granular_temperature", axes="z")  # of so many grains little is taken
-        scene(300, 8.0, 1, spread=1.1).cg.coarse_grain("granular_temperature", axes="z")
+        random_gas(300, 8.0, 1, spread=1.1).cg.coarse_grain("granular_temperature", axes="z")
     with pytest.raises(ValueError, match="choose phases after the average"):
         f.sel(phase=["bulk", "1"]).cg.time_average()
 
