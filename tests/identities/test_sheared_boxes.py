@@ -12,6 +12,7 @@ OFFSETS = np.array([0.0, 0.4, 2.3])
 OTHERS = {
     "displacement": "between steps, whose offsets differ by other periods",
     "mean_squared_displacement": "between steps",
+    "velocity_autocorrelation": "between steps, of velocities alone",
     "derive": "between steps",
     "structure_factor of waves": "whole numbers name other waves",
     "cell_volumes": "cells lie along the axes",
