@@ -110,6 +110,7 @@ CALLS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "bond_order by distance": lambda ds: ds.cg.bond_order([5], r_max=1.0),
     "select": lambda ds: _stress(ds.cg.select("z > 1.5 and species == 1")),
     "derive": lambda ds: ds.drop_vars("velocity").cg.derive("velocity"),
+    "derive of contacts": lambda ds: ds.cg.derive(["coordination_number", "mean_contact_age"]),
     "group_bodies": lambda ds: _stress(ds.drop_vars("species").cg.group_bodies()),
     "assign_phases": lambda ds: ds.cg.assign_phases(mapping={1: 2, 2: 1}),
     "fit_law": _fitted_shear,
@@ -127,7 +128,13 @@ OTHERS = {
 # analyses that are parts of others
 PARTS = {"_Ends": "a check of flow_rate through surfaces with open ends"}
 # results that are computed when the function returns
-COMPUTED = {"contact_history", "mean_squared_displacement", "velocity_autocorrelation", "fit_law"}
+COMPUTED = {
+    "contact_history",
+    "derive of contacts",
+    "mean_squared_displacement",
+    "velocity_autocorrelation",
+    "fit_law",
+}
 
 
 def methods(kind: str) -> set[str]:
