@@ -102,10 +102,11 @@ def at_point(ds: xr.Dataset, kernel: str, width: float) -> dict[str, float]:
     }
 
 
-def by_centres(ds: xr.Dataset, kernel: xcg.Kernel) -> float:
+def by_centres(ds: xr.Dataset, kernel: xcg.Kernel, beyond: float = 0.0) -> float:
     """Return the vertical contact stress if only grains with their centre in the support are asked for contacts.
 
-    This is the rule of Pysammos 1.0.0, as its paper says; each half of a branch by 64 Gauss points.
+    This is the rule of Pysammos 1.0.0, as its paper says; each half of a branch by 64 Gauss points. Grains with their
+    centre up to `beyond` outside of the support are asked, too.
     """
     x, weights = np.polynomial.legendre.leggauss(64)
     step = ds.isel(time=0)
@@ -113,7 +114,7 @@ def by_centres(ds: xr.Dataset, kernel: xcg.Kernel) -> float:
     total = 0.0
     for own, other, sign in (("contact_i", "contact_j", 1), ("contact_j", "contact_i", -1)):
         rows = step[own].values.astype(int)
-        inside = np.linalg.norm(position[rows], axis=1) < kernel.cutoff
+        inside = np.linalg.norm(position[rows], axis=1) < kernel.cutoff + beyond
         centre = position[rows[inside]]
         half = (centre - position[step[other].values.astype(int)[inside]]) / 2
         force = sign * step.contact_force.values[inside, 2]

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from docs.marks import write_between
-from tests.stability.cases import CASES
+from tests.stability.cases import CASES, Case
 from tests.stability.physical import LIMITS
 
 HERE = Path(__file__).parent
@@ -17,10 +17,17 @@ LIMITS_HEAD = (
 )
 
 
+def error_of(case: Case) -> str:
+    """Return the error of xcg as text; NaN where nothing is known, and nothing is returned."""
+    if case.unknown and case.ours == 0.0:
+        return "NaN"
+    return f"{case.ours:.1e}"
+
+
 def main() -> None:
     results = [case() for case in CASES]
     rows = [
-        f"| {c.what} | {c.fails} | {c.does} | {c.naive:.1e} | {c.ours:.1e} | {c.bound:.0e} |\n".replace(
+        f"| {c.what} | {c.fails} | {c.does} | {c.naive:.1e} | {error_of(c)} | {c.bound:.0e} |\n".replace(
             "|V| / |v'|", "V / v'"
         ).replace("|x - r|^2", "(x - r)^2")
         for c in results
@@ -38,9 +45,23 @@ def main() -> None:
     ax.barh(
         y + 0.2, [max(c.naive, floor) for c in results], 0.38, left=floor, color="C3", label="naive"
     )
-    ax.barh(
-        y - 0.2, [max(c.ours, floor) for c in results], 0.38, left=floor, color="C0", label="xcg"
+    ours = ax.barh(
+        y - 0.2,
+        [max(c.ours, 2 * floor) for c in results],
+        0.38,
+        left=floor,
+        color="C0",
+        label="xcg",
     )
+    for bar, case in zip(ours, results, strict=True):
+        if error_of(case) == "NaN":
+            bar.set_visible(False)
+            text = "NaN, with its count: unknown"
+        elif case.ours == 0.0:
+            text = "exact"
+        else:
+            continue
+        ax.text(3 * floor, bar.get_y() + 0.19, text, va="center", fontsize="small")
     ax.plot([c.bound for c in results], y - 0.2, "k|", ms=9, label="tolerance")
     ax.set_xscale("log")
     ax.set_xlim(floor, None)

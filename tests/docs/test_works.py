@@ -7,8 +7,18 @@ import numpy as np
 import pytest
 
 import xcg
-from docs import contact_speed, cost, lattice, levels, needs, nine_grains
+from docs import (
+    contact_speed,
+    cost,
+    lattice,
+    levels,
+    needs,
+    nine_grains,
+    stability,
+    stability_curves,
+)
 from tests import ROOT
+from tests.stability import cases
 
 
 def test_an_erodible_bed_speeds_up_from_above_and_heats_up_from_below():
@@ -145,3 +155,23 @@ def test_a_box_is_exact_and_nodes_owe_their_spread_to_few_grains():
         assert places[0] < 1e-10
         assert places[1] < 0.3 * places[3]
     assert needs.explained().count("```text") == 3
+
+
+@pytest.mark.filterwarnings("ignore::xcg.SceneWarning")
+@pytest.mark.parametrize(
+    ("curves", "part", "gain"),
+    [
+        (stability_curves.fast_frame, slice(2, None), 100),
+        (stability_curves.near_wall, slice(None, 4), 20),
+        (stability_curves.gaps_in_time, slice(None, 5), 1e10),
+        (stability_curves.few_grains, slice(2, None), 20),
+    ],
+)
+def test_naive_errors_grow_with_what_breaks_the_method(curves, part, gain):
+    naive, ours = (error for _, error in curves().values())
+    assert (naive[part] > gain * ours[part]).all()
+
+
+def test_the_unknown_is_nan_and_no_error_of_zero():
+    assert stability.error_of(cases.few_grains()) == "NaN"
+    assert stability.error_of(cases.fast_frame()) != "NaN"
