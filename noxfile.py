@@ -31,6 +31,18 @@ OPTIONAL = [
     "pyvista",
     "pyarrow",
 ]
+# what docs/works.md and its neighbours show, in about the order of their time
+EXAMPLES = [
+    "erodible_bed",
+    "compression",
+    "pile",
+    "maps",
+    "force_chains",
+]  # examples/, with a folder
+MODULES = [
+    "works", "kernels", "width_study", "lattice", "nine_grains", "quasi_static_figures", "stability",
+    "stability_curves", "levels", "gallery_sheet", "needs", "cost", "contact_speed",
+]  # fmt: skip
 LARGEST_WHEEL = 8_500_000  # bytes, most of them sample data
 
 
@@ -174,6 +186,20 @@ def docs(session):
     session.install("--editable", ".", *group("docs"))
     folder = session.posargs or ["docs/_build"]
     session.run("python", "-m", "sphinx", "-W", "--keep-going", "--fresh-env", "docs", *folder)
+
+
+@nox.session
+def works(session):
+    """Make the pictures and tables of the three works again, on a machine that does nothing else."""
+    session.install("--editable", ".", *group("docs"), *group("test"), *group("benchmark"))
+    pictures = ROOT / "docs" / "_static"
+    for name in EXAMPLES:
+        folder = Path(session.create_tmp()) / name
+        session.run("python", f"examples/{name}.py", str(folder))
+        for picture in folder.glob("*.png"):
+            shutil.copy(picture, pictures)
+    for name in MODULES:
+        session.run("python", "-m", f"docs.{name}")
 
 
 @nox.session

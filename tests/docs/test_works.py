@@ -1,6 +1,7 @@
 """Claims of docs/works.md beside those of the papers, on the scripts' own scenes."""
 
 import json
+import re
 import runpy
 
 import numpy as np
@@ -175,3 +176,18 @@ def test_naive_errors_grow_with_what_breaks_the_method(curves, part, gain):
 def test_the_unknown_is_nan_and_no_error_of_zero():
     assert stability.error_of(cases.few_grains()) == "NaN"
     assert stability.error_of(cases.fast_frame()) != "NaN"
+
+
+def test_one_session_makes_all_pictures_of_the_page():
+    page = (ROOT / "docs" / "works.md").read_text()
+    session = (ROOT / "noxfile.py").read_text()
+    modules, examples = (
+        set(re.findall(r'"(\w+)"', re.search(rf"^{name} = \[(.*?)\]", session, re.M | re.S)[1]))
+        for name in ("MODULES", "EXAMPLES")
+    )
+    assert set(re.findall(r"\]\((\w+)\.py\)", page)) <= modules
+    assert set(re.findall(r"\]\(\.\./examples/(\w+)\.py\)", page)) <= examples
+    for name in modules:
+        assert (ROOT / "docs" / f"{name}.py").exists()
+    for picture in re.findall(r"_static/(\w+\.png)", page):
+        assert (ROOT / "docs" / "_static" / picture).exists()
