@@ -21,7 +21,7 @@ from importlib.metadata import version
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import dask
 import numpy as np
@@ -461,12 +461,17 @@ def _fill_all(
             running.enter_context(closing(_fill(layout, write, batch)))
             for layout, write in zip(layouts, writes, strict=True)
         ]
-        done = [next(fill) for fill in fills]
+        done = [next(fill).steps for fill in fills]
         yield min(done)
-        for numbers in zip_longest(*fills):  # None of outputs that are complete
-            for k, number in enumerate(numbers):
-                if number is not None:
-                    done[k] = number
+        for batches in zip_longest(*fills):  # None of outputs that are complete
+            waits = [each.wait for each in batches if each is not None and each.wait is not None]
+            if waits:
+                # at once: what several outputs are made of is read and computed for all of them
+                with _config():
+                    dask.compute(*waits)
+            for k, each in enumerate(batches):
+                if each is not None:
+                    done[k] = each.steps
             yield min(done)
     for write in writes:
         write.describe_skipped()
@@ -479,11 +484,20 @@ def _note_cause(logs: Sequence[Log], event: tuple[float, Mapping[str, Any]]) -> 
         log.add_cause(skip["step"], skip["cause"])
 
 
-def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generator[int, None, None]:
+class _Batch(NamedTuple):
+    """Steps that an output holds, once `wait` has been computed by whoever gets it."""
+
+    steps: int
+    wait: Delayed | None = None
+
+
+def _fill(
+    layout: StoreLayout, write: _WriteTask, batch: int | None
+) -> Generator[_Batch, None, None]:
     """Write what is not there: from memory, `layout.steps` at a time, and the rest by tasks."""
     ds = layout.ds
     done = write.log.steps()
-    yield sum(stop - first for first, stop in done)
+    yield _Batch(sum(stop - first for first, stop in done))
     now = {name: ds[name].to_numpy() for name in layout.over if ds.variables[name].chunks is None}
     arrays = {name: ds.variables[name].data for name in layout.lazy}
     if now and not (arrays and done):  # else written before the tasks
@@ -501,10 +515,8 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generato
     ready = sum(stop - first for first, stop in done)
     if cluster is None:
         for wait, steps in waits.items():
-            with _config():
-                Delayed(wait, graph, layer=layer).compute()
             ready += steps
-            yield ready
+            yield _Batch(ready, Delayed(wait, graph, layer=layer))
         return
     futures = cluster.compute([Delayed(wait, graph, layer=layer) for wait in waits])
     counts = dict(zip(futures, waits.values(), strict=True))
@@ -512,7 +524,7 @@ def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Generato
         for future in sys.modules["distributed"].as_completed(futures):
             future.result()
             ready += counts[future]
-            yield ready
+            yield _Batch(ready)
     finally:
         cluster.cancel(futures)
 
