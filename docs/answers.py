@@ -94,6 +94,10 @@ def biaxial() -> None:
     save("strain")
     ds.cg.force_chains(alpha=45, min_stress="mean").cg.plot_chains(index=1)
     save("chains")
+    p = ds.cg.microstructure("normal_force_pdf").normal_force_pdf.isel(time=-1, drop=True)
+    p = p.reset_coords(drop=True)
+    p.where(p > 0).plot.line("o-", xscale="log", yscale="log")
+    save("forces")
     xcg.datasets.open("plane_shear").cg.plot_rose(plane="xz")
     save("rose")
 

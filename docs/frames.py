@@ -32,11 +32,12 @@ def drum() -> xr.Dataset:
 
 
 def along_surface(ds: xr.Dataset) -> tuple[xcg.Rotated, float]:
-    """Axes with x down the surface and z along its normal, and its slope (degrees): where the fastest grains go."""
-    velocity = ds.velocity.to_numpy().reshape(-1, 3)
-    speed = np.linalg.norm(velocity, axis=1)
-    x, _, z = velocity[speed > np.quantile(speed, 0.95)].mean(axis=0)
-    return xcg.Rotated(x=(x, 0.0, z), y=(0.0, 1.0, 0.0)), float(np.degrees(np.arctan2(-z, x)))
+    """Axes with x down the surface and z along its normal, and its slope (degrees): that of its middle."""
+    mean = ds.cg.coarse_grain("volume_fraction", axes="xz").cg.time_average()
+    fit = mean.cg.free_surface("z").sel(x=slice(-0.01, 0.01)).cg.fit_slope()
+    slope = fit.angle.item()
+    x, z = np.cos(np.radians(slope)), np.sin(np.radians(slope))
+    return xcg.Rotated(x=(x, 0.0, -z), y=(0.0, 1.0, 0.0)), slope
 
 
 def below(ds: xr.Dataset) -> xr.Dataset:

@@ -118,6 +118,15 @@ def test_words_of_the_index_lead_to_one_answer():
     entries = [entry for (line,) in words for entry in line.split(", ")]
     assert len(entries) == len(set(entries))
     asked = {"units", "periodic", "volume fraction near wall", "compare two simulations"}
+    asked |= {
+        "rose diagram",
+        "velocity autocorrelation",
+        "pandas",
+        "Excel",
+        "CSV",
+        "stress tensor",
+        "batch",
+    }
     assert asked | {"principal stress", "radial distribution", "time average"} <= set(entries)
 
 
@@ -175,3 +184,13 @@ def test_scripts_import_names_of_the_package_that_exist(script):
             for alias in node.names:
                 if not hasattr(module, alias.name):
                     importlib.import_module(f"{node.module}.{alias.name}")
+
+
+def test_first_steps_list_every_extra():
+    import tomllib
+
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    page = (ROOT / "docs" / "first_steps.md").read_text()
+    assert [name for name in extras if f"| `{name}` |" not in page] == []

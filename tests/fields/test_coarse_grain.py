@@ -861,3 +861,21 @@ def test_a_width_below_the_largest_diameter_warns():
     ds.attrs["d43"] = 0.1  # the width is narrow for the largest grain alone
     with pytest.warns(SceneWarning, match="of the diameter of the largest grains"):
         ds.cg.coarse_grain("number_density", width=0.2, axes="")
+
+
+def test_a_volume_fraction_above_one_by_a_narrow_kernel_names_the_kernel():
+    """Layers of a cubic packing, whose spheres do not overlap."""
+    x = np.arange(6.0)
+    centres = np.stack(np.meshgrid(x, x, x, indexing="ij"), -1).reshape(-1, 3)
+    ds = xcg.scene_from_arrays(
+        centres,
+        diameter=np.ones(216),
+        density=1.0,
+        box=dict.fromkeys("xyz", (-0.5, 5.5)),
+        periodic="xyz",
+    )
+    with pytest.warns(
+        SceneWarning, match=r"ends at 0.4, is narrower than the grains of 1.*cell_volumes"
+    ):
+        f = ds.cg.coarse_grain(["volume_fraction"], axes="z", width=0.2, spacing=0.05).compute()
+    assert f.volume_fraction.max() > 1

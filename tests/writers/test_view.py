@@ -331,3 +331,16 @@ def test_wrong_views_raise(scene, fields, plotter, monkeypatch):
     for draw in (scene.cg.view, fields.cg.to_pyvista):
         with pytest.raises(ImportError, match=r"needs pyvista, .* pip install 'xcg\[view\]'"):
             draw()
+
+
+def test_a_notebook_without_ipywidgets_is_told_what_to_install(monkeypatch):
+    pv = pytest.importorskip("pyvista")
+
+    def show(self):
+        raise ImportError("Please install `ipywidgets`.")
+
+    monkeypatch.setattr(pv.Plotter, "show", show)
+    with pytest.raises(
+        ImportError, match=r"install `ipywidgets`.*pip install 'pyvista\[jupyter\]'"
+    ):
+        xcg.datasets.random_scene(20).cg.view()

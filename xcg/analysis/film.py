@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from xcg.common.checks import extra
+from xcg.common.drawing import layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ class Film:
     def __init__(self, size: tuple[float, float], dpi: float) -> None:
         agg = extra("matplotlib.backends.backend_agg", "plot", "a movie")
         figures = extra("matplotlib.figure", "plot", "a movie")
-        self._figure = figures.Figure(figsize=size, dpi=dpi, layout="constrained")
+        self._figure = figures.Figure(figsize=size, dpi=dpi, layout=layout())
         self._canvas = agg.FigureCanvasAgg(self._figure)
         self._background: Any = None
         self.axes: Axes = self._figure.add_subplot()

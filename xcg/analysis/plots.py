@@ -199,7 +199,7 @@ def _plot_compared(
     pyplot = extra("matplotlib.pyplot", "plot", "drawing")
     wide, high = pyplot.rcParams["figure.figsize"]
     if len(axes_of(difference)) == 1:
-        figure, axes = pyplot.subplots(1, 2, figsize=(1.6 * wide, high), layout="constrained")
+        figure, axes = pyplot.subplots(1, 2, figsize=(1.6 * wide, high), layout=drawing.layout())
         runs = xr.concat([before, after], xr.Variable("run", ["a", "b"]), combine_attrs="override")
         _plot_step(runs, choice.shading, axes[0], ends, options)
         _plot_step(difference, choice.shading, axes[1], ends, options)
@@ -210,7 +210,7 @@ def _plot_compared(
     else:
         frames = _Frames.of([after, before], choice.shading, ends, options)
         wide, high = drawing.size_of_figure((wide, high), frames.ratio or 1.0)
-        figure, axes = pyplot.subplots(1, 3, figsize=(2.6 * wide, high), layout="constrained")
+        figure, axes = pyplot.subplots(1, 3, figsize=(2.6 * wide, high), layout=drawing.layout())
         frames.draw(before, axes[0])
         frames.draw(after, axes[1])  # with the colour bar of both
         _plot_step(difference, choice.shading, axes[2], dict.fromkeys(ends), {})

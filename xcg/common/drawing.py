@@ -26,6 +26,7 @@ ROUNDED = 1.5  # nodes over which the rim of a smooth map is rounded
 NEAREST = 0.1  # of the distance between nodes: a rim is at least as far from every node
 BESIDE = 1.9  # inches of labels and bar beside a map
 BELOW = 1.0  # inches of labels below and above it
+ROUNDS = 8  # in which a figure makes room for its text
 TITLE = 0.75  # of the width of a figure, which the longest line of a title may have
 SMALLEST = (3.2, 2.0)  # inches of a figure, for its title and for the label of its bar
 _SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
@@ -140,8 +141,33 @@ def new_axes(projection: str | None = None, ratio: float | None = None) -> Axes:
     size = tuple(pyplot.rcParams["figure.figsize"])
     if ratio is not None:
         size = size_of_figure(size, ratio, pyplot.rcParams["font.size"] / 10.0)
-    figure = pyplot.figure(figsize=size, layout="constrained")
+    figure = pyplot.figure(figsize=size, layout=layout())
     return cast("Axes", figure.add_subplot(projection=projection))
+
+
+def layout() -> Any:
+    """Return the layout of a figure: that of matplotlib ("constrained"), with all text inside of the figure.
+
+    Ticks change with the size of the axes, after matplotlib has made room for those of before: where
+    text is beyond an edge, the room is made smaller by as much.
+    """
+    engine: Any = extra("matplotlib.layout_engine", "plot", "drawing").ConstrainedLayoutEngine
+
+    class RoomForText(engine):
+        def execute(self, fig: Any) -> None:
+            left, low, right, up = 0.0, 0.0, 0.0, 0.0  # inches that are left free
+            wide, high = fig.get_size_inches()
+            for _ in range(ROUNDS):
+                room = (left / wide, low / high, 1 - (left + right) / wide, 1 - (low + up) / high)
+                self.set(rect=room)
+                super().execute(fig)
+                drawn = fig.get_tightbbox()
+                beyond = [-drawn.x0, -drawn.y0, drawn.x1 - wide, drawn.y1 - high]
+                if max(beyond) <= 0 or not np.isfinite(beyond).all():
+                    break
+                left, low, right, up = np.add((left, low, right, up), np.maximum(beyond, 0))
+
+    return RoomForText()
 
 
 def size_of_figure(

@@ -373,6 +373,13 @@ class ComputedStep:
                 "and width={group: width} give each group its own)"
             )
             return {"volume fraction": f"{text}, {cause}"}
+        diameter = (6 / np.pi * self.frame["volume"].max(initial=0.0)) ** (1 / 3)
+        if kernel.dimension == 3 and kernel.cutoff < diameter:
+            cause = (
+                f"as the kernel, which ends at {kernel.cutoff:.3g}, is narrower than the grains of {diameter:.3g}: it "
+                "sees layers of centres (cell_volumes has exact volumes)"
+            )
+            return {"volume fraction": f"{text}, {cause}"}
         warn_once(
             "volume fraction",
             f"{self.source}: {text}: grains overlap, or their sizes, or the length of an average (extent=, "

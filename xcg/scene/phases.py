@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, extra, floats, is_whole, whole
-from xcg.common.drawing import label_of, set_label
+from xcg.common.drawing import label_of, layout, set_label
 from xcg.common.messages import SceneError, plain, warn_user
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import step_at
@@ -212,7 +212,7 @@ def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
     columns, width = 1, 5
     if len(scores):
         columns, width = 2, 9
-    figure, axes = plt.subplots(1, columns, figsize=(width, 4), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(1, columns, figsize=(width, 4), layout=layout(), squeeze=False)
     left = axes[0, 0]
     for value in np.atleast_1d(ds.attrs["phase_values"]):
         here = frame["phase"].to_numpy() == value

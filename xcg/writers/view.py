@@ -277,7 +277,7 @@ def view(
     Raises
     ------
     ImportError
-        If PyVista is not installed.
+        If PyVista is not installed, or in a notebook trame is and ipywidgets is not.
     ValueError
         As `to_pyvista`; if the field does not exist, or a field has fewer than two axes.
 
@@ -306,7 +306,14 @@ def view(
         _draw_field(target, ds, field, index, part, style)
     target.add_axes()
     if plotter is None:
-        target.show()
+        try:
+            target.show()
+        except ImportError as error:  # trame without ipywidgets
+            raise ImportError(
+                f"view: PyVista cannot show a picture to turn in this notebook ({error}): pip install "
+                "'pyvista[jupyter]' brings trame and ipywidgets; without them, "
+                "pyvista.set_jupyter_backend('static') shows a still picture"
+            ) from error
         _show_once(target)
     return target
 
