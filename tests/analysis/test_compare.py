@@ -110,6 +110,15 @@ def test_runs_may_differ_in_gravity_and_friction(runs):
     np.testing.assert_array_equal(xcg.compare(a, steeper).density, xcg.compare(a, b).density)
 
 
+def test_a_comparison_that_was_saved_is_drawn_the_same(runs, tmp_path):
+    a, b = runs
+    c = xcg.compare(a[["density", "density_error"]], b)
+    c.cg.save(tmp_path / "c.nc")
+    with xr.open_dataset(tmp_path / "c.nc") as opened:
+        ax = opened.cg.plot()
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), c.density)
+
+
 def test_a_missing_error_is_named(runs):
     a, b = runs
     with pytest.warns(xcg.SceneWarning, match="only one of the results has an error of density"):

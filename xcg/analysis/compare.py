@@ -13,7 +13,7 @@ from xcg.steps.labels import provenance
 
 ERROR = "_error"
 BIAS = "_bias"
-COMPARED = "compared"  # attribute of a comparison: the names of its fields
+COMPARED = "compared"  # attribute of a comparison: the names of its fields, as text that files keep
 # facts in which two runs may differ, as they are of the runs and not of the way they are averaged
 _OF_RUNS = ("periodic", "gravity", "thickness", "friction", "fluid_viscosity", "size_diameter")
 _OF_METHOD = tuple(name for name in (*OF_SCENES, *OF_RESULTS) if name not in _OF_RUNS)
@@ -98,7 +98,7 @@ def compare(a: xr.Dataset, b: xr.Dataset, relative: bool = False) -> xr.Dataset:
     result = xr.Dataset(data)
     result.attrs = provenance(a, f"compare(a, b, relative={relative})")
     kept = {name: a.attrs[name] for name in _OF_METHOD if name in a.attrs}
-    return result.assign_attrs(kept, **{COMPARED: names})
+    return result.assign_attrs(kept, **{COMPARED: " ".join(names)})
 
 
 def _difference(a: xr.Dataset, b: xr.Dataset, name: str, relative: bool) -> dict[str, xr.DataArray]:

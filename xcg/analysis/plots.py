@@ -188,8 +188,9 @@ def _plot_compared(
     options: Mapping[str, Any],
 ) -> Axes:
     """Draw both values of a comparison and their difference in a new figure; return the last axes."""
-    name = choice.field or f.attrs[COMPARED][0]
-    if name not in f.attrs[COMPARED]:
+    compared = f.attrs[COMPARED].split()
+    name = choice.field or compared[0]
+    if name not in compared:
         return _plot_step(choice.picture(f, index), choice.shading, None, ends, options)
     choice = replace(choice, field=name)
     before, after = (choice.picture(_side_of(f, side), index) for side in ("a", "b"))
@@ -225,7 +226,7 @@ def _plot_compared(
 def _side_of(f: xr.Dataset, side: str) -> xr.Dataset:
     """Return the values of one side of a comparison under the names of their fields."""
     names: dict[str, str] = {}
-    for name in f.attrs[COMPARED]:
+    for name in f.attrs[COMPARED].split():
         names |= {f"{name}_{side}{end}": f"{name}{end}" for end in ("", ERROR)}
     return f[[name for name in names if name in f]].rename({n: names[n] for n in names if n in f})
 
