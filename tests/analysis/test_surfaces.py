@@ -828,6 +828,7 @@ def test_rates_of_flow_are_averaged_over_time_with_their_errors():
     [
         xcg.Cylinder((0.0, 0.0, 0.0), "z", 5000.0, low=0.0, high=10000.0),
         xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((0, 5000.0), (0, 5000.0))),
+        xcg.Cylinder((0.0, 0.0, 0.0), "z", 1e9),
     ],
 )
 def test_a_wall_in_another_unit_is_refused_before_memory_ends(wall):

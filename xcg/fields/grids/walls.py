@@ -41,7 +41,7 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     if not (0 < high - low < math.inf and spacing > 0 and (high - low) / spacing < _MOST_CELLS):
         raise ValueError(
             f"cells along {what} from {low} to {high}, {spacing} apart: expected rising finite bounds, a positive "
-            f"spacing, and fewer than {_MOST_CELLS} cells"
+            f"spacing, and fewer than {_MOST_CELLS} cells; is the wall in another unit of length than the scene?"
         )
     count = max(1, round((high - low) / spacing))
     return low + (high - low) * (np.arange(count) + 0.5) / count
