@@ -38,6 +38,7 @@ CUTOFF = 2 * WIDTH
 RATE = 1.0  # of the uniform shear
 POINTS = "xcg.compiled.points.deposit"
 SEGMENTS = "xcg.fields.sums.segments.deposit_segments"
+FEW = 2000  # grains of panels that are only drawn again
 ROUNDING = 1e-15  # smaller errors are drawn here
 
 
@@ -70,6 +71,7 @@ class Panel:
     floors: Mapping[str, Callable[[], Any]] = field(
         default_factory=dict
     )  # what no way can be faster than
+    numbered: bool = False  # points have numbers, which a key beside the panel explains
 
 
 # --- scenes and exact values -----------------------------------------------------------------------------
@@ -344,8 +346,9 @@ def temperature(particles: int) -> Panel:
         "rms error / T, or / (shear rate x d)^2",
         "scene to field",
         found,
-        "lower right",
-        1e5,
+        "upper center",
+        1e7,
+        numbered=True,
     )
 
 
@@ -387,8 +390,9 @@ def velocity_gradient(particles: int) -> Panel:
         "rms |error| / shear rate",
         "scene to field",
         ways,
-        "center right",
-        1e4,
+        "upper center",
+        1e7,
+        numbered=True,
     )
 
 
@@ -634,7 +638,7 @@ The floors in (a) and (b) are the times of the additions alone. A grain or branc
 adds to N times K sums, and an instruction of AVX-512 loads, adds to and stores eight of them. At one store a cycle
 of 3 GHz this is N K / 24 ns; the measured floor is higher, as sums come from the second cache. The loop takes longer
 because it has to find the nodes and their weights. The ways of other programs are on the chart: Pysammos looks
-weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
+weights up in 1000 bins, MercuryCG and LAMMPS take the closed form; points of such ways name the program.
 {tests}
 """
 TESTS = (
@@ -732,6 +736,13 @@ then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for re
 """
 
 MARKERS = "osD^v"
+# programs that go this way, by series (or nothing) and name
+PROGRAMS = {
+    ("closed form", "rtol 0"): "MercuryCG, LAMMPS",
+    ("table, rounded down", "1000 bins"): "Pysammos",
+    ("", "V at the node"): "LAMMPS, about its bins",
+    ("differences on a mesh", "mesh w"): "Pysammos",
+}
 # offset in points, alignments, rotation
 LABELS: dict[str, dict[str, Any]] = {
     "right": {"xytext": (9, 0), "ha": "left", "va": "center"},
@@ -747,6 +758,37 @@ LABELS: dict[str, dict[str, Any]] = {
 }
 
 
+# of numbers, below the points of one series and above those of the next
+SIDES: tuple[dict[str, Any], ...] = (
+    {"xytext": (0, -8), "ha": "center", "va": "top"},
+    {"xytext": (0, 8), "ha": "center", "va": "bottom"},
+)
+
+
+def named(way: Way) -> str:
+    """Return the name of a way, with the program that goes it."""
+    program = PROGRAMS.get((way.series, way.name)) or PROGRAMS.get(("", way.name))
+    return f"{way.name} ({program})" if program else way.name
+
+
+def recorded(panel: Panel) -> tuple[list[Point], dict[str, float]]:
+    """Return the points and floors of a panel as they are on the page."""
+    page = (HERE / "accuracy.md").read_text()
+    section = page.split(f"## {panel.title}\n")[1].split("\n## ")[0]
+    times: dict[tuple[str, str], tuple[float, float]] = {}
+    bare: dict[str, float] = {}
+    for line in section.split("| on the front |\n")[1].splitlines()[1:]:
+        if not line.startswith("|"):
+            break
+        series, name, seconds, error, _ = (cell.strip() for cell in line.split("|")[1:-1])
+        if series == "floor":
+            bare[name] = float(seconds)
+        else:
+            plain = name.removesuffix(" (default)").strip("*")
+            times[series or plain, plain] = float(seconds), float(error)
+    return [Point(way, *times[way.series, way.name]) for way in panel.ways], bare
+
+
 def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path: Path) -> None:
     import matplotlib.pyplot as plt
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -760,6 +802,7 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
             ax.step(
                 [p.time for p in line], [p.error for p in line], "0.8", lw=5, where="post", zorder=1
             )
+        numbers: dict[str, int] = {}
         for k, name in enumerate(dict.fromkeys(p.way.series for p in points)):
             own = [p for p in points if p.way.series == name]
             ax.plot(
@@ -771,12 +814,17 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
                 label=name,
             )
             for p in own:
-                if p.way.label:
-                    about = LABELS[p.way.label]
-                    at = (p.time, p.error)
+                if panel.numbered:
+                    number = numbers.setdefault(named(p.way), len(numbers) + 1)
+                    text, about = str(number), SIDES[k % len(SIDES)]
+                else:
+                    text, about = named(p.way), LABELS.get(p.way.label)
+                    if p.way.label == "right":
+                        text = text.replace(" (", "\n(").replace(", ", ",\n")
+                if about:
                     ax.annotate(
-                        p.way.name,
-                        at,
+                        text,
+                        (p.time, p.error),
                         textcoords="offset points",
                         fontsize=8.5,
                         color=f"C{k}",
@@ -805,7 +853,15 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
         ax.xaxis.set_major_formatter("{x:g}")
         ax.xaxis.set_minor_formatter(NullFormatter())
         ax.grid(alpha=0.25)
-        ax.legend(fontsize=8.5, loc=panel.legend)
+        legend = ax.legend(fontsize=8.5, loc=panel.legend)
+        if numbers:
+            key = "\n".join(f"{number}  {name}" for name, number in numbers.items())
+            ax.text(
+                0.97, 0.4, key, transform=ax.transAxes, ha="right", va="center", fontsize=8.5,
+                multialignment="left",
+                bbox={"facecolor": "white", "edgecolor": "0.8"},
+            )  # fmt: skip
+            ax.add_artist(legend)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -874,7 +930,14 @@ def main() -> None:
     parser.add_argument(
         "--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure"
     )
+    parser.add_argument(
+        "--redraw", action="store_true", help="draw what stands on the page, without measuring"
+    )
     given = parser.parse_args()
+    if given.redraw:
+        panels = [make(FEW) for make in PANELS]
+        draw([(panel, *recorded(panel)) for panel in panels], HERE / "_static" / "accuracy.png")
+        return
     if given.part != "physics":
         write_between("accuracy.md", "arithmetic", arithmetic(given.particles, given.repeats))
     if given.part != "arithmetic":

@@ -51,14 +51,14 @@ def _lucy_table(bins: int) -> NDArray:
 
 
 @jit
-def _fill_floored(kind, spread, table, norm, by_gradient, q2, count, out):
+def _fill_floored(kind, table, norm, by_gradient, q2, count, out):
     scale = float(table.shape[2] - 2)
     for k in range(count):
         out[k] = norm * table[0, 0, int(math.sqrt(q2[k]) * scale)]
 
 
 @jit
-def _fill_interpolated(kind, spread, table, norm, by_gradient, q2, count, out):
+def _fill_interpolated(kind, table, norm, by_gradient, q2, count, out):
     scale = float(table.shape[2] - 2)
     for k in range(count):
         x = math.sqrt(q2[k]) * scale
@@ -71,7 +71,7 @@ _ONE, _THREE = np.float32(1.0), np.float32(3.0)
 
 
 @jit
-def _fill_single(kind, spread, table, norm, by_gradient, q2, count, out):
+def _fill_single(kind, table, norm, by_gradient, q2, count, out):
     factor = np.float32(norm)
     for k in range(count):
         q = np.sqrt(np.float32(q2[k]))

@@ -6,6 +6,7 @@ from scipy.ndimage import map_coordinates
 
 import xcg
 from docs import accuracy, alternatives
+from tests import ROOT
 
 PARTICLES = 2000
 
@@ -219,3 +220,11 @@ def test_the_loop_in_c_adds_the_same_as_in_numba():
     for loop, out in zip((alternatives.multiply_add, in_c), sums, strict=True):
         loop(out, weights, factors)
     np.testing.assert_allclose(sums[1], sums[0], rtol=1e-12, atol=1e-12)
+
+
+def test_the_chart_can_be_drawn_again_from_the_page():
+    panel = accuracy.kinetic_stress(PARTICLES)
+    points, _ = accuracy.recorded(panel)
+    page = (ROOT / "docs" / "accuracy.md").read_text()
+    for point in points:
+        assert f"| {point.time:.2f} | {point.error:.1e} |" in page
