@@ -94,7 +94,6 @@ ACCEPTED = {
     ("register_field", "long_name"),
     ("scene_from_arrays", "step"),
     ("scene_from_arrays", "time"),
-    ("scene_from_table", "names"),
     ("select_chains", "min_stress"),
     # to be checked
     ("find_pairs", "max_pairs"),

@@ -44,7 +44,7 @@ INSIDE = {
     "readers": [
         ["engine", "column_units"],
         ["names"],
-        ["files", "cells"],
+        ["files", "cells", "caller_names"],
         ["filenames"],
         ["paths", "unread"],
         ["assigned", "recognise"],

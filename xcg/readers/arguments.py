@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 from numpy.typing import ArrayLike
 
 from xcg.common.checks import check_choice
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.readers.assigned import names_apart, read_names, split_names
+from xcg.readers.caller_names import CallerNames
 from xcg.readers.engine import Engine, ReadOptions, load_engine
 from xcg.readers.lazy import Chunks
 from xcg.readers.names import ALL_SLOTS
@@ -81,6 +82,11 @@ class Arguments:
         """Numbers that hold for all particles where the files do not hold them, by their variable."""
         return {"density": self.density, "diameter": self.diameter, "mass": self.mass}
 
+    @cached_property
+    def caller_names(self) -> CallerNames:
+        """The argument `names`, parsed."""
+        return CallerNames.parse(self.names)
+
     @property
     def sets_times(self) -> bool:
         """Return whether times come from the caller, and not from the files."""
@@ -134,13 +140,11 @@ class Arguments:
         return reader
 
     def _engine_of_names(self, files: Mapping[str, Sequence[str]]) -> str | None:
-        """Return the engine that takes `names` in order; None if they are a mapping or absent."""
-        kinds = self.names.values() if isinstance(self.names, Mapping) else [self.names]
-        if any(isinstance(listed, list | tuple) for listed in kinds):
-            is_dump = load_engine("liggghts").recognises(files["particles"][0])
-            return "liggghts" if is_dump else "table"
-        _, words = split_names(self.names)
-        return "liggghts" if words else None
+        """Return the engine that takes lists of `names`; None where there are none."""
+        if not self.caller_names.listed:
+            return None
+        is_dump = load_engine("liggghts").recognises(files["particles"][0])
+        return "liggghts" if is_dump else "table"
 
     def read_options(self, reader: Engine) -> ReadOptions:
         """Return the options that the engine needs.
@@ -150,26 +154,21 @@ class Arguments:
         SceneError
             If `names` are of a form that the engine does not take.
         """
-        apart: dict[str, dict[str, str | None]] = {}
-        words: dict[str, tuple[str, ...]] = {}
-        in_order: dict[str, Sequence[str | None]] = {}
-        if isinstance(self.names, Mapping) and any(
-            isinstance(listed, Mapping) for listed in self.names.values()
-        ):
-            mapped, apart = names_apart(self.names)
-        elif reader.name == "liggghts" or isinstance(self.names, str):
-            mapped, words = split_names(self.names)
-        else:
-            mapped, in_order = read_names(self.names)
-        if words and reader.name != "liggghts":
+        names = self.caller_names
+        mapped = names.mapped
+        kinds: tuple[str, ...] = ()
+        if reader.name == "liggghts":  # words of its computes
+            kinds = ("contacts", "walls")
+        elif reader.NAMES_IN_ORDER:
+            kinds = ("particles", "contacts")
+            mapped = names.own_of_lists() | dict(mapped)
+        listed = {kind: columns for kind, columns in names.listed.items() if kind in kinds}
+        is_apart = isinstance(self.names, Mapping)
+        if names.listed and (not listed or (is_apart and listed != names.listed)):
             raise SceneError(
-                f"names={self.names!r}: expected a mapping from columns to variables; words of a "
-                f"compute are for the engine 'liggghts', not {reader.name!r}"
-            )
-        if in_order and not reader.NAMES_IN_ORDER:
-            raise SceneError(
-                f"names={self.names!r}: the engine '{reader.name}' reads the names of columns from the "
-                "files; map them, names={'column': 'variable'}"
+                f"names={self.names!r}: the engine '{reader.name}' reads the names of columns from the files; map "
+                "them, names={'column': 'variable'}. Lists are for tables without a line of names (particles, "
+                "contacts), and words of a compute are for the engine 'liggghts' (contacts, walls)"
             )
         missing = "raise"
         if "skip" in (self.missing, self.on_error):
@@ -177,12 +176,11 @@ class Arguments:
         answered = ("box", "periodic", "lattice", "shape", "units")
         return ReadOptions(
             mapped,
-            names_of=apart,
+            names_of=names.of_kind,
             extra={**self.engine_options, "missing": missing},
             walls=self.wall_columns,
-            words=words,
             given=frozenset(name for name in answered if getattr(self, name) is not None),
-            columns=in_order,
+            listed=listed,
             alone=True,
         )
 

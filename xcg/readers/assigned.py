@@ -5,9 +5,8 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import chain
-from typing import Any
 
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
@@ -51,95 +50,6 @@ _WORDS_OF_COMPUTES = (
     ("fx fy fz", tuple(f"normal_force_{axis}" for axis in COMPONENTS)),
     ("p1 p2 p3", (*(f"tangential_force_{axis}" for axis in COMPONENTS), "of granular styles")),
 )
-_KINDS_WITH_WORDS = ("contacts", "walls")
-_KINDS = ("particles", "contacts")
-
-
-def split_names(
-    names: Mapping[str, Any] | Sequence[str | None] | str | None,
-) -> tuple[dict[str, str | None], dict[str, tuple[str, ...]]]:
-    """Return ``names=`` as a mapping from columns, and as words of the computes that wrote the contacts.
-
-    Words are a text or a list, for files of contacts and of walls, or one of each in a mapping,
-    ``{"contacts": "pos id force", "walls": "pos id force delta"}``, beside columns.
-    """
-    if names is None:
-        return {}, {}
-    if not isinstance(names, Mapping):
-        names = dict.fromkeys(_KINDS_WITH_WORDS, names)
-    words = {}
-    for kind in _KINDS_WITH_WORDS:
-        target = names.get(kind)
-        if isinstance(target, str) and len(target.split()) > 1:
-            words[kind] = tuple(target.split())
-        elif isinstance(target, list | tuple):
-            words[kind] = tuple(map(str, target))
-    return {name: slot for name, slot in names.items() if name not in words}, words
-
-
-def names_apart(
-    names: Mapping[str, Any],
-) -> tuple[dict[str, str | None], dict[str, dict[str, str | None]]]:
-    """Return ``names=`` as one mapping for all files, or as one for each kind of file.
-
-    Raises
-    ------
-    SceneError
-        If both are mixed, or a kind is not known.
-    """
-    apart = {kind: dict(of_kind) for kind, of_kind in names.items() if isinstance(of_kind, Mapping)}
-    if not apart:
-        return dict(names), {}
-    if set(apart) != set(names) or not set(apart) <= set(_KINDS):
-        raise SceneError(
-            f"names={dict(names)!r}: expected one mapping from columns to variables for all files, or "
-            "one for each kind and nothing else, names={'particles': {...}, 'contacts': {...}}"
-        )
-    return {}, apart
-
-
-def read_names(
-    names: Mapping[str, Any] | Sequence[str | None] | None,
-) -> tuple[dict[str, str | None], dict[str, Sequence[str | None]]]:
-    """Return ``names=`` as a mapping from columns, and as the columns of each kind of file in their order.
-
-    Raises
-    ------
-    SceneError
-        If names in their order are not texts or None, or one occurs twice.
-    """
-    if names is None:
-        return {}, {}
-    in_order: dict[str, Sequence[str | None]]
-    if isinstance(names, Mapping):
-        in_order = {
-            kind: listed for kind, listed in names.items() if isinstance(listed, list | tuple)
-        }
-        if not in_order:
-            return dict(names), {}
-        if set(names) != set(in_order) or not set(names) <= set(_KINDS):
-            raise SceneError(
-                f"names={dict(names)!r}: expected a mapping from columns to variables, or lists of all "
-                "columns in their order, names={'particles': [...], 'contacts': [...]}"
-            )
-    elif isinstance(names, list | tuple):
-        in_order = dict.fromkeys(_KINDS, names)
-    else:
-        raise SceneError(f"names={names!r}: expected a mapping or a list of names")
-    aliases = set(chain(*ALL_SLOTS.values(), *CLOCK_SLOTS.values()))
-    mapping: dict[str, str | None] = {}
-    for listed in in_order.values():
-        for name, count in Counter(listed).items():
-            if name is None:
-                continue
-            if not isinstance(name, str) or count > 1:
-                raise SceneError(
-                    f"names={list(listed)!r}: {name!r} stands there {count} times; expected the name of each column "
-                    "once, in the order of the file, and None for a column to skip"
-                )
-            if canonical(name) not in aliases:  # a slot, or a variable of the caller's own
-                mapping[name] = name
-    return mapping, in_order
 
 
 def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:

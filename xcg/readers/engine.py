@@ -136,8 +136,6 @@ class ReadOptions:
     walls : mapping
         From names of walls to the columns of particles that hold their contacts: a pattern, or
         names of columns.
-    words : mapping
-        Words of the computes that wrote the files of "contacts" and "walls" (LIGGGHTS).
     names_of : mapping
         `names` of each kind of file, where the caller gives them apart ("particles", "contacts").
     given : frozenset of str
@@ -148,9 +146,9 @@ class ReadOptions:
     vectors : tuple of tuple of str
         Columns of the file that become the components of vectors; an engine may return them as
         views of one array (n, 3).
-    columns : mapping
+    listed : mapping
         Names of all columns of files without a line of names, by kind ("particles", "contacts");
-        None skips a column.
+        None skips a column. Words of the computes that wrote "contacts" and "walls" (LIGGGHTS).
     alone : bool
         Whether nothing else is read or computed meanwhile, so that one step may take all threads of
         the process.
@@ -160,11 +158,10 @@ class ReadOptions:
     names_of: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
-    words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     given: frozenset[str] = frozenset()
     unwanted: tuple[str, ...] = ()
     vectors: tuple[tuple[str, ...], ...] = ()
-    columns: Mapping[str, Sequence[str | None]] = field(default_factory=dict)
+    listed: Mapping[str, Sequence[str | None]] = field(default_factory=dict)
     alone: bool = False
 
     def of_kind(self, kind: str) -> ReadOptions:
@@ -193,7 +190,7 @@ class Engine(ABC):
         Names of the keyword arguments of its own that `xcg.open_scene` takes; they come as
         ``options.extra``.
     NAMES_IN_ORDER : bool
-        Whether files may lack names of columns, which are then in ``options.columns``.
+        Whether files may lack names of columns, which are then in ``options.listed``.
     UNNAMED_UNITS : str
         What to do about files that do not name their units, for the warning that such files get;
         without it they are taken as SI without a word.

@@ -12,7 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers.assigned import assign, magnitudes_among, names_apart
+from xcg.readers.assigned import assign, magnitudes_among
+from xcg.readers.caller_names import CallerNames
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import (
     Table,
@@ -147,9 +148,13 @@ def scene_from_table(
 
 def _read_options(names: Mapping[str, Any] | None, arguments: Mapping[str, Any]) -> ReadOptions:
     """Return the options of reading; names may be given apart for grains and contacts."""
-    flat, apart = names_apart(names or {})
+    parsed = CallerNames.parse(names)
+    if parsed.listed:
+        raise SceneError(
+            f"names={names!r}: tables in memory name their columns; map them, names={{'column': 'variable'}}"
+        )
     given = frozenset(name for name in ("units",) if arguments.get(name) is not None)
-    return ReadOptions(flat, names_of=apart, given=given)
+    return ReadOptions(parsed.mapped, names_of=parsed.of_kind, given=given)
 
 
 def _ref_of(table: pd.DataFrame, what: str) -> StepRef:

@@ -249,7 +249,7 @@ def _cause_of_steps(listing: Listing) -> str:
     if clock:
         if clock[0] in options.names:
             return ""
-        return cause_by_column(clock[0], in_order="particles" in options.columns)
+        return cause_by_column(clock[0], in_order="particles" in options.listed)
     if len(listing.steps) == len(refs) and all(ref.named or ref.step < 0 for ref in refs):
         return cause_by_files(len(refs))
     return ""

@@ -102,7 +102,7 @@ class Liggghts(Dumps):
 def _words_of(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
     """Return the words that the caller gives for a kind of file."""
     kind = "walls" if ref.kind == "wall" else "contacts"
-    return options.words.get(kind, ())
+    return tuple(filter(None, options.listed.get(kind, ())))
 
 
 def _guess(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ class Table(Columnar):
         """List the steps of particles or contacts, from the column of times where there is one."""
         given = dict(options.names)
         kind = "contacts" if contacts else "particles"
-        in_order = enumerate(options.columns.get(kind, ()))
+        in_order = enumerate(options.listed.get(kind, ()))
         names = [name or f"column {k}" for k, name in in_order]
         convert = "units" not in options.given
         scan = partial(_steps, given=given, in_order=names, convert=convert)
