@@ -1,10 +1,12 @@
-"""Draw the picture of the front page: python docs/front.py, which writes docs/_static/front.png."""
+"""Draw the picture of the start page: python docs/front.py, which writes docs/_static/front.png."""
 
+import io
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pyvista
+from PIL import Image
 
 import xcg
 
@@ -13,22 +15,21 @@ from matplotlib import pyplot as plt
 
 PICTURE = Path(__file__).parent / "_static" / "front.png"
 CAMERA = [(28, -48, 27), (10.5, 4.5, 10.6), (0, 0, 1)]  # from where, to where, what is up
-MIDDLE = 9.6  # x between grains and field
 FASTEST = 10.0
 
 
-def draw_scene() -> np.ndarray:
-    """Draw the left half of a chute flow as grains, and the right half as the velocity field that they make."""
+def draw_scene(*, as_field: bool) -> np.ndarray:
+    """Draw a chute flow as grains, or the velocity field that they make."""
     ds = xcg.datasets.open("chute").compute()
-    f = ds.cg.coarse_grain("velocity", width=1.0, spacing=0.4)
     plotter = pyvista.Plotter(off_screen=True, window_size=(1400, 1200))
-    is_left = ds.position.sel(component="x")[0] < MIDDLE
-    grains = ds.isel(particle=is_left.values).drop_dims("contact")
-    colours = {"vmin": 0, "vmax": FASTEST, "plotter": plotter}
-    grains.drop_vars("box").assign_attrs(periodic="").cg.view("velocity", **colours)
-    field = f.sel(x=slice(MIDDLE, None), z=slice(-0.5, None)).cg.to_pyvista()
-    field = field.threshold(scalars="velocity", all_scalars=True)
-    plotter.add_mesh(field, scalars="velocity", clim=(0, FASTEST), lighting=False)
+    if as_field:
+        f = ds.cg.coarse_grain("velocity", width=1.0, spacing=0.4)
+        field = f.sel(z=slice(-0.5, None)).cg.to_pyvista()
+        field = field.threshold(scalars="velocity", all_scalars=True)
+        plotter.add_mesh(field, scalars="velocity", clim=(0, FASTEST), lighting=False)
+    else:
+        grains = ds.drop_dims("contact").drop_vars("box").assign_attrs(periodic="")
+        grains.cg.view("velocity", vmin=0, vmax=FASTEST, plotter=plotter)
     for title in list(plotter.scalar_bars.keys()):
         plotter.remove_scalar_bar(title)
     plotter.camera_position = CAMERA
@@ -45,15 +46,18 @@ def cropped(picture: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw the scene and a bar of its colours, with equal margins on all sides."""
-    figure, ax = plt.subplots(figsize=(8, 6.4))
-    ax.imshow(cropped(draw_scene()), interpolation="antialiased")
-    ax.axis("off")
+    """Draw grains, field and a bar of their colours side by side: a picture as wide as the page."""
+    figure, axes = plt.subplots(1, 2, figsize=(13, 4.8), layout="constrained")
+    for ax, as_field in zip(axes, (False, True), strict=True):
+        ax.imshow(cropped(draw_scene(as_field=as_field)), interpolation="antialiased")
+        ax.axis("off")
     speeds = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, FASTEST), "viridis")
-    bar = figure.colorbar(speeds, ax=ax, shrink=0.6, aspect=14, pad=0.12)
-    bar.set_label(r"speed [$\sqrt{g\,d}$]", fontsize=22)
-    bar.ax.tick_params(labelsize=20)
-    figure.savefig(PICTURE, dpi=120, bbox_inches="tight", pad_inches=0.3)
+    bar = figure.colorbar(speeds, ax=axes, shrink=0.8, aspect=18, pad=0.03)
+    bar.set_label(r"speed [$\sqrt{g\,d}$]", fontsize=17)
+    bar.ax.tick_params(labelsize=15)
+    file = io.BytesIO()
+    figure.savefig(file, dpi=110)
+    Image.open(file).convert("RGB").quantize(256).save(PICTURE, optimize=True)
 
 
 if __name__ == "__main__":

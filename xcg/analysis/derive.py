@@ -54,20 +54,20 @@ def derive(ds: xr.Dataset, values: str | Sequence[str]) -> xr.Dataset:
 
     Notes
     -----
-    =======================  ==================================================  =====================
-    value                    meaning                                             computed by
-    =======================  ==================================================  =====================
-    ``velocity``             differences of positions in time, by id             positions of steps
-    ``coordination_number``  partners in contact, walls included                 contacts
-    ``mean_contact_age``     mean age of the grain's contacts (s)                `contact_history`
-    ``stress``               tensor of the grain's contacts (Pa)                 `particle_stress`
-    ``pressure``             its trace over the number of dimensions             `particle_stress`
-    ``major_stress``         most compressive principal stress                   `particle_stress`
-    ``voronoi_volume``       volume of the Voronoi cell                          `voronoi`
-    ``voronoi_fraction``     volume of the grain over its cell's                 `voronoi`
-    ``voronoi_neighbours``   faces of the cell to others                         `voronoi`
-    ``q4``, ``q6``, ``psi6``  bond order, of a layer psi6                        `bond_order`
-    =======================  ==================================================  =====================
+    ========================  ==================================================  =====================
+    value                     meaning                                             computed by
+    ========================  ==================================================  =====================
+    ``velocity``              differences of positions in time, by id             positions of steps
+    ``coordination_number``   partners in contact, walls included                 contacts
+    ``mean_contact_age``      mean age of the grain's contacts (s)                `contact_history`
+    ``stress``                tensor of the grain's contacts (Pa)                 `particle_stress`
+    ``pressure``              its trace over the number of dimensions             `particle_stress`
+    ``major_stress``          most compressive principal stress                   `particle_stress`
+    ``voronoi_volume``        volume of the Voronoi cell                          `voronoi`
+    ``voronoi_fraction``      volume of the grain over its cell's                 `voronoi`
+    ``voronoi_neighbours``    faces of the cell to others                         `voronoi`
+    ``q4``, ``q6``, ``psi6``  bond order, of a layer psi6                         `bond_order`
+    ========================  ==================================================  =====================
 
     A mean age is NaN for grains without contacts, and is computed at once, step by step. Values of
     analyses with other arguments than by default are added by ``ds.assign(q6=order.q6)``.
