@@ -114,7 +114,7 @@ def mean_squared_displacement(
     >>> import numpy as np
     >>> import xcg
     >>> kicks = 0.1 * np.random.default_rng(1).normal(size=(65, 500, 3))
-    >>> ds = xcg.scene_from_arrays(list(kicks.cumsum(axis=0)), diameter=np.ones((65, 500)), time=np.arange(65.0))
+    >>> ds = xcg.scene_from_arrays(list(kicks.cumsum(axis=0)), diameter=np.full((65, 500), 0.01), time=np.arange(65.0))
     >>> m = ds.cg.mean_squared_displacement(4, fit=(1, 4))
     >>> round(float(m.diffusion_coefficient), 3)  # 0.1^2 / 2
     0.005
