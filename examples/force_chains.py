@@ -90,8 +90,8 @@ def main(output: Path) -> None:
     fc.cg.to_csv(output / "chains_{step}.csv", overwrite=True)
     fc.cg.to_vtp(output / "chains_{step}.vtp", overwrite=True)
     fc.cg.save(output / "chains.vtkhdf", overwrite=True)
-    draw(fc, output / "chains.png")
-    for path in sorted(output.glob("chains*")):
+    draw(fc, output / "force_chains.png")
+    for path in sorted(output.glob("*chains*")):
         print(f"{path.stat().st_size / 1e6:7.2f} MB  {path}")
 
 

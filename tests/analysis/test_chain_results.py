@@ -93,7 +93,7 @@ def test_the_example_script_runs(tmp_path, capsys):
     example = runpy.run_path(str(ROOT / "examples" / "force_chains.py"))
     example["main"](tmp_path)
     assert "links point at 138 degrees, the mean stress at 140" in capsys.readouterr().out
-    assert (tmp_path / "chains.png").stat().st_size > 1e5
+    assert (tmp_path / "force_chains.png").stat().st_size > 1e5
 
 
 def test_wrong_plots_raise():
