@@ -56,6 +56,10 @@ TABLE = [
         "test_segment_integrals_equal_quadrature",
     ),
     Mutation(
+        "compiled/lines.py", "_lucy_profile(a, abs(a))", "_lucy_profile(a, a)",
+        "test_segment_integrals_equal_quadrature",
+    ),
+    Mutation(
         "compiled/polynomials.py", "(n + 3.0) / (n + 2.0) * h2 * odd", "(n + 2.0) / (n + 1.0) * h2 * odd",
         "test_marginals_are_integrals_over_the_other_axes",
     ),

@@ -58,6 +58,18 @@ def has_shells(table):
     return table[SHELLS, RADIUS, 0] > 0.0
 
 
+@inlined
+def _lucy_profile(t, size):
+    """Integral of the marginal of Lucy's kernel in one dimension over 0 < s < t; `size` is ``|t|``.
+
+    There every line runs through the point: h = 0.
+    """
+    t2 = t * t
+    return (
+        2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * size + t2 / 14.0)))
+    )
+
+
 @inner
 def _antiderivative(kind, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
@@ -66,10 +78,8 @@ def _antiderivative(kind, h2, t):
     if kind == LUCY + 1:
         return lucy_plane(h2, t)
     t2 = t * t
-    if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
-        return (
-            2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
-        )
+    if kind == LUCY + 2:
+        return _lucy_profile(t, t)
     if kind == HEAVISIDE:
         return t
     if kind == HEAVISIDE + 1:
@@ -140,6 +150,8 @@ def fill_segments(kind, table, length, along, q2, count, out, closed):
         _fill_tabulated(kind, table, length, along, q2, count, out, closed)
     elif kind == LUCY + 1:
         fill_lucy_planes(length, along, q2, count, out, closed)
+    elif kind == LUCY + 2:
+        _fill_lucy_profiles(length, along, q2, count, out)
     elif kind == HEAVISIDE:
         _fill_chords(1.0, 0.0, length, along, q2, count, out)
     elif kind == HEAVISIDE + 2:
@@ -167,6 +179,15 @@ def _fill_one_by_one(kind, table, length, along, q2, count, out):
         out[k] = 0.0
         if h2 < 1.0:
             out[k] = segment(kind, table, h2, -along[k], length - along[k]) / length
+
+
+@inner
+def _fill_lucy_profiles(length, along, q2, count, out):
+    """Write the mean over the clipped segment in one dimension, in a loop that vectorises."""
+    per_length = 1.0 / length
+    for k in range(padded(count)):
+        a, b, _ = clipped(q2[k], along[k], length)
+        out[k] = per_length * (_lucy_profile(b, abs(b)) - _lucy_profile(a, abs(a)))
 
 
 @inner
