@@ -75,6 +75,29 @@ def test_sizes_in_another_unit_than_positions_are_named(factor):
         _open(sizes, contacts)
 
 
+@pytest.mark.parametrize(
+    ("pairs", "cause"), [(2, "other grains"), (9, "other grains"), (10, "another unit")]
+)
+def test_a_unit_is_blamed_for_ten_contacts_or_more(pairs, cause):
+    x = 10.0 * np.arange(pairs)
+    grains = pd.DataFrame({"x": np.r_[x, x + 3.0], "y": 0.0, "z": 0.0, "radius": 0.5})
+    grains = grains.assign(id=10 * np.arange(2 * pairs))
+    contacts = pd.DataFrame({"id1": grains.id[:pairs], "id2": grains.id[pairs:].to_numpy()})
+    with pytest.warns(SceneWarning, match=f"across a gap .* {cause}"):
+        _open(grains, contacts.assign(fx=-7.0, fy=0.0, fz=0.0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "cause"), [(2, "ids are of other grains"), (3, "walls with numbers")]
+)
+def test_a_wall_is_blamed_for_three_contacts_or_more(rows, cause):
+    grains = pd.DataFrame({"id": 10 * np.arange(rows + 1), "y": 0.0, "z": 0.0, "radius": 0.5})
+    grains = grains.assign(x=[0.0, *(-1.0) ** np.arange(rows) * (5.0 + np.arange(rows))])
+    contacts = pd.DataFrame({"id1": grains.id[1:], "id2": 0, "fx": 7 * np.sign(grains.x[1:])})
+    with pytest.warns(SceneWarning, match=f"across a gap .*{cause}"):
+        _open(grains, contacts.assign(fy=0.0, fz=0.0))
+
+
 def test_whole_numbers_of_places_are_no_rounding():
     grains, contacts = _lattice()
     places = grains.assign(**{axis: grains[axis] / _SPACING for axis in "xyz"}, radius=0.51)

@@ -525,7 +525,9 @@ def resembling(
         powers = powers_of_slot(variable)
         for column in candidates:
             unit = unit_of(column)
-            of_another = unit is not None and unit.in_brackets and unit.powers != powers
+            has_other_unit = unit is not None and unit.in_brackets and unit.powers != powers
+            of_spin = variable == "velocity" and resembles(column, PARTICLES["angular_velocity"])
+            of_another = has_other_unit or of_spin
             is_alias = not aliases_of(names).isdisjoint(words_of(column))
             if not of_another and resembles(column, names) and (is_alias or column not in likely):
                 likely[column] = variable

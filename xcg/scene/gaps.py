@@ -14,7 +14,7 @@ _MOST = 0.01  # share of the contacts looked at that may have gaps
 _GAP = 0.1  # of R_i + R_j; smaller ones are of rounding, or of positions that are a step old
 _WIDE = 1.0  # of R_i + R_j; no bridge or bond is so long
 _PUSHING = 0.9  # share of the forces across gaps that push, unless they are bonds or bridges
-_FEW = 10  # gaps that push by chance
+_FEW = 10  # gaps that push by chance; distances that are alike by chance
 _FEW_WIDE = 3
 _MAJORITY = 0.5  # share of the contacts from which fewer gaps count
 _TOUCHING = 0.02  # of R_i + R_j; a smaller gap is closed
@@ -85,7 +85,8 @@ def _cause(contacts: SphereContacts, pairs: Pairs, across: NDArray) -> str:
             )
     distances = 1.0 - pairs.overlap / pairs.touching
     factor = float(np.median(distances))
-    if factor > _FAR and (np.abs(distances / factor - 1) <= _ALIKE).mean() >= _CLOSED:
+    are_alike = (np.abs(distances / factor - 1) <= _ALIKE).mean() >= _CLOSED
+    if factor > _FAR and are_alike and len(distances) >= _FEW:
         return (
             f"centres are {factor:.3g} times R_i + R_j apart, nearly all of them: sizes have another unit than "
             "positions, or are half as large (radii that were read as diameters); give both in one unit"
@@ -100,7 +101,7 @@ def _cause(contacts: SphereContacts, pairs: Pairs, across: NDArray) -> str:
         )
     rows = pairs.rows[across]
     partners = np.unique(contacts.contacts["contact_j"][rows])
-    if len(partners) <= _FEW_WALLS and len(partners) < max(2, len(rows)):
+    if len(rows) >= _FEW_WIDE and len(partners) <= min(_FEW_WALLS, len(rows) - 1):
         listed = ", ".join(map(str, partners.tolist()))
         return (
             f"all of them are with contact_j = {listed}: walls with numbers of their own, most likely; give "

@@ -374,7 +374,8 @@ def test_radii_that_volumes_or_positions_explain_are_not_needed(tmp_path, r):
     ("columns", "likely"),
     [
         ("idx", "particle_id"), ("pid", "particle_id"), ("xdot ydot zdot", "velocity"),
-        ("vrot_x vrot_y vrot_z", "angular_velocity"), ("speed rms (m/s)", "velocity"),
+        ("vrot_x vrot_y vrot_z", "angular_velocity"), ("Angular_velocity_1", "angular_velocity"),
+        ("speed rms (m/s)", "velocity"),
         ("c_shape[1] c_shape[2] c_shape[3]", "whole_axis"), ("Rhob [kg/m^3]", "density"),
     ],
 )  # fmt: skip
