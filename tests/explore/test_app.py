@@ -78,7 +78,11 @@ class Page:
             f"before => JSON.stringify(JSON.parse(({SEEN})())['{what}']) != JSON.stringify(before)",
             arg=before,
         )
-        return self.page.evaluate(f"() => JSON.parse(({SEEN})())['{what}']")
+        shown = None
+        while (now := self.page.evaluate(f"() => JSON.parse(({SEEN})())['{what}']")) != shown:
+            shown = now
+            self.page.wait_for_timeout(400)  # the parts of a picture arrive one after the other
+        return shown
 
     def choose(self, label, value):
         return lambda: self.page.get_by_label(label, exact=True).select_option(value)
