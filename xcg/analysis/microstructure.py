@@ -213,18 +213,18 @@ def microstructure(
     `coarse_grain` have other norms. Where no stress is kinetic, the contact stress is symmetric and
     grains are alike, quantities are these factors times the field:
 
-    ====================  ================================  ==============  ===========
-    quantity              field of `coarse_grain`           3D              2D
-    ====================  ================================  ==============  ===========
-    mean_stress           pressure                          1               1
-    deviator_stress       shear_stress                      :math:`\sqrt 3`  2
-    stress_ratio          friction_coefficient              :math:`\sqrt 3`  2
-    strain_rate           shear_rate                        :math:`1 / \sqrt 3`  1
-    inertial_number_d50   inertial_number                   :math:`1 / \sqrt 3`  1
-    fabric                contact_fabric                    1               1
-    fabric                fabric                            :math:`1 / (\phi Z)`  :math:`1 / (\phi Z)`
-    fabric_anisotropy     contact_anisotropy                1               1
-    ====================  ================================  ==============  ===========
+    ===================  =======================  ====================  ====================
+    quantity             field of `coarse_grain`  3D                    2D
+    ===================  =======================  ====================  ====================
+    mean_stress          pressure                 1                     1
+    deviator_stress      shear_stress             :math:`\sqrt 3`       2
+    stress_ratio         friction_coefficient     :math:`\sqrt 3`       2
+    strain_rate          shear_rate               :math:`1 / \sqrt 3`   1
+    inertial_number_d50  inertial_number          :math:`1 / \sqrt 3`   1
+    fabric               contact_fabric           1                     1
+    fabric               fabric                   :math:`1 / (\phi Z)`  :math:`1 / (\phi Z)`
+    fabric_anisotropy    contact_anisotropy       1                     1
+    ===================  =======================  ====================  ====================
 
     References
     ----------
