@@ -88,11 +88,6 @@ class Arguments:
         return CallerNames.parse(self.names)
 
     @property
-    def sets_times(self) -> bool:
-        """Return whether times come from the caller, and not from the files."""
-        return self.times is not None or "timestep" in self.engine_options
-
-    @property
     def paths(self) -> dict[str, Paths]:
         """Paths of the files of each kind: particles, contacts, walls."""
         kinds: dict[str, Any] = {"particles": self.particles, "contacts": self.contacts}

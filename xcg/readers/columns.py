@@ -95,8 +95,11 @@ class Columnar(Engine):
 
         These are one array, of which the columns are views.
         """
-        whole = {slot: _columns_of(columns, slot) for slot in vectors}
-        options = replace(options, vectors=tuple({group for group in whole.values() if group}))
+        whole: dict[str, tuple[str, ...]] = {}
+        for slot in vectors:
+            if columns.keys() >= components(slot).keys():
+                whole[slot] = tuple(columns[name] for name in components(slot))
+        options = replace(options, vectors=tuple({*whole.values()}))
         table: Columns = self.read_columns(ref, columns.values(), ref.rows, options)
         if "units" not in options.given:
             _convert(table, columns)
@@ -361,14 +364,6 @@ def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: Step
                     f"{other}s, and {other}s is missing; dump xs ys zs, or x y z"
                 )
             values[f"{place}_{axis}"] += values[f"{scaled}_{other}"] * vector[k]
-
-
-def _columns_of(columns: Mapping[str, str], slot: str) -> tuple[str, ...]:
-    """Return the columns of the three components of a vector; empty unless all are there."""
-    slots = components(slot)
-    if not columns.keys() >= slots.keys():
-        return ()
-    return tuple(columns[name] for name in slots)
 
 
 def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef, options: ReadOptions) -> bool:

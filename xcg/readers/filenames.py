@@ -95,9 +95,6 @@ def read_file_numbers(paths: Sequence[str]) -> FileNumbers:
     If no number varies among the names, those in the folders are taken; if these do not vary
     either, the last number of each name.
     """
-    usual = _read_one_number(paths)
-    if usual:
-        return usual
     folders = [os.path.join(os.path.dirname(path), "") for path in paths]
     names = [_ENDING.sub("", plain_name(path)) for path in paths]
     texts = names
@@ -143,32 +140,6 @@ def _doubt_about(texts: Sequence[str], numbers: Sequence[_Number | None]) -> str
         if unit and (not number.is_whole or len(units) > 1):
             return f"times in the names have a unit ({text[number.start : end]}{unit[0]})"
     return ""
-
-
-def _read_one_number(paths: Sequence[str]) -> FileNumbers | None:
-    """Read the steps of paths that differ in one whole number only; None for all others.
-
-    This is the usual case, and takes a tenth of the time.
-    """
-    if len(paths) < 2:
-        return None
-    before = _common_start(paths).rstrip("0123456789")
-    after = _common_start([path[::-1] for path in paths])[::-1].lstrip("0123456789")
-    digits = [path[len(before) : len(path) - len(after)] for path in paths]
-    beside = f"{before[-3:]}0{after[:3]}"
-    may_be_other = _POINT.search(beside) or _ENDING.search(f"{before}0") or _SIGN.search(before)
-    if may_be_other or not all(map(_WHOLE.fullmatch, digits)):
-        return None
-    if not _are_whole(digits) or len(set(map(int, digits))) < len(paths):
-        return None
-    runs = [f"{before}#{after}"] * len(paths)
-    return FileNumbers([int(text) for text in digits], [None] * len(paths), runs)
-
-
-def _common_start(texts: Sequence[str]) -> str:
-    first, last = min(texts), max(texts)
-    length = next((k for k in range(len(first)) if first[k] != last[k]), len(first))
-    return first[:length]
 
 
 def _without(text: str, number: _Number | None) -> str:

@@ -122,10 +122,12 @@ def _check_runs(steps: Sequence[Step], kind: str) -> None:
     A run is a file of several steps, or files whose names differ in one number. A run that was
     restarted may repeat the last steps of an earlier one.
     """
-    names = run_names([step.particles.path for step in steps])
+    counts = Counter(step.particles.path for step in steps)
+    names = dict(zip(counts, read_file_numbers(list(counts)).runs, strict=True))
     runs: dict[str, list[Step]] = {}
-    for step, name in zip(steps, names, strict=True):
-        runs.setdefault(name, []).append(step)
+    for step in steps:
+        path = step.particles.path
+        runs.setdefault(names[path] if counts[path] == 1 else path, []).append(step)
     ordered = sorted(runs.values(), key=lambda run: min(map(_key, run)))
     latest = ordered[0]  # the run that ends last
     for run in ordered[1:]:
@@ -147,13 +149,6 @@ def _check_runs(steps: Sequence[Step], kind: str) -> None:
             )
         if max(keys) > max(earlier):
             latest = run
-
-
-def run_names(paths: Sequence[str]) -> list[str]:
-    """Return what the files of one run share: the path of a file of several steps, else the path without a number."""
-    steps = Counter(paths)
-    runs = dict(zip(steps, read_file_numbers(list(steps)).runs, strict=True))
-    return [runs[path] if steps[path] == 1 else path for path in paths]
 
 
 # --- pieces of one step ----------------------------------------------------------------------------------

@@ -100,8 +100,8 @@ def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, f
 
 def not_against_headers(
     units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]
-) -> Any:
-    """Return `units`; raise SceneError if they contradict the headers.
+) -> None:
+    """Raise SceneError if `units` contradict the headers.
 
     Allowed all the same: factors where headers say lj, and "reduced" where they say si.
     """
@@ -126,7 +126,6 @@ def not_against_headers(
             raise SceneError(
                 f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
             )
-    return units
 
 
 # --- the index of headers --------------------------------------------------------------------------------
@@ -213,7 +212,7 @@ class _Index:
             self._is_new = True
 
     def save(self) -> None:
-        """Write the entries of files that exist, if one is new."""
+        """Write the entries of files that exist, if one is new, whole or not at all."""
         if self._place is None or not self._is_new:
             return
         entries = {
@@ -221,7 +220,12 @@ class _Index:
             for name, entry in self._entries.items()
             if os.path.exists(os.path.join(self._folder, name))
         }
-        _save(self._place, entries)
+        text = json.dumps(entries, separators=(",", ":")).encode()
+        part = self._place.with_name(f".{self._place.name}.{os.getpid()}")
+        with suppress(OSError):  # a cache that cannot be written is ignored
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
+            os.replace(part, self._place)
 
 
 def _stamp(path: str) -> dict[str, Any]:
@@ -331,13 +335,3 @@ def _load(folder: str, kind: str) -> tuple[Path | None, dict[str, Any]]:
         if hashlib.sha256(text).hexdigest().encode() == digest:
             return place, dict(json.loads(text))
     return place, {}
-
-
-def _save(place: Path, entries: Mapping[str, Any]) -> None:
-    """Write the index whole or not at all; a cache that cannot be written is ignored."""
-    text = json.dumps(entries, separators=(",", ":")).encode()
-    part = place.with_name(f".{place.name}.{os.getpid()}")
-    with suppress(OSError):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
-        os.replace(part, place)

@@ -285,9 +285,14 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
         if arguments.box is None and first.box is None:
             # no file tells the period across a layer, and nothing depends on it
             periodic = _within(flat, periodic)
+    units: Any = arguments.units
+    if units is None:
+        units = units_of_headers(listing.refs)
+    else:
+        not_against_headers(units, listing.refs)
     shape, thickness = _shape_of(arguments, listing)
     setup = Setup.make(
-        units=_units_of(arguments, listing),
+        units=units,
         gravity=arguments.gravity,
         dimension=dimension,
         plane=plane,
@@ -314,13 +319,6 @@ def _check_periodic(given: str, named: str, source: str) -> None:
             f"periodic={given!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
             "neighbours; leave periodic= out, unless the header is wrong"
         )
-
-
-def _units_of(arguments: Arguments, listing: Listing) -> Any:
-    """Return the units, from the argument if it does not contradict the headers, else from these."""
-    if arguments.units is None:
-        return units_of_headers(listing.refs)
-    return not_against_headers(arguments.units, listing.refs)
 
 
 def _shape_of(arguments: Arguments, listing: Listing) -> tuple[Shape, float | None]:
@@ -382,7 +380,8 @@ def make_series(
         times,
     )
     measured = measure_frames(frames)
-    if first is not None and arguments.sets_times and arguments.on_error == "raise":
+    sets_times = arguments.times is not None or "timestep" in arguments.engine_options
+    if first is not None and sets_times and arguments.on_error == "raise":
         _check_times_of_motion(series, first, images)
     return series, measured
 
@@ -439,7 +438,8 @@ def _boxes(
     lattice: Any = arguments.lattice
     shear_rate = arguments.shear_rate
     if lattice is None and box is None and any(ref.lattice is not None for ref in refs):
-        lattice = [ref.lattice or _straight(ref) for ref in refs]
+        # a box without tilt has its edges alone
+        lattice = [ref.lattice or np.diag(np.ptp(ref.box or (), axis=1)).tolist() for ref in refs]
         if shear_rate is None and refs[0].shear_rates:
             rates = [dict(ref.shear_rates) for ref in refs]
             shear_rate = {
@@ -501,12 +501,6 @@ def _periods_from(
             continue  # others may tell it
         periods = {**recovered, **periods}
     return periods
-
-
-def _straight(ref: StepRef) -> list[list[float]]:
-    """Return the vectors a, b, c of a box without tilt."""
-    edges = np.array(ref.box, float)
-    return np.diag(edges[:, 1] - edges[:, 0]).tolist()
 
 
 def _recovered_box(

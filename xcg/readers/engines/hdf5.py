@@ -193,8 +193,7 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
 
 def _first_of(mine: Mapping[str, str]) -> str:
     """Return the variable of a mapping that defines the steps and the number of rows."""
-    firsts = [name for name in _FIRST if name in mine]
-    return firsts[0]
+    return next(name for name in _FIRST if name in mine)
 
 
 def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str, float]]:

@@ -27,7 +27,11 @@ _ROOT = "VTKHDF"
 def mesh_of(path: str) -> str:
     """Return what a file holds in place of grains: polygons without vertices, cells of an extent, an image; else ""."""
     with opened(path) as file:
-        kind = _kind(file)
+        if _ROOT not in file or "Type" not in file[_ROOT].attrs:
+            raise SceneError(
+                f"{path}: it has no group {_ROOT} with a type; give engine='hdf5' and mapping= for other HDF5"
+            )
+        kind = text_of(file[_ROOT].attrs["Type"])
         if kind == "PolyData":
             polygons = _cells(file, "Polygons") + _cells(file, "Strips")
             return mesh_of_cells(polygons, _cells(file, "Vertices"), ())
@@ -112,15 +116,6 @@ def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray:
             "file was cut short. Leave it out, or write it again"
         )
     return values
-
-
-def _kind(file: h5py.File) -> str:
-    """Return the type of a VTKHDF file."""
-    if _ROOT not in file or "Type" not in file[_ROOT].attrs:
-        raise SceneError(
-            f"{file.filename}: it has no group {_ROOT} with a type; give engine='hdf5' and mapping= for other HDF5"
-        )
-    return text_of(file[_ROOT].attrs["Type"])
 
 
 def _time_of(file: h5py.File) -> float | None:

@@ -17,7 +17,7 @@ from xcg.readers.files.table import (
     is_number,
     split_header,
 )
-from xcg.readers.files.text import PIECE, Scanner, scanned
+from xcg.readers.files.text import PIECE, scanned
 
 _MOST_TEXT = 1000  # lines in which the names of columns are looked for
 _FEWEST_NAMES = 3
@@ -93,7 +93,8 @@ def scan_blocks(
                 scanner.line()
             starts = [scanner.offset]
             rows = []
-            while _is_row(cells_of(_next_line(scanner)), len(names)):
+            # the next line is left where it is unless it is a row
+            while _is_row(cells_of(scanner.sample(_LONGEST_ROW).partition(b"\n")[0]), len(names)):
                 rows.append(scanner.line())
                 starts.append(scanner.offset)
             number += len(rows) + bool(units)
@@ -112,11 +113,6 @@ def row_below_text(path: str) -> tuple[tuple[str, ...], list[str]]:
     _, names = split_header(_plain(head[place]).decode("utf-8-sig", "replace"))
     row = head[place + 1 + bool(_units(head[place + 1]))]
     return names, [cell.decode("utf-8", "replace") for cell in cells_of(row)]
-
-
-def _next_line(scanner: Scanner) -> bytes:
-    """Return the next line, and leave it where it is."""
-    return scanner.sample(_LONGEST_ROW).partition(b"\n")[0]
 
 
 def _place_of_names(lines: Sequence[bytes]) -> int | None:
