@@ -794,6 +794,14 @@ TABLE = [
         "scene/gaps.py", "_FEW_WIDE = 3", "_FEW_WIDE = 4", "test_few_gaps_are_no_verdict",
     ),
     Mutation(
+        "scene/gaps.py", "len(distances) >= _FEW", "len(distances) > _FEW",
+        "test_a_unit_is_blamed_for_ten_contacts_or_more",
+    ),
+    Mutation(
+        "readers/caller_names.py", "(of_kind and (mapped or listed))", "(of_kind and mapped)",
+        "test_names_of_another_form_show_each_form",
+    ),
+    Mutation(
         "scene/gaps.py", "_MOST = 0.01 ", "_MOST = 0.2 ", "test_few_gaps_are_no_verdict",
     ),
     Mutation(
