@@ -11,6 +11,7 @@ import pytest
 from tests import ROOT, pyvista_draws, real_data
 
 mpl.use("agg")
+plt = pytest.importorskip("matplotlib.pyplot")
 PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
 SETTING, *ANSWERS = re.split(r"^### ", PAGE, flags=re.MULTILINE)
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -32,6 +33,13 @@ ITEM: BOX BOUNDS pp pp ff
 ITEM: {what} {names}
 {rows}
 """
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    """Leave no figure that the next answer would draw into."""
+    yield
+    plt.close("all")
 
 
 @pytest.fixture(scope="module")
