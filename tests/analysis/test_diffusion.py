@@ -152,7 +152,7 @@ def test_wrong_input_raises(change, options, error, message):
         change(walks()[0]).cg.mean_squared_displacement(**options)
 
 
-@pytest.mark.parametrize(("jump", "fires"), [(0.1, False), (0.45, True)])
+@pytest.mark.parametrize(("jump", "fires"), [(0.1, False), (0.3, True), (0.45, True)])
 def test_grains_that_may_have_crossed_half_a_period_are_named(jump, fires):
     """The same check for velocities, displacements and their mean square."""
     place = np.random.default_rng(0).uniform(0, 1, (30, 3))
@@ -171,7 +171,9 @@ def test_grains_that_may_have_crossed_half_a_period_are_named(jump, fires):
             call()
             continue
         results = "velocities" if name == "velocities" else "displacements"
-        with pytest.warns(xcg.SceneWarning, match=rf"by up to 0.45 .* along 'x' .*; {results} of"):
+        with pytest.warns(
+            xcg.SceneWarning, match=rf"by up to {jump:.2f} .* along 'x' .*; {results} of"
+        ):
             call()
     followed = ds.assign(image=ds.position.astype(int) * 0)
     followed.cg.mean_squared_displacement([1])
