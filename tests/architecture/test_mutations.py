@@ -1,0 +1,11 @@
+"""Rows of the table of mutations are of the package as it is."""
+
+from tests.architecture import PACKAGE
+from tests.mutations import TABLE
+
+
+def test_each_mutation_changes_one_place():
+    stale = [
+        (row.file, row.old) for row in TABLE if (PACKAGE / row.file).read_text().count(row.old) != 1
+    ]
+    assert not stale
