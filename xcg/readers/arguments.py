@@ -135,7 +135,7 @@ class Arguments:
         return reader
 
     def _engine_of_names(self, files: Mapping[str, Sequence[str]]) -> str | None:
-        """Return the engine that takes lists of `names`; None where there are none."""
+        """Return the engine that takes lists of `names`, or None if `names` has no list."""
         if not self.caller_names.listed:
             return None
         is_dump = load_engine("liggghts").recognises(files["particles"][0])

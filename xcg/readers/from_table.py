@@ -322,7 +322,7 @@ def _with_seconds(
 def _at_steps(
     contacts: pd.DataFrame, clock: Mapping[str, str], steps: Sequence[float]
 ) -> pd.DataFrame:
-    """Return contacts whose times are those of the steps of the particles, but for rounding noise."""
+    """Return contacts with times replaced by the steps' times that equal them up to rounding."""
     column = clock.get("time")
     if column is None or not len(contacts):
         return contacts

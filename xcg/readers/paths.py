@@ -62,7 +62,7 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
 
 
 def _why_none(path: str) -> str:
-    """Return why a path or glob means no file, and what is there."""
+    """Return why a path or glob matches no file, with the files nearby."""
     if os.path.isdir(path):
         if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
             return " is a Zarr folder, opened alone, as a scene that xcg saved"

@@ -364,7 +364,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
 def _mapped(
     function: Any, values: xr.DataArray, dims: Sequence[str], out: Sequence[str] | None = None
 ) -> xr.DataArray:
-    """Apply a function along dimensions; `out` are those of what it returns, three long, by default the same."""
+    """Apply a function along dimensions; `out` names the output's, by default the same; new ones have length 3."""
     return xr.apply_ufunc(
         function,
         values,

@@ -89,7 +89,7 @@ class Dumps(Columnar):
         return table
 
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
-        """Return the slot of each column that is read, with those of walls and of columns that occur twice."""
+        """Return the slot of each column that is read, including walls and repeated columns."""
         if ref.kind == _WALLS:  # the particles are reported
             return dict.fromkeys(ref.columns, _WALLS)
         of_walls = {

@@ -104,7 +104,7 @@ class Mfix(Vtk):
         return targets
 
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
-        """Return the variable of each array that is read, with those that contacts are joined by."""
+        """Return the variable of each array that is read, including the keys that join contacts to particles."""
         of_contacts = dict.fromkeys(_OF_CONTACTS, "contact") if contacts else {}
         return of_contacts | super().columns_read(ref, options, contacts=contacts)
 

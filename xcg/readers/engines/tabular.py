@@ -92,7 +92,7 @@ class Table(Columnar):
         return read(ref, sorted(set(wanted)), options)
 
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
-        """Return the slot of each column that is read, with those of times and steps."""
+        """Return the slot of each column that is read, including times and steps."""
         of_clock = {column: slot for slot, column in clock_of(ref.columns, options.names).items()}
         return of_clock | super().columns_read(ref, options, contacts=contacts)
 
@@ -110,7 +110,7 @@ def _has_header(path: str) -> bool:
 
 
 def _begins_a_table(path: str, names: tuple[str, ...], words: Sequence[str]) -> bool:
-    """Return whether names of columns are those of positions or contacts, above numbers."""
+    """Return whether the column names mean positions or contacts, and numbers follow."""
     if len(words) not in (len(names), len(names) + 1):  # one more: an index without a name
         return False
     row = dict(zip(reversed(names), reversed(words), strict=False))
