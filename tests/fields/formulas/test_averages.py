@@ -278,6 +278,9 @@ def test_steady_series_are_silent(steps):
     as_result(rng.normal(size=(steps, 4000))).cg.time_average()
     as_result(np.exp(2 * rng.normal(size=(steps, 4000)))).cg.time_average()
     as_result(np.full((steps, 5), 0.1)).cg.time_average()
+    rounding = 1e-10 * np.repeat(rng.normal(size=(steps // 8, 5)), 8, axis=0)
+    mean = as_result(1.0 + rounding).cg.time_average()
+    assert mean.density_error.attrs.get("share_without_plateau", 0.0) == 0.0
 
 
 def test_errors_of_ratios_equal_those_of_the_ratio_of_sums():

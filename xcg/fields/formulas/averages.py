@@ -514,6 +514,8 @@ def jackknife(
         of_others = function((count * mean - samples) / (count - 1))
         next_error = _jackknife_error(of_others, dim)
         growths = (next_error / levels[-1].where(levels[-1] > 0)).where(~has_plateau, 1.0)
+        # errors of rounding have no plateau
+        growths = growths.where(~(next_error <= _ROUNDING * abs(of_mean).max()), 1.0)
     elif of_others.sizes[dim] >= MIN_BIAS_BLOCKS:
         count = of_others.sizes[dim]
     if count >= MIN_BIAS_BLOCKS:
