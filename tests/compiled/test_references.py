@@ -25,18 +25,11 @@ from xcg.compiled.segments import (
 from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.nodes import MeshBlock
 
+xcg.register_kernel(
+    "reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2
+)
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside", "reference spline"]
 AXES = ["xyz", "xz", "y"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def reference_spline():
-    """Register a kernel of our own: not at import, as its table would cost each collection seconds."""
-
-    def spline(q):
-        return (1 - q) ** 4 * (1 + 4 * q)
-
-    xcg.register_kernel("reference spline", spline, ratio=2.0, smoothness=2)
 
 
 def reference_deposit(place, velocity, mass, constants, node, value):

@@ -54,15 +54,12 @@ def bump(q):
     return np.exp(-1 / (1 - q**2))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_kernels():
-    """Register the kernels above: not at import, as their tables would cost each collection seconds."""
-    xcg.register_kernel("wendland", wendland, ratio=2.0, smoothness=2)
-    xcg.register_kernel("cubic spline", cubic_spline, ratio=2.0, smoothness=2)
-    xcg.register_kernel("quintic spline", quintic_spline, ratio=2.0, smoothness=4)
-    xcg.register_kernel("narrow gaussian", narrow_gaussian, ratio=5.0, smoothness=-1)
-    xcg.register_kernel("short", short, ratio=2.0, smoothness=2)
-    xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
+xcg.register_kernel("wendland", wendland, ratio=2.0, smoothness=2)
+xcg.register_kernel("cubic spline", cubic_spline, ratio=2.0, smoothness=2)
+xcg.register_kernel("quintic spline", quintic_spline, ratio=2.0, smoothness=4)
+xcg.register_kernel("narrow gaussian", narrow_gaussian, ratio=5.0, smoothness=-1)
+xcg.register_kernel("short", short, ratio=2.0, smoothness=2)
+xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
 
 
 @pytest.mark.parametrize("name", [*NAMES, "wendland"])
