@@ -78,7 +78,7 @@ def draw(table: pd.DataFrame) -> None:
         ax.grid(alpha=0.3)
     label = "Pysammos at $10^6$ grains,\nother machine (Archer2)"
     axes[0].axhline(PAPER, color="black", ls="--", lw=1, label=label)
-    axes[0].legend(fontsize="small", loc="lower left")
+    axes[0].legend(fontsize="small", loc="upper right", bbox_to_anchor=(1.0, 0.7))
     axes[0].set_ylabel("time a grain and step (s)")
     figure.savefig(PICTURE, dpi=90)
     plt.close(figure)
@@ -106,7 +106,7 @@ def main() -> None:
     warnings.simplefilter("ignore", xcg.SceneWarning)
     if not given.draw:
         measured = measure(given.largest, given.repeats)
-        facts = {"machine": machine(), "load": os.getloadavg()[2]}
+        facts = {"machine": machine(), "load": os.getloadavg()[0]}
         measured.assign(**facts).to_csv(TABLE, index=False, float_format="%.4g")
     table = pd.read_csv(TABLE)
     on = table.machine.iloc[0].replace("one of ", "")

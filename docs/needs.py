@@ -183,7 +183,7 @@ def main() -> None:
     warnings.simplefilter("ignore", xcg.SceneWarning)
     table = measure(given.particles, given.repeats)
     text = f"{rows(table)}\n\n{given.particles:,} grains, {machine()}."
-    load = os.getloadavg()[2]
+    load = os.getloadavg()[0]
     if load > BUSY:
         text += f" The machine had other work (load {load:.1f}), so times are upper bounds."
     write_between("needs.md", "needs", text)
