@@ -225,22 +225,25 @@ def save(
         raise ValueError(
             f"{paths[0]}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only"
         )
-    if isinstance(path, list):
-        if not paths or of_chains or len(formats) < len(paths) or len(set(paths)) < len(paths):
-            names = ", ".join(map(str, paths))
-            raise ValueError(
-                f"path=[{names}]: expected different names for scenes or fields that end with .nc, "
-                ".h5, .zarr or .vtkhdf; save others by calls of their own"
-            )
+    are_different = len(set(paths)) == len(paths) > 0
+    are_together = are_different and len(formats) == len(paths) and not of_chains
+    if isinstance(path, list) and not are_together:
+        names = ", ".join(map(str, paths))
+        raise ValueError(
+            f"path=[{names}]: expected different names for scenes or fields that end with .nc, "
+            ".h5, .zarr or .vtkhdf; save others by calls of their own"
+        )
+    if are_together:
         together = [dict(zip(paths, formats, strict=True))]
-        if "time" not in ds.dims:  # images have a time axis, and the other files should not
+        if len(paths) > 1 and "time" not in ds.dims:
+            # images have a time axis, and the other files should not
             ds = ds.compute()
             together = [{each: kind} for each, kind in zip(paths, formats, strict=True)]
         for files in together:
             write_all(
                 Output(ds, files, encoding), overwrite=overwrite, resume=resume, progress=progress
             )
-        return paths
+        return paths if isinstance(path, list) else paths[0]
     path = paths[0]
     writer = writers[0]
     if of_chains:
@@ -251,16 +254,9 @@ def save(
                 f"{path}: chains in VTKHDF are written as they are; leave out {passed}, or save as .nc or .zarr"
             )
         chains.to_vtkhdf(ds, path, overwrite=overwrite)
-    elif isinstance(writer, Format):
-        write_all(
-            Output(ds, {path: writer}, encoding),
-            overwrite=overwrite,
-            resume=resume,
-            progress=progress,
-        )
     elif writer is write_pvd:
         write_pvd(ds, path, encoding, overwrite=overwrite, progress=progress)
-    else:
+    elif not isinstance(writer, Format):
         writer(ds, path, encoding, overwrite=overwrite)
     return path
 
