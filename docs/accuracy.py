@@ -131,7 +131,8 @@ def exact_contact_stress(
     ds: xr.Dataset, nodes: NDArray, kernel: BruteKernel, axes: slice
 ) -> NDArray:
     """Contact stress at points by composite quadrature of every branch, times the extent of axes that are not seen."""
-    position, force = ds.position.values[0], ds.contact_force.values[0]
+    position = ds.position.values[0]
+    force = ds.contact_force.values[0]
     rows = [
         np.searchsorted(ds.particle_id.values[0], ds[name].values[0])
         for name in ("contact_i", "contact_j")
@@ -260,7 +261,8 @@ def kinetic_stress(particles: int) -> Panel:
 
         f = ds.cg.coarse_grain("density", width=WIDTH)
         index, nodes = some_nodes(f)
-        m, v = left.mass.values[0], left.velocity.values[0]
+        m = left.mass.values[0]
+        v = left.velocity.values[0]
         moments = np.concatenate(
             [m[:, None], m[:, None] * v, (m * v.T[:, None] * v.T).reshape(9, -1).T], axis=1
         )
@@ -297,7 +299,9 @@ def temperature_ways(
 ) -> tuple[dict[str, Callable[[], xr.DataArray]], xr.DataArray]:
     """Ways to the velocity that fluctuations are about, and the temperature of the fluctuations that were put in."""
     nodes = mesh(ds, width)
-    x, v, m = ds.position.values[0], ds.velocity.values[0], ds.mass.values[0]
+    x = ds.position.values[0]
+    v = ds.velocity.values[0]
+    m = ds.mass.values[0]
 
     def about(reference: NDArray) -> xr.DataArray:
         """Sum of m v' v' Psi / (3 rho), with v' about a velocity at every grain."""
@@ -537,7 +541,8 @@ class Rate:
 
 def nodes_reached(target: str, args: Sequence[Any], ratio: float) -> float:
     """Mean number of nodes in the support of a grain or a branch, with nodes one width apart; `ratio` is c / w."""
-    ball, tube = 4 / 3 * np.pi * ratio**3, np.pi * ratio**3
+    ball = 4 / 3 * np.pi * ratio**3
+    tube = np.pi * ratio**3
     if target == POINTS:
         return ball
     return float(
@@ -816,9 +821,11 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
             for p in own:
                 if panel.numbered:
                     number = numbers.setdefault(named(p.way), len(numbers) + 1)
-                    text, about = str(number), SIDES[k % len(SIDES)]
+                    text = str(number)
+                    about = SIDES[k % len(SIDES)]
                 else:
-                    text, about = named(p.way), LABELS.get(p.way.label)
+                    text = named(p.way)
+                    about = LABELS.get(p.way.label)
                     if p.way.label == "right":
                         text = text.replace(" (", "\n(").replace(", ", ",\n")
                 if about:
@@ -842,7 +849,8 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
         for style, (name, least) in zip(("-.", ":"), bare.items(), strict=False):
             ax.axvline(least, color="k", ls=style, lw=1, label=f"floor: {name}")
         every = [*(p.time for p in points), *bare.values()]
-        low, high = min(every), max(every)
+        low = min(every)
+        high = max(every)
         room = 1.2 * (high / low) ** 0.45
         ax.set_xlim(low / room, high * room)
         ax.set_ylim(ROUNDING / 30, panel.headroom * max(p.error for p in points))

@@ -64,7 +64,8 @@ def fewest() -> int:
 def commit_folder(commit: str) -> Iterator[Path]:
     """A folder with the package of a commit, and the cases of the working tree."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        tree, folder = Path(name) / "tree", Path(name) / "run"
+        tree = Path(name) / "tree"
+        folder = Path(name) / "run"
         _git("worktree", "add", "--detach", str(tree), commit)
         stack.callback(_git, "worktree", "remove", "--force", str(tree))
         folder.mkdir()

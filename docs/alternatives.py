@@ -67,7 +67,8 @@ def _fill_interpolated(kind, table, norm, by_gradient, q2, count, out):
         out[k] = norm * (low + (x - n) * (table[0, 0, n + 1] - low))
 
 
-_ONE, _THREE = np.float32(1.0), np.float32(3.0)
+_ONE = np.float32(1.0)
+_THREE = np.float32(3.0)
 
 
 @jit
@@ -119,14 +120,16 @@ def raw_moments(*args: Any) -> None:
 
 def two_passes(*args: Any) -> None:
     """V = p / rho first, then the moments of v - V in a second pass."""
-    reference, moments = _of(args, "reference"), _of(args, "moments")
+    reference = _of(args, "reference")
+    moments = _of(args, "moments")
     reference[:] = 0.0
     first = np.zeros((*moments.shape[:2], VELOCITY))
     grains = _of(args, "grains")
     grains = grains._replace(constants=np.zeros((len(grains.mass), 0)))
     deposit(*changed(args, level=VELOCITY, grains=grains, moments=first))
     total = first.sum(axis=0)
-    mass, momentum = total[:, [MASS]], total[:, MOMENTUM : MOMENTUM + 3]
+    mass = total[:, [MASS]]
+    momentum = total[:, MOMENTUM : MOMENTUM + 3]
     reference[:] = np.divide(momentum, mass, out=reference, where=mass > 0)
     deposit(*args)
 
@@ -149,7 +152,8 @@ def velocity_at_grains(
 def _velocity_at(position, velocity, mass):
     """Cells of one cutoff, 27 of them searched for each grain; grains come in the order of the cells, x slowest."""
     count = position.shape[0]
-    lower, cells = np.empty(3), np.empty(3, np.int64)
+    lower = np.empty(3)
+    cells = np.empty(3, np.int64)
     for k in range(3):
         lower[k] = position[:, k].min()
         cells[k] = int(position[:, k].max() - lower[k]) + 1
@@ -163,7 +167,8 @@ def _velocity_at(position, velocity, mass):
     out = np.empty((count, 3))
     for i in range(count):
         total, px, py, pz = 0.0, 0.0, 0.0, 0.0
-        z0, z1 = max(cell[i, 2] - 1, 0), min(cell[i, 2] + 2, cells[2])
+        z0 = max(cell[i, 2] - 1, 0)
+        z1 = min(cell[i, 2] + 2, cells[2])
         for ix in range(max(cell[i, 0] - 1, 0), min(cell[i, 0] + 2, cells[0])):
             for iy in range(max(cell[i, 1] - 1, 0), min(cell[i, 1] + 2, cells[1])):
                 row = (ix * cells[1] + iy) * cells[2]
@@ -196,7 +201,8 @@ def multiply_add(sums, weights, factors):
     Each item adds to as many numbers as it has nodes times columns, without finding nodes or weights; items go
     through memory in order, as grains sorted in space do.
     """
-    size, items = weights.size, factors.size
+    size = weights.size
+    items = factors.size
     room = sums.size - size
     for i in range(items):
         first = int(room * (i / items))

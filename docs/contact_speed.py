@@ -122,7 +122,8 @@ def tree(packing: Packing, repeat: int) -> Measured:
     partners that are no larger, which lie within its own diameter."""
     from scipy.spatial import cKDTree
 
-    x, r = packing.position, packing.radius
+    x = packing.position
+    r = packing.radius
     count = len(r)
     times = [seconds(lambda: cKDTree(x, boxsize=packing.edge).query_ball_point(x, 2 * r), 1)]
     within = count**2 / 2 * 4 / 3 * np.pi * (2 * r.max() / packing.edge) ** 3
@@ -152,8 +153,10 @@ def with_freud(packing: Packing, repeat: int) -> Measured | None:
     except ImportError:
         return None
     freud.parallel.set_num_threads(1)
-    x, r = packing.position - packing.edge / 2, packing.radius
-    reach, count = 2 * float(r.max()), len(r)
+    x = packing.position - packing.edge / 2
+    r = packing.radius
+    reach = 2 * float(r.max())
+    count = len(r)
     if reach >= packing.edge / 2:
         return None
     within = count**2 * 4 / 3 * np.pi * (reach / packing.edge) ** 3
@@ -162,7 +165,8 @@ def with_freud(packing: Packing, repeat: int) -> Measured | None:
 
     def query() -> NDArray:
         pairs = freud.locality.AABBQuery(box, x).query(x[some], {"r_max": reach}).toNeighborList()
-        i, j = some[pairs.query_point_indices], pairs.point_indices.astype(int)
+        i = some[pairs.query_point_indices]
+        j = pairs.point_indices.astype(int)
         return _touching(packing, i[i < j], j[i < j])
 
     build = seconds(lambda: freud.locality.AABBQuery(box, x), repeat)
@@ -238,7 +242,8 @@ def draw(results: dict[str, list[dict]], path: Path) -> None:
     for panel, (kind, rows) in zip(panels, results.items(), strict=True):
         for name, label in NAMES.items():
             known = [(row["ratio"], row[name]) for row in rows if row[name] is not None]
-            x, y = [ratio for ratio, _ in known], [m.time * 1e9 for _, m in known]
+            x = [ratio for ratio, _ in known]
+            y = [m.time * 1e9 for _, m in known]
             panel.plot(
                 x, y, color=colours[name], label=label, lw=2 if name == "hierarchical" else 1.3
             )

@@ -61,10 +61,8 @@ def of_samples() -> list[str]:
         ).compute()
         found = []
         for field in ("velocity", "granular_temperature", "shear_rate"):
-            scatter, error = (
-                f[field].std("time", ddof=1),
-                np.sqrt((f[f"{field}_error"] ** 2).mean("time")),
-            )
+            scatter = f[field].std("time", ddof=1)
+            error = np.sqrt((f[f"{field}_error"] ** 2).mean("time"))
             found.append(f"{float(error.median() / scatter.median()):.2f}")
         rows.append(f"| {name} | {f.sizes['time']} | " + " | ".join(found) + " |")
     return rows

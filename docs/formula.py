@@ -113,7 +113,8 @@ class _Reader:
         return " ".join(out)
 
     def product(self, end: str) -> str:
-        done, factors = [], []  # what stands before a fraction, and what its numerator may be
+        done = []  # what stands before a fraction, and what its numerator may be
+        factors = []
         while self.next() and self.next() not in (end, ")", "]", ">", *RELATIONS):
             if self.next() != "/" or not factors:
                 factors.append(self.factor())

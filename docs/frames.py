@@ -36,7 +36,8 @@ def along_surface(ds: xr.Dataset) -> tuple[xcg.Rotated, float]:
     mean = ds.cg.coarse_grain("volume_fraction", axes="xz").cg.time_average()
     fit = mean.cg.free_surface("z").sel(x=slice(-0.01, 0.01)).cg.fit_slope()
     slope = fit.angle.item()
-    x, z = np.cos(np.radians(slope)), np.sin(np.radians(slope))
+    x = np.cos(np.radians(slope))
+    z = np.sin(np.radians(slope))
     return xcg.Rotated(x=(x, 0.0, -z), y=(0.0, 1.0, 0.0)), slope
 
 
@@ -64,10 +65,12 @@ def silo() -> xr.Dataset:
 def ratio(ds: xr.Dataset) -> tuple[float, int]:
     """Time of an average over theta beside that of a mesh of as many nodes as it takes places; and how many."""
     fields = ["density", "velocity", "granular_temperature"]
-    frame, options = xcg.Cylindrical("y"), {"axes": "rz", "spacing": 0.001}
+    frame = xcg.Cylindrical("y")
+    options = {"axes": "rz", "spacing": 0.001}
     text = str(ds.cg.explain(fields, frame=frame, **options))
     places = int(text.split(" places")[0].split()[-1])
-    lower, upper = ds.attrs["particle_lower"], ds.attrs["particle_upper"]
+    lower = ds.attrs["particle_lower"]
+    upper = ds.attrs["particle_upper"]
     spacing = float((np.prod(upper - lower + 0.006) / places) ** (1 / 3))
     times = []
     for given in ({"frame": frame, **options}, {"spacing": spacing}):
@@ -93,7 +96,8 @@ def main() -> None:
         spacing=0.0005,
         for_averages=True,
     ).cg.time_average()
-    f, g = below(ds), silo()
+    f = below(ds)
+    g = silo()
 
     figure, (left, middle, right, last) = plt.subplots(
         1, 4, figsize=(14, 3.9), layout="constrained"

@@ -204,7 +204,8 @@ SCALES = {"velocity": 1e3, "pressure": 1e-3, "contact_stress": 1e-3, "kinetic_st
 
 def draw_lattice(axes: np.ndarray) -> None:
     """Draw each field over w/d for the three kernels, its closed form, and the rule by centres."""
-    ds, closed = lattice(), exact()
+    ds = lattice()
+    closed = exact()
     panels = dict(zip(PANELS, axes.flat, strict=True))
     density = closed["volume_fraction"] * DENSITY
     for kind, colour in zip(KERNELS, COLOURS, strict=True):

@@ -5,7 +5,8 @@ from pathlib import Path
 
 def write_between(page: str, name: str, text: str) -> None:
     """Replace the text between the marks of this name in a page of docs/, and leave the rest."""
-    path, mark = Path(__file__).with_name(page), f"<!-- {name} -->"
+    path = Path(__file__).with_name(page)
+    mark = f"<!-- {name} -->"
     parts = path.read_text().split(mark)
     if len(parts) != 3:
         msg = f"{path}: expected two marks {mark}, found {len(parts) - 1}"

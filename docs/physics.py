@@ -68,7 +68,8 @@ def of_width(flow: Flow, width: float, **options: Any) -> tuple[float, float]:
 
 def of_spacing(flow: Flow, spacing: float) -> tuple[float, float]:
     """Errors of linear and cubic interpolation of a sine, relative to it: smearing changes its size alone."""
-    between, found = np.linspace(0, LENGTH, 400), []
+    between = np.linspace(0, LENGTH, 400)
+    found = []
     for shift in np.linspace(0, 1, 8, endpoint=False):
         z = np.arange(-4, 20 + spacing, spacing) + shift * spacing
         ways = (np.interp(between, z, flow.truth(z)), CubicSpline(z, flow.truth(z))(between))
@@ -81,7 +82,8 @@ def of_choice(whole: Flow, points: NDArray, choice: Mapping[str, Any]) -> tuple[
     """Time (us a particle) and error of the velocity at points, interpolated from the nodes of a volume."""
     spacing = LENGTH / round(LENGTH / (choice["spacing"] * choice["width"]))
     bounds = dict.fromkeys("xyz", (0.0, LENGTH))
-    squares, times = [], []
+    squares = []
+    times = []
     frames = choice["frames"]
     for first in range(0, 64, max(frames, 16)):
         scene = whole.scene.isel(time=slice(first, first + frames))
@@ -133,7 +135,8 @@ def main() -> str:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
-    flow, size = flows.sine(64), np.sqrt(0.5)
+    flow = flows.sine(64)
+    size = np.sqrt(0.5)
     widths = np.geomspace(0.4, 4, 14)
     bias, noise = np.array([of_width(flow, w) for w in widths]).T / size
     ax = axes[0, 0]
@@ -152,7 +155,8 @@ def main() -> str:
     )
     ax.legend(fontsize="small")
 
-    ax, counts = axes[0, 1], np.array([1, 2, 4, 8, 16, 32, 64])
+    ax = axes[0, 1]
+    counts = np.array([1, 2, 4, 8, 16, 32, 64])
     f = flow.scene.cg.coarse_grain("velocity", width=0.75, **NODES)
     value = flow.value(f) - flow.truth(f.z)
     total = [float((value.coarsen(time=n).mean() ** 2).mean() ** 0.5) / size for n in counts]
@@ -167,7 +171,8 @@ def main() -> str:
     )
     ax.legend(fontsize="small")
 
-    ax, ratios = axes[1, 0], np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0])
+    ax = axes[1, 0]
+    ratios = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0])
     lines = {w: np.array([of_spacing(flow, r * w) for r in ratios]) for w in (0.75, 1.5)}
     for k, (w, loss) in enumerate(lines.items()):
         ax.loglog(ratios, loss[:, 0], f"C{k}o-", label=f"linear, w = {w} d")
@@ -180,7 +185,8 @@ def main() -> str:
     )
     ax.legend(fontsize="small")
 
-    ax, whole = axes[1, 1], flows.sine(64, side=SIDE)
+    ax = axes[1, 1]
+    whole = flows.sine(64, side=SIDE)
     points = np.random.default_rng(2).uniform(0, LENGTH, (2000, 3))
     of_choice(whole, points, DEFAULT)
     found = []
@@ -222,7 +228,8 @@ def main() -> str:
     for ratio in (0.5, 1.0, 1.5):
         linear, cubic = 100 * lines[0.75][list(ratios).index(ratio)]
         rows.append(f"  | {ratio:g} w | {linear:.2g} % | {cubic:.2g} % |")
-    spacing, front = "\n" + "\n".join(rows) + "\n", ", ".join(on_the_front(found))
+    spacing = "\n" + "\n".join(rows) + "\n"
+    front = ", ".join(on_the_front(found))
     return TEXT.format(
         spacing=spacing,
         front=front,

@@ -53,7 +53,8 @@ def main() -> None:
         cases += [partial(ds.cg.coarse_grain), partial(by_xarray, fields, Path(folder) / "x.nc")]
         times = fastest(cases, given.repeats)
         sizes = [size_of(case()) for case in cases[: 2 * len(WAYS)]]
-    count, computing = len(WAYS), times[2 * len(WAYS)]
+    count = len(WAYS)
+    computing = times[2 * len(WAYS)]
     lines = ["| way | NetCDF (s) | Zarr (s) | size |", "|---|---|---|---|"]
     for k, name in enumerate(WAYS):
         lines.append(

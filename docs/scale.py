@@ -175,10 +175,8 @@ def parsing(folder: Path, particles: int) -> None:
     texts["m.fstat"] = series.fstat_text(ds)
     rows = []
     for name, content in texts.items():
-        engine, kind = (
-            Mercury() if name == "m.fstat" else Lammps(),
-            "particles" if name == "p.0.dump" else "contacts",
-        )
+        engine = Mercury() if name == "m.fstat" else Lammps()
+        kind = "particles" if name == "p.0.dump" else "contacts"
         raw = content.encode()
         for suffix, pack in packers.items():
             path = folder / f"{name}{suffix}"
@@ -308,9 +306,11 @@ def overhead(steps: int) -> None:
     rows = []
 
     def run(name: str, **options: Any) -> None:
-        start, busy = time.perf_counter(), time.process_time()
+        start = time.perf_counter()
+        busy = time.process_time()
         graph.compute(**options)
-        seconds, busy = time.perf_counter() - start, time.process_time() - busy
+        seconds = time.perf_counter() - start
+        busy = time.process_time() - busy
         rows.append(
             [
                 name,
@@ -373,7 +373,8 @@ def long(folder: Path, particles: int, steps: int) -> None:
         arguments = series.write_distinct_vtp_series(files, particles, steps)
         (files / "scene.json").write_text(json.dumps(arguments))
     size = sum(path.stat().st_size for path in files.iterdir()) / 1e9
-    script, target = folder / "job.py", folder / "fields.zarr"
+    script = folder / "job.py"
+    target = folder / "fields.zarr"
     script.write_text(_LONG)
     command = [sys.executable, str(script), str(files), str(target)]
     environment = os.environ | {"PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"}
@@ -390,7 +391,8 @@ def long(folder: Path, particles: int, steps: int) -> None:
         ):  # a step of this size is a chunk
             time.sleep(0.2)
 
-    job, seconds = started(), time.perf_counter()
+    job = started()
+    seconds = time.perf_counter()
     pids = json.loads(job.stdout.readline())  # type: ignore[union-attr]
     wait_for(0.2)
     os.kill(pids[0], signal.SIGKILL)
@@ -400,7 +402,8 @@ def long(folder: Path, particles: int, steps: int) -> None:
     out, said = started().communicate()
     print(said)
     second, client, worker = json.loads(out.splitlines()[1])
-    f, ds = xr.open_zarr(target), scene_of(files)
+    f = xr.open_zarr(target)
+    ds = scene_of(files)
     some = ds.isel(time=slice(None, None, max(1, steps // 10)))
     expected = some.cg.coarse_grain(FIELDS, spacing=2.0 * ds.attrs["d43"]).compute(
         scheduler="synchronous"

@@ -121,7 +121,8 @@ def measured_run(particles: int, large: int, repeats: int) -> dict[str, Any]:
 
 def between(values: Sequence[float], digits: str = ".3g") -> str:
     """Write the range of some values; one number where both ends are written alike."""
-    low, high = format(min(values), digits), format(max(values), digits)
+    low = format(min(values), digits)
+    high = format(max(values), digits)
     return low if low == high else f"{low} to {high}"
 
 

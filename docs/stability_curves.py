@@ -48,7 +48,9 @@ def few_grains() -> Curves:
     velocity = np.random.default_rng(1).normal(size=ds.velocity.shape)
     ds = ds.assign(velocity=(ds.velocity.dims, velocity))
     truth = float((ds.velocity**2).mean())
-    counts, biased, ours = [], [], []
+    counts = []
+    biased = []
+    ours = []
     for width in (0.5, 0.6, 0.75, 1.0, 1.5, 2.0):
         names = ["granular_temperature", "fluctuation_density", "fluctuation_stress", "density"]
         f = ds.cg.coarse_grain([*names, "sample_count"], width=width, spacing=0.75)
@@ -77,7 +79,8 @@ def fast_frame() -> Curves:
     position -= 5.0 * np.rint(position / 5.0)
     weight = ds.mass.values[0] * BruteKernel("lucy", 1.0)(np.linalg.norm(position, axis=1))
     speeds = 10.0 ** np.arange(0, 8)
-    raw, ours = [], []
+    raw = []
+    ours = []
     for speed in speeds:
         fast = ds.assign(velocity=ds.velocity + speed)
         v = fast.velocity.values[0]
@@ -95,7 +98,8 @@ def fast_frame() -> Curves:
 def size_ratio() -> Curves:
     """Volume fraction of a layer of small grains under large ones, of one width and of a width for each."""
     ratios = np.array([2.0, 4.0, 8.0, 16.0, 32.0])  # the layer is five small grains high
-    one, own = [], []
+    one = []
+    own = []
     rng = np.random.default_rng(7)
     for ratio in ratios:
         size = 4.0 / ratio
@@ -145,7 +149,8 @@ def near_wall() -> Curves:
 def gaps_in_time() -> Curves:
     """Velocity from wrapped positions over what a grain moves from step to step, in box lengths."""
     shares = np.array([0.05, 0.1, 0.2, 0.4, 0.45, 0.55, 0.7, 0.9])
-    naive, nearest = [], []
+    naive = []
+    nearest = []
     rng = np.random.default_rng(5)
     first = rng.uniform(0, 1, (200, 3))
     for share in shares:

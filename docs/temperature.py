@@ -25,7 +25,8 @@ def found(
     ds: xr.Dataset, truth: np.ndarray, width: float, **options: object
 ) -> tuple[xr.DataArray, xr.DataArray, float]:
     """Ratio to the true temperatures (time,): without bias and with, and the share of nodes that know one."""
-    ratios, share = [], 0.0
+    ratios = []
+    share = 0.0
     for way in ("biased", "unbiased"):
         f = ds.cg.coarse_grain(NAMES, width=width, temperature=way, **options)
         known = f.granular_temperature.notnull()
@@ -47,7 +48,8 @@ def independent(
     With `equal_energy`, small grains are faster, so that m <v^2> is the same.
     """
     rng = np.random.default_rng(1)
-    length, sizes = 12.0, np.array([1.0, small])
+    length = 12.0
+    sizes = np.array([1.0, small])
     count = round(phi * length**3 / (np.pi / 6 * (sizes**3).mean()))
     steps = max(2, grains // count)
     species = np.tile(np.arange(count) % 2 + 1, (steps, 1))
@@ -77,7 +79,8 @@ def table_of_independent() -> str:
         "|---" * 9 + "|",
     ]
     for width, phi in product(WIDTHS, (0.1, 0.3, 0.6)):
-        same, mixed = independent(phi, 1.0), independent(phi, 0.5)
+        same = independent(phi, 1.0)
+        mixed = independent(phi, 0.5)
         equal = independent(phi, 0.5, equal_energy=True)
         options = {"spacing": 0.75, "width": width}
         ones = [
@@ -116,13 +119,17 @@ def sheared() -> tuple[xr.Dataset, np.ndarray, float]:
     """Steps of the shear with the images of its grains, which move with the flow; true temperatures, and the edge."""
     with gzip.open(DATA / "lammps_shear" / "shear.dump.gz", "rt") as file:
         lines = file.read().split("\n")
-    starts, steps, truth = [k for k, line in enumerate(lines) if line == "ITEM: TIMESTEP"], [], []
+    starts = [k for k, line in enumerate(lines) if line == "ITEM: TIMESTEP"]
+    steps = []
+    truth = []
     for start in starts:
-        tilt, length = float(lines[start + 5].split()[2]), float(lines[start + 6].split()[1])
+        tilt = float(lines[start + 5].split()[2])
+        length = float(lines[start + 6].split()[1])
         rows = np.array(
             [line.split() for line in lines[start + 9 : start + 9 + int(lines[start + 3])]], float
         )
-        x, v = rows[:, 1:4], rows[:, 4:7]
+        x = rows[:, 1:4]
+        v = rows[:, 4:7]
         own = v - [1, 0, 0] * (RATE * x[:, 1:2])
         truth.append(((own - own.mean(axis=0)) ** 2).mean())
         cell = np.array([[length, 0, 0], [tilt, length, 0], [0, 0, length]])

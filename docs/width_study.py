@@ -56,7 +56,8 @@ def main() -> None:
             [sweep(ds, kernel, w * DIAMETER, points) for w in WIDTHS]
         )  # width, field, point
         for k, axes in enumerate((left, right)):
-            low, high = values[:, k].min(axis=1), values[:, k].max(axis=1)
+            low = values[:, k].min(axis=1)
+            high = values[:, k].max(axis=1)
             axes.fill_between(WIDTHS, low, high, color=colour, alpha=0.15, lw=0)
             for edge_of_band in (low, high):
                 axes.plot(WIDTHS, edge_of_band, color=colour, lw=0.6)

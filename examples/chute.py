@@ -41,7 +41,8 @@ def table(profile: xr.Dataset) -> str:
 
 def draw(profile: xr.Dataset, path: Path) -> None:
     """Depth profiles of each frame (thin) and their mean (thick)."""
-    flow, mean = profile.sel(component="x"), profile.cg.time_average().sel(component="x")
+    flow = profile.sel(component="x")
+    mean = profile.cg.time_average().sel(component="x")
     panels = {
         "volume_fraction": r"$\phi$",
         "velocity": r"$V_x$  [$\sqrt{g d}$]",

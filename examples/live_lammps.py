@@ -54,7 +54,8 @@ with xcg.record(
         between = time.perf_counter()
         live.append(xcg.scene_from_lammps(lmp, walls="floor"))
         first = first or time.perf_counter() - between  # loops are compiled
-        ran, recorded = ran + between - start, recorded + time.perf_counter() - between
+        ran = ran + between - start
+        recorded = recorded + time.perf_counter() - between
 print(
     f"{GRAINS} grains, {STEPS} steps, {live.steps} records: ran {ran:.1f} s, recorded {recorded:.2f} s"
 )

@@ -26,7 +26,8 @@ def _profile(name, q, spread):
 
 def _gauss(f, a, b):
     """Integral of f (vectorised, last axis the points) from a to b (arrays of equal shape)."""
-    mid, half = (np.asarray(a) + b) / 2, (np.asarray(b) - a) / 2
+    mid = (np.asarray(a) + b) / 2
+    half = (np.asarray(b) - a) / 2
     return half * (f(mid[..., None] + half[..., None] * X) * W).sum(axis=-1)
 
 
@@ -106,8 +107,11 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         for k in range(3)
     ]
     plane = ["xyz".index(a) for a in ds.attrs["plane"]]
-    pos, vel = frame["position"][keep], frame["velocity"][keep]
-    mass, vol, dia = frame["mass"][keep], frame["volume"][keep], frame["diameter"][keep]
+    pos = frame["position"][keep]
+    vel = frame["velocity"][keep]
+    mass = frame["mass"][keep]
+    vol = frame["volume"][keep]
+    dia = frame["diameter"][keep]
     ids = {int(n): k for k, n in enumerate(frame["particle_id"][keep])}
     far = [math.ceil(2 * kernel.c / p) + 1 if p else 0 for p in period]
     reach = [range(-n, n + 1) if k in axes else (0,) for k, n in enumerate(far)]
@@ -125,12 +129,11 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         ):
             if i >= 0:
                 contacts.append((ids[int(i)], ids.get(int(j), -1), f, c))
-    partners, normals, total = (
-        [set() for _ in mass],
-        np.zeros((len(mass), 3, 3)),
-        np.zeros((len(mass), 3)),
-    )
-    sides, wall = [], []
+    partners = [set() for _ in mass]
+    normals = np.zeros((len(mass), 3, 3))
+    total = np.zeros((len(mass), 3))
+    sides = []
+    wall = []
     for row, (i, j, f, c) in enumerate(contacts):
         a = nearest(pos[i] - (pos[j] if j >= 0 else c))
         n = a / np.linalg.norm(a) if np.linalg.norm(a) > 0 else np.zeros(3)
@@ -150,7 +153,8 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         out.setdefault(name, []).append(value)
 
     for r in points:
-        w, x = [], []
+        w = []
+        x = []
         owner = []
         for shift in shifts:
             dx = np.zeros_like(pos)
@@ -164,8 +168,10 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         k = np.concatenate(owner) if owner else np.zeros(0, int)
         w = (np.concatenate(w) if w else np.zeros(0)) * scale
         x = np.concatenate(x) if x else np.zeros((0, 3))
-        m, v = mass[k] * w, vel[k]
-        rho, count = m.sum(), len(k)
+        m = mass[k] * w
+        v = vel[k]
+        rho = m.sum()
+        count = len(k)
         nan = np.full(3, np.nan)
         put("sample_count", count)
         put("volume_fraction", vol[k] @ w)
@@ -182,10 +188,13 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         put("contact_force_density", w @ total[k])
         sk = np.einsum("n,ni,nj->ij", m, v - V, v - V) if count else np.zeros((3, 3))
         put("kinetic_stress", sk)
-        sc, t = np.zeros((3, 3)), np.zeros(3)
+        sc = np.zeros((3, 3))
+        t = np.zeros(3)
         for shift in shifts:
             for i, f, a in sides:
-                start, end, here = pos[i] + shift, pos[i] - a + shift, r
+                start = pos[i] + shift
+                end = pos[i] - a + shift
+                here = r
                 if (np.abs(start - here)[axes] > kernel.c + np.abs(a)[axes]).any():
                     continue
                 s = kernel.segment(here[axes], start[axes], end[axes])
@@ -210,11 +219,15 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         put("friction_coefficient", mu)
         put("effective_count", rho**2 / (np.bincount(k, m) ** 2).sum() if count else np.nan)
         # weighted least squares by LAPACK, not by normal equations
-        G, T, rank, free = np.full((3, 3), np.nan), np.nan, 0, 0.0
+        G = np.full((3, 3), np.nan)
+        T = np.nan
+        rank = 0
+        free = 0.0
         if count:
             centre = m @ x / rho
             root = np.sqrt(m)[:, None]
-            design, rhs = root * (x - centre)[:, axes], root * (v - V)
+            design = root * (x - centre)[:, axes]
+            rhs = root * (v - V)
             fit, _, rank, size = np.linalg.lstsq(design, rhs, rcond=1e-5)
             G = np.zeros((3, 3))
             G[:, axes] = fit.T

@@ -42,7 +42,8 @@ def ensemble(
 
 def predicted_over_measured(f, name, least=4.0):
     """Root mean square of the errors over that of the scatter of the steps, where enough grains are seen."""
-    scatter, error = f[name].std("time", ddof=1), np.sqrt((f[f"{name}_error"] ** 2).mean("time"))
+    scatter = f[name].std("time", ddof=1)
+    error = np.sqrt((f[f"{name}_error"] ** 2).mean("time"))
     there = (
         (f["effective_count"].mean("time") > least)
         & scatter.notnull()

@@ -28,7 +28,8 @@ from tests import ROOT
 from tests.scenes import random_steps
 
 STEPS, NODES = 12, 30
-SAVED, RECORDED = (".nc", ".zarr", ".vtkhdf"), (".nc", ".zarr")
+SAVED = (".nc", ".zarr", ".vtkhdf")
+RECORDED = (".nc", ".zarr")
 
 
 def fields() -> xr.Dataset:
@@ -88,7 +89,8 @@ def killed(
     job: str, path: Path, whole: xr.Dataset, kills: int, rng: random.Random
 ) -> tuple[int, list[str]]:
     """Kill a job so many times, let it end, and compare; return how many kills were at work, and faults."""
-    faults, midst = [], 0
+    faults = []
+    midst = 0
     for _ in range(kills):
         process = start(job, path)
         process.stdout.readline()
@@ -157,7 +159,8 @@ def main() -> int:
     if arguments.job:
         {"save": save, "record": record}[arguments.job[0]](Path(arguments.job[1]))
         return 0
-    rng, faults = random.Random(0), []
+    rng = random.Random(0)
+    faults = []
     rounds = [("save", suffix) for suffix in SAVED] + [("record", suffix) for suffix in RECORDED]
     kills = np.diff(np.linspace(0, arguments.kills, len(rounds) + 1).astype(int)).tolist()
     with tempfile.TemporaryDirectory() as folder:

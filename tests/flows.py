@@ -115,7 +115,8 @@ def band(frames: int, seed: int = 1, temperature: float = 0.25, thickness: float
 def layer(frames: int, seed: int = 1) -> Flow:
     """A dense layer and a thin one, half of the periodic box each: number density 1 and 0.25."""
     rng = np.random.default_rng(seed)
-    side, half = 6.0, LENGTH / 2
+    side = 6.0
+    half = LENGTH / 2
     count = round(1.25 * side**2 * half)
     position = rng.uniform(0, [side, side, half], (frames, count, 3))
     position[..., 2] += half * (rng.uniform(size=(frames, count)) < 0.2)

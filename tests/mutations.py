@@ -933,7 +933,8 @@ def run_tests(folder: Path, ids: list[str], cache: Path) -> tuple[int, str]:
 def mutated(folder: Path, mutation: Mutation, ids: list[str], cache: Path) -> str:
     """Apply a mutation, run tests and undo it; return the test that failed, "" if none did."""
     path = folder / "xcg" / mutation.file
-    text, stat = path.read_text(), path.stat()
+    text = path.read_text()
+    stat = path.stat()
     path.write_text(text.replace(mutation.old, mutation.new))
     own = cache if "compiled" not in mutation.file else Path(tempfile.mkdtemp(dir=folder))
     try:
@@ -971,7 +972,8 @@ def main() -> int:
     ids = [files_of(row.tests.split()) for row in rows]
     survivors = 0
     with tempfile.TemporaryDirectory() as name:
-        folder, cache = Path(name) / "copy", Path(name) / "cache"
+        folder = Path(name) / "copy"
+        cache = Path(name) / "cache"
         folder.mkdir()
         cache.mkdir()
         for part in COPIED:

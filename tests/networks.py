@@ -50,7 +50,8 @@ def fork():
 def chains_of(fc, t=0):
     """Chains of one step as a set of sets of ids."""
     step = fc.isel(time=t)
-    ids, chain = step.particle_id.values, step.chain_id.values
+    ids = step.particle_id.values
+    chain = step.chain_id.values
     return {frozenset(ids[chain == k].tolist()) for k in np.unique(chain[chain >= 0])}
 
 

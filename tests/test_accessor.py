@@ -118,10 +118,16 @@ def test_completion_offers_the_methods_of_each_kind(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    pictures, shared = (
-        {"plot", "plot_width", "plot_principal", "movie", "free_surface", "fit_slope", "fit_law"},
-        {"view", "to_pyvista", "save", "explore", "principal"},
-    )
+    pictures = {
+        "plot",
+        "plot_width",
+        "plot_principal",
+        "movie",
+        "free_surface",
+        "fit_slope",
+        "fit_law",
+    }
+    shared = {"view", "to_pyvista", "save", "explore", "principal"}
     assert (
         offered["fields"]
         == {"coarsen", "compare", "profile", "time_average", "to_vtu"}

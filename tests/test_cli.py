@@ -70,7 +70,8 @@ def series(tmp_path):
         if number != 151:
             force = np.array([[-3.0, 0.5, 0], [3.0, -0.5, 0], [1.0, 0, 0], [1.0, 0, 0]])
             point = np.array([[-0.005, 0.5, 0.5], [0.995, 0.5, 0.5], x[2], x[2]])
-            i, j = [2, 1, 3, 3], [1, 2, 4, 4]  # a mirrored pair across the edge, and an exact copy
+            i = [2, 1, 3, 3]  # a mirrored pair across the edge, and an exact copy
+            j = [1, 2, 4, 4]
             write_contacts(
                 tmp_path / f"VTU/FC_{number:04d}.vtp",
                 i,

@@ -278,9 +278,12 @@ def _relax(
         downhill += 1
         if (total * velocity).sum() < 0:
             velocity[:] = 0.0
-            step, mixing, downhill = 0.5 * step, 0.1, 0
+            step = 0.5 * step
+            mixing = 0.1
+            downhill = 0
         elif downhill > 5:
-            step, mixing = min(1.1 * step, 0.5), 0.99 * mixing
+            step = min(1.1 * step, 0.5)
+            mixing = 0.99 * mixing
         velocity += step * total
         velocity += mixing * (np.linalg.norm(velocity) / size * total - velocity)
         position = (position + step * velocity) % side

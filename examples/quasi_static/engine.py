@@ -93,7 +93,8 @@ class Engine:
         self.do(f"write_restart {self.sample.folder / name}")
 
     def _settle(self, friction: float) -> None:
-        smallest, largest = self.sample.smallest, self.sample.largest
+        smallest = self.sample.smallest
+        largest = self.sample.largest
         multi = largest > 3 * smallest
         self.do(f"neighbor {0.06 * smallest:.6g} {'multi' if multi else 'bin'}")
         self.do("neigh_modify every 1 delay 0 check yes one 10000 page 200000\ncomm_modify vel yes")
@@ -183,7 +184,10 @@ class Engine:
         self._dump(folder, every)
         began = perf_counter()
         self.do("run 0 post no")
-        rows, means, lateral, total = [self._row()], [], rate / 2, 0.0
+        rows = [self._row()]
+        means = []
+        lateral = rate / 2
+        total = 0.0
         for n in range(frames * parts):
             self.do(
                 f"fix servo all deform 1 x trate {lateral:.9g} y trate {lateral:.9g} z trate {-rate:.9g} remap v"

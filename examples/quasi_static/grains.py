@@ -10,7 +10,8 @@ def diameters(count: int, ratio: float, d50: float, seed: int) -> NDArray:
     Equal volume a log interval is a number density of d^-4, whose cumulative is inverted at stratified points. Half of
     the volume is then below sqrt(dmin dmax) = `d50`.
     """
-    low, high = d50 / np.sqrt(ratio), d50 * np.sqrt(ratio)
+    low = d50 / np.sqrt(ratio)
+    high = d50 * np.sqrt(ratio)
     share = (np.arange(count) + np.random.default_rng(seed).random(count)) / count
     return np.sort((low**-3 - share * (low**-3 - high**-3)) ** (-1 / 3))[::-1]
 

@@ -39,7 +39,8 @@ def open_run(folder: Path) -> xr.Dataset:
 
 def overlaps(ds: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Mean and largest overlap over the smaller diameter, for each time, of contacts found from positions."""
-    mean, largest = [], []
+    mean = []
+    largest = []
     for t in range(ds.sizes["time"]):
         found = ds.isel(time=[t]).cg.find_contacts().isel(time=0).compute()
         size = pd.Series(found.diameter.values, index=found.particle_id.values)
@@ -67,10 +68,14 @@ def measure(folder: Path) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
 
 def main(work: Path, results: Path) -> None:
     """Write history.csv, forces.csv, connectivity.csv and runs.csv."""
-    histories, forces, shares, runs = [], [], [], []
+    histories = []
+    forces = []
+    shares = []
+    runs = []
     for record_file in sorted(work.glob("ratio_*/*/record.npz")):
         folder = record_file.parent
-        ratio, run = folder.parent.name.removeprefix("ratio_"), folder.name.removeprefix("rate_")
+        ratio = folder.parent.name.removeprefix("ratio_")
+        run = folder.name.removeprefix("rate_")
         cached = folder / "history.pkl"
         if not cached.exists():
             pd.to_pickle(measure(folder), cached)

@@ -68,7 +68,8 @@ def shear(ratio: float, number: float, folder: Path) -> None:
     state, _ = sample(ratio, folder)
     with Engine(state) as engine:
         engine.read("sheared.restart", FRICTION)
-        rate, prior = number / inertial_time(D50), PRIOR / inertial_time(D50)
+        rate = number / inertial_time(D50)
+        prior = PRIOR / inertial_time(D50)
         strain = STRAIN if number >= 1e-3 else SLOW_STRAIN
         record = engine.shear(rate, strain, FRAMES, state.folder / f"rate_{number:g}", prior)
     _save(state.folder / f"rate_{number:g}", record)

@@ -10,7 +10,8 @@ def percus_yevick(k, fraction):
     c = fraction * a / 2
     # -c(r) = a + b r + c r^3 inside contact; its transform by quadrature
     x, w = np.polynomial.legendre.leggauss(200)
-    r, w = 0.5 * (x + 1), 0.5 * w
+    r = 0.5 * (x + 1)
+    w = 0.5 * w
     k = np.asarray(k, float)[..., None]
     direct = -(4 * np.pi * w * r**2 * (a + b * r + c * r**3) * np.sinc(k * r / np.pi)).sum(axis=-1)
     return 1 / (1 - 6 * fraction / np.pi * direct)
@@ -23,7 +24,8 @@ def percus_yevick_g(fraction, r_max=3.0, step=0.005):
     """
     n = round(1 / step)
     t = np.arange(n + 1) * step
-    a, b = 1 + 2 * fraction, -1.5 * fraction
+    a = 1 + 2 * fraction
+    b = -1.5 * fraction
     q = 12 * fraction * (a / 2 * (t**2 - 1) + b * (t - 1)) / (1 - fraction) ** 2
     weight = step * np.where((t == 0) | (t == t[-1]), 0.5, 1.0) * q
     r = np.arange(round(r_max / step) + 1) * step

@@ -18,11 +18,9 @@ def close_frames(dt, seed=1, *, species=False):
         middle["velocity"] = middle.velocity + 3.0 * (middle.species - 1.5)
     middle["contact_force"] = 1e3 * middle.contact_force  # as large as weight and inertia
     total = np.zeros((100, 3))
-    i, j, force = (
-        middle.contact_i.values[0],
-        middle.contact_j.values[0],
-        middle.contact_force.values[0],
-    )
+    i = middle.contact_i.values[0]
+    j = middle.contact_j.values[0]
+    force = middle.contact_force.values[0]
     np.add.at(total, i, force)
     np.add.at(total, j, -force)
     a = total / middle.mass.values[0][:, None] + np.array([0.3, 0, -1.0])
@@ -130,7 +128,8 @@ def test_wrong_arguments_raise():
 @pytest.mark.parametrize("by", [None, "species"])
 def test_momentum_is_balanced_where_parts_of_the_kernel_are_negative(by):
     xcg.register_kernel("negative parts", lambda q: (1 - q**2) ** 4 * (1 - 3 * q**2), smoothness=3)
-    rng, dt = np.random.default_rng(1), 1e-5
+    rng = np.random.default_rng(1)
+    dt = 1e-5
     position, velocity = (
         np.c_[x, np.zeros(25)] for x in (rng.uniform(0, 5, (25, 2)), rng.normal(size=(25, 2)))
     )

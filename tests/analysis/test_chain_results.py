@@ -67,7 +67,8 @@ def test_pictures_are_those_of_the_last_step():
     fc = one.isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]).cg.force_chains()
     fc["link_chain"][0] = -1
     for name in ("plot_chains", "plot_rose"):
-        first, last = getattr(fc.cg, name)(index=0), getattr(fc.cg, name)()
+        first = getattr(fc.cg, name)(index=0)
+        last = getattr(fc.cg, name)()
     assert sum(petal.get_height() for petal in first.patches) == 0
     assert sum(petal.get_height() for petal in last.patches) == pytest.approx(1)
 
@@ -123,7 +124,8 @@ def test_the_rose_of_a_scene_has_the_forces_of_its_contacts_by_direction():
     sheared = xcg.datasets.open("plane_shear").isel(time=[-1]).load()
     ax = sheared.cg.plot_rose(bins=4, plane="xz")
     step = sheared.isel(time=0)
-    i, j = step.contact_i.to_numpy(), step.contact_j.to_numpy()
+    i = step.contact_i.to_numpy()
+    j = step.contact_j.to_numpy()
     known = (i >= 0) & (j >= 0)
     row = {int(n): k for k, n in enumerate(step.particle_id.to_numpy())}
     r = step.position.to_numpy()

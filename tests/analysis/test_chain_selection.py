@@ -186,7 +186,8 @@ def test_regions_reach_across_periodic_edges():
 
 
 def test_regions_are_intersected_united_and_inverted():
-    left, low = BoxRegion((0, 0, 0), (2, 4, 4)), BoxRegion((0, 0, 0), (4, 1, 1))
+    left = BoxRegion((0, 0, 0), (2, 4, 4))
+    low = BoxRegion((0, 0, 0), (4, 1, 1))
     assert inside(left & low) == [2, 5]
     assert inside(left | low) == [2, 5, 7, 11]
     assert inside(left & ~low) == [11]

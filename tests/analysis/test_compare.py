@@ -34,7 +34,8 @@ def runs():
 def test_the_difference_of_repeated_runs_scatters_by_its_error():
     """2000 pairs of means of independent normal numbers, whose true difference is zero."""
     rng = np.random.default_rng(1)
-    of_a, of_b = rng.normal(5.0, 0.3, 2000), rng.normal(5.0, 0.4, 2000)
+    of_a = rng.normal(5.0, 0.3, 2000)
+    of_b = rng.normal(5.0, 0.4, 2000)
     a, b = (
         xr.Dataset({"density": ("x", values), "density_error": ("x", np.full(2000, error))})
         for values, error in ((of_a, 0.3), (of_b, 0.4))

@@ -48,7 +48,8 @@ def test_distances_are_over_the_mean_diameter():
         box=[(0, 3 * float(ds.box[0, 0, 1]))] * 3,
         periodic="xyz",
     )
-    a, b = ds.cg.contact_value(), large.cg.contact_value()
+    a = ds.cg.contact_value()
+    b = large.cg.contact_value()
     np.testing.assert_allclose(a.contact_value, b.contact_value, rtol=1e-12)
 
 

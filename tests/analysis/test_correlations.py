@@ -40,7 +40,8 @@ def direct(a, b, wraps):
         for x, k in zip((a, b), known, strict=True)
     ]
     scale = np.sqrt(np.prod([(x**2).sum() / k.sum() for x, k in zip(away, known, strict=True)]))
-    products, pairs = {}, {}
+    products = {}
+    pairs = {}
     for t, p, q in itertools.product(range(len(a)), np.ndindex(shape), np.ndindex(shape)):
         if known[0][(t, *p)] and known[1][(t, *q)]:
             lag = tuple(
@@ -78,7 +79,8 @@ def test_correlations_equal_brute_force(shape, wrapped, components):
     for name, second in (("a", flat[0]), ("b", flat[1])):
         c = xcg.spatial_correlation(f, "a", name)
         expected, pairs = direct(flat[0], second, wraps)
-        shells, longest = {}, max(abs(i) for lag in pairs for i in lag)
+        shells = {}
+        longest = max(abs(i) for lag in pairs for i in lag)
         for place in np.ndindex(c.correlation.shape):
             found = c.correlation[place]
             lag = tuple(round(float(found[f"lag_{axis}"]) / 0.5) for axis in "xyz"[: len(shape)])
@@ -187,7 +189,8 @@ def test_time_correlation_by_brute_force():
     assert c.correlation.dims == ("lag", "x", "y")
     np.testing.assert_allclose(c.lag, 0.1 * np.arange(6))
     away = values - np.nanmean(values, axis=0)
-    total, count = np.zeros(6), np.zeros(6)
+    total = np.zeros(6)
+    count = np.zeros(6)
     for node in np.ndindex(4, 2):
         a = away[(slice(None), *node)]
         at_node = []

@@ -45,7 +45,9 @@ def test_missing_velocities_and_what_to_do():
 
 
 def test_velocities_across_edges_and_in_a_sheared_box():
-    rng, time, rate = np.random.default_rng(2), 0.1 * np.arange(5), 0.7
+    rng = np.random.default_rng(2)
+    time = 0.1 * np.arange(5)
+    rate = 0.7
     start = rng.uniform(0, 4, (30, 3))
     position = np.stack([start + [[0.3, 0.0, 0.2]] * np.array(t) for t in time])
     position[..., 0] += rate * time[:, None] * start[:, 1]

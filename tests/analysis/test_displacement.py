@@ -90,10 +90,8 @@ def deforming(stretch, noise=0.0, first=0.0):
     """A periodic box that is stretched with its grains, wrapped at random, and the edges of which may be elsewhere."""
     rng = np.random.default_rng(1)
     share = rng.uniform(0, 1, (1500, 3))
-    lower, edge = (
-        np.array([[0.0, 0.0, 0.0], [0.4, -1.0, 0.2]]),
-        np.array([[6.0] * 3, 6.0 * np.array(stretch)]),
-    )
+    lower = np.array([[0.0, 0.0, 0.0], [0.4, -1.0, 0.2]])
+    edge = np.array([[6.0] * 3, 6.0 * np.array(stretch)])
     away = rng.integers(-1, 2, (2, 1500, 3))
     position = lower[:, None] + (share + away) * edge[:, None]
     position[1] += noise * rng.normal(size=(1500, 3))
@@ -145,7 +143,8 @@ def test_fields_do_not_depend_on_where_the_edges_are():
 
 
 def test_a_box_far_from_the_origin_keeps_its_images():
-    stretch, away = np.array([1.3, 0.8, 1.0]), np.array([100.0, -50.0, 0.0])
+    stretch = np.array([1.3, 0.8, 1.0])
+    away = np.array([100.0, -50.0, 0.0])
     r = places()
     edges = np.array([[6.0] * 3, 6.0 * stretch])
     box = np.stack([np.tile(away, (2, 1)), away + edges], axis=-1)
@@ -178,7 +177,8 @@ def test_edges_a_period_apart_are_equivalent():
 
 
 def test_translation_across_periodic_edges():
-    r, u = places(), [2.9, -2.0, 0.5]
+    r = places()
+    u = [2.9, -2.0, 0.5]
     ds = moved([r, (r + u) % 6], box=[[0, 6]] * 3, periodic="xyz")
     with pytest.warns(xcg.SceneWarning, match="by up to 0.48 of the period along 'x'"):
         f = ds.cg.displacement(spacing=1.5)
@@ -219,7 +219,8 @@ def test_d2min_is_the_weighted_sum_of_falk_and_langer():
     r = places(600)
     diameter = np.tile(rng.uniform(0.7, 1.3, 600), (2, 1))
     u = rng.normal(size=(600, 3)) * 0.1 + r @ rng.normal(size=(3, 3)) * 0.1
-    kernel, at = BruteKernel("lucy", 0.9), np.array([3.1, 2.8, 3.3])
+    kernel = BruteKernel("lucy", 0.9)
+    at = np.array([3.1, 2.8, 3.3])
     f = moved([r, r + u], diameter=diameter).cg.displacement(
         [*NAMES, "fluctuation_density"], axes="", at=dict(zip("xyz", at, strict=True)), width=0.9
     ).squeeze()  # fmt: skip
@@ -260,10 +261,12 @@ def test_independent_displacements_have_their_variance():
 
 
 def test_grains_that_enter_or_leave_are_counted_and_left_out():
-    deformation, r = DEFORMATIONS["anything"], places()
+    deformation = DEFORMATIONS["anything"]
+    r = places()
     later = r @ deformation.T
     rng = np.random.default_rng(2)
-    frames, ids = [], []
+    frames = []
+    ids = []
     for x, here in ((r, range(1400)), (later, range(30, 1500))):
         order = rng.permutation(list(here))
         frames.append(x[order])

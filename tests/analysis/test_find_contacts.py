@@ -75,7 +75,8 @@ def test_contacts_are_those_that_lammps_lists(name, file, frozen, stiffness, met
 
 
 def test_contact_of_two_spheres_has_their_geometry_and_force():
-    position, diameter = [[0.0, 0, 0], [0.0, 1.4, 0]], [2.0, 1.0]
+    position = [[0.0, 0, 0], [0.0, 1.4, 0]]
+    diameter = [2.0, 1.0]
     ds = xcg.scene_from_arrays(position, diameter=diameter, density=1.0)
     c = ds.cg.find_contacts(k_n=10.0)
     assert (c.contact_i.item(), c.contact_j.item()) == (0, 1)

@@ -251,7 +251,8 @@ def test_the_band_of_a_line_is_that_of_its_formula():
     f = xr.Dataset({"q": ("z", x), "g": ("z", 2 + 3 * x + rng.normal(0, 0.1, 20))})
     f = f.assign(g_error=("z", np.full(20, 0.1)))
     fit = xcg.fit_law(f, lambda x, a, b: a + b * x, x="q", y="g")
-    places, c = fit.curve_x.to_numpy(), fit.covariance.to_numpy()
+    places = fit.curve_x.to_numpy()
+    c = fit.covariance.to_numpy()
     np.testing.assert_allclose(fit.curve, fit.a.item() + fit.b.item() * places)
     variance = c[0, 0] + 2 * places * c[0, 1] + places**2 * c[1, 1]
     np.testing.assert_allclose(fit.curve_error, variance**0.5, rtol=1e-6)

@@ -159,7 +159,8 @@ def test_frozen_grains_are_walls():
 
 
 def test_several_contacts_of_a_pair_are_one_link():
-    pairs, aside = [(0, 1), (1, 0), (1, 2), (2, 3), (2, 3)], np.array([0, 0.1, 0, 0, 0.1])
+    pairs = [(0, 1), (1, 0), (1, 2), (2, 3), (2, 3)]
+    aside = np.array([0, 0.1, 0, 0, 0.1])
     i, j = np.array(pairs).T
     point = np.stack(
         [0.5 * (i + j), aside, np.zeros(5)], axis=1
@@ -197,7 +198,8 @@ def test_numbers_and_lengths_of_chains():
 def test_tables_of_chains_and_links():
     fc = fork().cg.force_chains()
     assert repr(fc.cg).startswith("force chains of 1 steps, 9 particles, 8 contacts")
-    chains, links = fc.cg.chain_table(), fc.cg.link_table()
+    chains = fc.cg.chain_table()
+    links = fc.cg.link_table()
     assert chains[["chain", "particles", "links", "branchings"]].to_numpy().tolist() == [
         [0, 9, 8, 1]
     ]
@@ -219,9 +221,11 @@ def rotated(ds, matrix):
 
 def relabelled(ds, rng):
     """Order the particles anew, under new ids, and the contacts too; return the scene and the new ids."""
-    n, m = ds.sizes["particle"], ds.sizes["contact"]
+    n = ds.sizes["particle"]
+    m = ds.sizes["contact"]
     new = np.sort(rng.choice(10 * n, n, replace=False))[rng.permutation(n)]
-    order, shuffled = np.argsort(new), rng.permutation(m)
+    order = np.argsort(new)
+    shuffled = rng.permutation(m)
     ids = {name: ds[name].values for name in ("contact_i", "contact_j")}
     ids = {
         name: (ds[name].dims, np.where(values >= 0, new[values], values))
@@ -311,7 +315,8 @@ def test_ninety_degrees_are_connected_components(ds, threshold, seed):
     qualifies = major > 1e-9
     if threshold:
         qualifies &= major >= major.mean()
-    i, j = ds.contact_i.values[0], ds.contact_j.values[0]
+    i = ds.contact_i.values[0]
+    j = ds.contact_j.values[0]
     edge = (j >= 0) & qualifies[i] & qualifies[np.maximum(j, 0)]
     n = ds.sizes["particle"]
     _, label = connected_components(
@@ -333,8 +338,12 @@ def test_ninety_degrees_are_connected_components(ds, threshold, seed):
 )
 def test_labels_links_and_counts_are_consistent(ds, alpha, one_sided, algorithm):
     fc = ds.cg.force_chains(alpha=alpha, one_sided=one_sided, algorithm=algorithm).isel(time=0)
-    chain, link, links = fc.chain_id.values, fc.link_chain.values, fc.links.values
-    i, j, on = fc.contact_i.values, fc.contact_j.values, fc.link_chain.values >= 0
+    chain = fc.chain_id.values
+    link = fc.link_chain.values
+    links = fc.links.values
+    i = fc.contact_i.values
+    j = fc.contact_j.values
+    on = fc.link_chain.values >= 0
     assert (chain[i[on]] == link[on]).all()
     assert (chain[j[on]] == link[on]).all()
     degree = np.bincount(np.concatenate([i[on], j[on]]), minlength=len(chain))
@@ -463,7 +472,8 @@ def test_threads_give_the_same_bits(monkeypatch):
 
 def chains_over_time(*steps):
     """Series of 12 grains; each step is a list of chains, each a list of ids, laid out along lines of their own."""
-    position, pairs = [], []
+    position = []
+    pairs = []
     for chains in steps:
         x = np.zeros((12, 3))
         x[:, 1] = 100 + 10 * np.arange(12)

@@ -43,7 +43,8 @@ def test_the_area_of_a_cut_is_the_fraction_of_the_volume():
 
 def test_colours_show_a_variable_of_the_grains_that_are_cut():
     ds = xcg.datasets.random_scene(100, seed=2)
-    low, high = 2.0 - ds.diameter[0] / 2, 2.0 + ds.diameter[0] / 2
+    low = 2.0 - ds.diameter[0] / 2
+    high = 2.0 + ds.diameter[0] / 2
     cut = (ds.position[0, :, 1] > low) & (ds.position[0, :, 1] < high)
     drawn = circles_of(ds.cg.plot("diameter", at={"y": 2.0}))[2]
     assert set(ds.diameter[0].values[cut.values]) <= set(drawn.tolist())

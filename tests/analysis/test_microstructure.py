@@ -222,7 +222,9 @@ def brute(ds, member, volume, least):
     """Every quantity by loops over particles and contacts, for the particles in `member`."""
     ids = ds.particle_id.values[0].tolist()
     row = {identifier: k for k, identifier in enumerate(ids)}
-    x, d, v = ds.position.values[0], ds.diameter.values[0], ds.volume.values[0]
+    x = ds.position.values[0]
+    d = ds.diameter.values[0]
+    v = ds.volume.values[0]
     box = ds.box.values[0]
     period = [
         box[k, 1] - box[k, 0] if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")
@@ -296,7 +298,8 @@ def test_brute_force_by_region_and_phase(seed, periodic, polydispersity):
     m = ds.cg.microstructure(by="species", bounds=bounds)
     assert m.stress.dims == ("time", "region", "phase", "component", "direction")
     assert m.phase.values.tolist() == ["bulk", "1", "2"]
-    x, species = ds.position.values[0], ds.species.values[0]
+    x = ds.position.values[0]
+    species = ds.species.values[0]
     inside = {"low": x[:, 2] < 2, "corner": (x[:, 2] >= 2) & (x[:, 0] >= 1)}
     for region, volume in (("low", 50.0), ("corner", 60.0)):
         for phase in m.phase.values:
@@ -344,7 +347,8 @@ def test_grains_outside_the_box_count_as_their_images_inside():
         a: (low + away["xyz".index(a)], high + away["xyz".index(a)])
         for a, (low, high) in bounds.items()
     }
-    expected, m = ds.cg.microstructure(bounds=bounds), moved.cg.microstructure(bounds=there)
+    expected = ds.cg.microstructure(bounds=bounds)
+    m = moved.cg.microstructure(bounds=there)
     assert 10 < expected.particle_count.item() < 100
     m["centre_of_mass"] = m.centre_of_mass - away
     for name in expected:

@@ -46,7 +46,8 @@ def rows_of_contacts(ds, t=0):
 def test_edges_are_sums_over_contacts():
     ds = xcg.datasets.random_scene(150, seed=4, periodic="xy")
     graph = ds.cg.contact_graph(include_walls=True)
-    c, expected = rows_of_contacts(ds), {}
+    c = rows_of_contacts(ds)
+    expected = {}
     for i, j, f in zip(
         c["contact_i"].tolist(), c["contact_j"].tolist(), c["contact_force"], strict=True
     ):
@@ -154,7 +155,8 @@ def test_clusters_equal_those_of_networkx(count, seed):
 
 def winding_brute(ds, reach=2):
     """Axes along which a grain is connected with an image of its own, from copies of the box on all sides."""
-    c, period = rows_of_contacts(ds), 5.0
+    c = rows_of_contacts(ds)
+    period = 5.0
     x = dict(zip(ds.particle_id.values[0].tolist(), ds.position.values[0], strict=True))
     copies = list(itertools.product(range(-reach, reach + 1), repeat=3))
     graph = nx.Graph()
@@ -245,15 +247,19 @@ def test_random_sites_of_a_lattice_percolate_from_the_known_share_on(share, perc
 def column(count, walls, frozen=False):
     """A column along z between walls at its ends, those that are there, or frozen grains in their place."""
     z = np.arange(count) + 0.5
-    i, j = list(range(count - 1)), list(range(1, count))
-    force, point = [(0, 0, -1.0)] * (count - 1), [(0, 0, h + 1.0) for h in range(count - 1)]
+    i = list(range(count - 1))
+    j = list(range(1, count))
+    force = [(0, 0, -1.0)] * (count - 1)
+    point = [(0, 0, h + 1.0) for h in range(count - 1)]
     for number, (row, push, place) in {
         -2: (0, 1.0, 0.0),
         -3: (count - 1, -1.0, float(count)),
     }.items():
         if number in walls:
-            i, j = [*i, row], [*j, number]
-            force, point = [*force, (0, 0, push)], [*point, (0, 0, place)]
+            i = [*i, row]
+            j = [*j, number]
+            force = [*force, (0, 0, push)]
+            point = [*point, (0, 0, place)]
     position = np.column_stack([np.zeros(count), np.zeros(count), z])
     extra = {"frozen": np.isin(np.arange(count), [0, count - 1]).astype(int)} if frozen else {}
     return xcg.scene_from_arrays(
@@ -285,7 +291,8 @@ def test_clusters_of_phases_and_regions_take_contacts_between_their_grains():
     m = ds.cg.microstructure(
         CLUSTERS, by="species", bounds={"low": {"z": (0, 2.5)}, "high": {"z": (2.5, 5)}}
     )
-    graph, species = ds.cg.contact_graph(), ds.species.values[0]
+    graph = ds.cg.contact_graph()
+    species = ds.species.values[0]
     for region, chosen in (
         ("low", ds.position.values[0][:, 2] < 2.5),
         ("high", ds.position.values[0][:, 2] >= 2.5),
@@ -320,7 +327,8 @@ def test_forces_over_their_means_by_phase():
     )
     c = rows_of_contacts(ds)
     row = {int(k): n for n, k in enumerate(ds.particle_id.values[0])}
-    species, x = ds.species.values[0], ds.position.values[0]
+    species = ds.species.values[0]
+    x = ds.position.values[0]
     for phase in ("bulk", 1, 2):
         parts = []
         for i, j, f in zip(c["contact_i"], c["contact_j"], c["contact_force"], strict=True):

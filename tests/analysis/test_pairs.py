@@ -85,7 +85,8 @@ def test_exactly_touching_and_coincident_particles_are_found(data, periodic, cou
 def test_pairs_within_a_skin_of_many_radii(periodic, decades):
     """Cells and what is looked for in them reach as far as the skin does, not as far as radii alone."""
     rng = np.random.default_rng(4)
-    position, radius = rng.uniform(0, 10, (400, 3)), 0.05 * 10 ** (-decades * rng.random(400))
+    position = rng.uniform(0, 10, (400, 3))
+    radius = 0.05 * 10 ** (-decades * rng.random(400))
     box = [(0.0, 10.0)] * 3
     for skin in (0.4, 2.8, 6.0):  # the last reaches an image of its own partner
         expected = all_pairs(position, radius, box, periodic, skin)
@@ -102,7 +103,8 @@ def test_touching_pairs_are_found_only_with_a_skin():
 
 def test_positions_in_a_plane_and_mappings_are_accepted():
     rng = np.random.default_rng(1)
-    flat, radius = rng.random((300, 2)), rng.uniform(0.01, 0.06, 300)
+    flat = rng.random((300, 2))
+    radius = rng.uniform(0.01, 0.06, 300)
     solid = np.column_stack([flat, np.zeros(300)])
     expected = all_pairs(solid, radius, [(0, 1)] * 3, "xy")
     for box in ([(0, 1), (0, 1)], {"x": (0, 1), "y": (0, 1)}):
@@ -113,7 +115,8 @@ def test_positions_in_a_plane_and_mappings_are_accepted():
 
 def test_a_lost_particle_does_not_slow_the_search():
     rng = np.random.default_rng(2)
-    position, radius = rng.random((20_000, 3)), np.full(20_000, 0.015)
+    position = rng.random((20_000, 3))
+    radius = np.full(20_000, 0.015)
     position[0] = 1e9
     lists = CellLists.of(position, radius, np.zeros(3), np.full(3, np.inf), skin=0.0, levels=None)
     assert lists.find(0, 20_000)[2] < 60 * 20_000

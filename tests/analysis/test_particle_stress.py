@@ -16,7 +16,8 @@ def test_stress_equals_brute_force(periodic):
     """Loop over contacts, both sides, walls, nearest images."""
     ds = xcg.datasets.random_scene(80, seed=3, periodic=periodic)
     stress = np.zeros((80, 3, 3))
-    x, volume = ds.position.values[0], ds.volume.values[0]
+    x = ds.position.values[0]
+    volume = ds.volume.values[0]
     period = np.array([5.0 if a in periodic else np.inf for a in "xyz"])
     names = ("contact_i", "contact_j", "contact_force", "contact_point")
     for i, j, f, c in zip(*(ds[name].values[0] for name in names), strict=True):
@@ -28,7 +29,8 @@ def test_stress_equals_brute_force(periodic):
     result = ds.cg.particle_stress()
     symmetric = 0.5 * (stress + stress.transpose(0, 2, 1))
     np.testing.assert_allclose(result.stress.values[0], symmetric, rtol=1e-12, atol=1e-12)
-    values, vectors = result.principal_stress.values[0], result.principal_direction.values[0]
+    values = result.principal_stress.values[0]
+    vectors = result.principal_direction.values[0]
     np.testing.assert_allclose(values, np.linalg.eigvalsh(symmetric)[:, ::-1], rtol=1e-9, atol=1e-9)
     touched = symmetric.any(axis=(1, 2))
     rebuilt = np.einsum("nk,nki,nkj->nij", values, vectors, vectors)[touched]
@@ -121,7 +123,8 @@ def test_eigenvalues():
     d[:20] = 1.0
     d[280:, 1:] = 0
     matrix = np.einsum("nik,nk,njk->nij", q, d, q)
-    values, vectors = np.empty((300, 3)), np.empty((300, 3, 3))
+    values = np.empty((300, 3))
+    vectors = np.empty((300, 3, 3))
     principal(matrix, values, vectors)
     scale = np.abs(d).max(axis=1, keepdims=True)
     np.testing.assert_allclose(values / scale, np.sort(d)[:, ::-1] / scale, atol=1e-14)

@@ -106,7 +106,8 @@ def test_a_map_over_radius_and_angle_lies_in_the_plane_of_the_circle():
     np.testing.assert_allclose(
         np.arctan2(*corner[0, -1, ::-1]), first - (2 * np.pi - last) / 2, atol=1e-12
     )
-    flow, place = np.stack([arrows.U, arrows.V], -1), arrows.get_offsets()
+    flow = np.stack([arrows.U, arrows.V], -1)
+    place = arrows.get_offsets()
     known = np.isfinite(flow).all(-1)
     assert known.sum() > 100
     across = np.stack([-place[known, 1], place[known, 0]], -1)
@@ -200,7 +201,8 @@ def surface():
 
 def test_a_free_surface_does_not_flatten_the_inertial_number(surface):
     ax = surface.cg.plot("inertial_number")
-    mesh, bar = ax.collections[0], ax.figure.axes[-1]
+    mesh = ax.collections[0]
+    bar = ax.figure.axes[-1]
     assert mesh.get_clim() == pytest.approx((0.1, 0.385))  # at z = 3.8, below the surface
     assert bar.get_ylabel() == "inertial number, up to its 95th percentile"
     assert bar._colorbar.extend == "max"
@@ -291,7 +293,8 @@ def test_a_smooth_map_interpolates_linearly_between_the_nodes():
     z, x = np.mgrid[0:4, 0:5] + 0.5
     (mesh,) = plane(1 + 2 * x - z + 0.5 * x * z).cg.plot().collections
     rng = np.random.default_rng(0)
-    x, z = rng.uniform(0.5, 4.5, 100), rng.uniform(0.5, 3.5, 100)
+    x = rng.uniform(0.5, 4.5, 100)
+    z = rng.uniform(0.5, 3.5, 100)
     np.testing.assert_allclose(numbers_at(mesh, x, z), 1 + 2 * x - z + 0.5 * x * z, atol=0.03)
     assert (mesh.get_coordinates().min(), mesh.get_coordinates().max()) == (
         0,
@@ -578,7 +581,8 @@ def test_long_labels_fit_the_picture(name):
     assert raised(bar.get_ylabel().replace("\n", " ")) == wanted
     for axis, side in ((bar.yaxis, "height"), (line.xaxis, "width")):
         axis.figure.canvas.draw()
-        label, room = axis.label.get_window_extent(), axis.axes.get_window_extent()
+        label = axis.label.get_window_extent()
+        room = axis.axes.get_window_extent()
         assert getattr(label, side) <= getattr(room, side)
         corners = axis.figure.bbox.get_points()
         assert (label.get_points()[0] >= corners[0]).all()

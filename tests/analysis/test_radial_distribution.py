@@ -69,7 +69,8 @@ def test_pairs_are_those_of_brute_force(case):
     plain = ds.cg.radial_distribution(2.0, bins=bins, bounds=bounds)
     np.testing.assert_array_equal(plain.pair_count, g.pair_count[:, 0, 0].sum("theta"))
     if not bounds:
-        count, edges = len(r), np.linspace(0, 2.0, bins + 1)
+        count = len(r)
+        edges = np.linspace(0, 2.0, bins + 1)
         shells = np.diff(4 / 3 * np.pi * edges**3) / 210 if dimension == 3 else None
         shells = np.diff(np.pi * edges**2) / 30 if shells is None else shells
         np.testing.assert_allclose(

@@ -125,7 +125,8 @@ def test_layers_across_a_bed_see_segregation_over_height_alone():
     x = lattice()
     beside = of_phases(x, np.where(x[:, 0] < 2, 1, 2), box=BOX)
     above = of_phases(x, np.where(x[:, 2] < 2, 1, 2), box=BOX)
-    layers, cells = {"cell": {"z": 1.0}}, {"cell": 2.0}
+    layers = {"cell": {"z": 1.0}}
+    cells = {"cell": 2.0}
     assert measured(beside, **layers)["concentration_variance"] == 0.0
     assert measured(beside, **cells)["lacey_index"] == pytest.approx(0.0, abs=1e-14)
     assert measured(above, **layers)["lacey_index"] == pytest.approx(0.0, abs=1e-14)
@@ -221,8 +222,10 @@ def test_the_mean_over_all_arrangements_is_the_random_limit(phase):
 def test_the_random_limit_by_volume_equals_that_of_large_cells():
     """By volume the limit is of first order: within a few per cent for cells of 60 grains of two sizes."""
     rng = np.random.default_rng(0)
-    x, size = rng.random((3000, 3)), rng.uniform(0.5, 1.0, 3000)
-    found, limit = [], []
+    x = rng.random((3000, 3))
+    size = rng.uniform(0.5, 1.0, 3000)
+    found = []
+    limit = []
     for _ in range(40):
         species = rng.permutation(np.repeat([1, 2], [1000, 2000]))
         ds = of_phases(x, species, diameter=0.02 * size, box=[[0, 1]] * 3, periodic="xyz")
@@ -250,7 +253,8 @@ def test_indices_equal_their_sums_written_out(weight, dimension):
         length = np.array([5.0, limits["y"][1], 5.0])[axes]
         x = ds.position.to_numpy()[0][:, axes]
         inside = ((x >= low) & (x < length)).all(axis=1)
-        x, species = x[inside], ds.species.to_numpy()[0][inside]
+        x = x[inside]
+        species = ds.species.to_numpy()[0][inside]
         w = ds.volume.to_numpy()[0][inside] if weight == "volume" else np.ones(len(x))
         cells = {}
         for k in range(len(x)):

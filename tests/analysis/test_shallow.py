@@ -68,7 +68,8 @@ def test_the_thickness_is_that_of_the_slab_and_the_solid_depth_that_of_its_grain
 def column(layers=8):
     """A column of spheres on a floor that carry their weight: forces known."""
     position = np.array([[0.5, 0.5, 0.5 + k] for k in range(layers)])
-    mass, g = np.pi / 6, 9.81
+    mass = np.pi / 6
+    g = 9.81
     force = np.array([[0, 0, mass * g * (layers - k)] for k in range(layers)])
     return xcg.scene_from_arrays(
         position, velocity=np.zeros((layers, 3)), diameter=np.ones(layers), density=1.0, gravity=(0, 0, -g),
@@ -84,7 +85,8 @@ def test_the_base_carries_the_weight():
     np.testing.assert_allclose(d.basal_traction.values[0], [0, 0, weight], atol=1e-10)
     assert d.mass_per_area.item() * 9.81 == pytest.approx(weight, rel=1e-12)
     # int sigma_zz dz = sum of f a over contacts, per area
-    f, a = ds.contact_force.values[0, :, 2], np.array([0.5, *[1.0] * 7])
+    f = ds.contact_force.values[0, :, 2]
+    a = np.array([0.5, *[1.0] * 7])
     assert d.depth_stress.sel(component="z", direction="z").item() == pytest.approx(
         (f * a).sum(), rel=1e-10
     )
@@ -103,8 +105,10 @@ def test_the_stress_over_the_depth_leaves_out_the_profile_of_the_flow():
 
 @pytest.mark.parametrize("chunks", [False, True])
 def test_the_surface_of_a_slab(chunks):
-    z, x = np.linspace(-1, 6, 71), np.arange(4.0)
-    height, base = np.array([3.02, 2.5, 4.44, 0.0]), 0.31
+    z = np.linspace(-1, 6, 71)
+    x = np.arange(4.0)
+    height = np.array([3.02, 2.5, 4.44, 0.0])
+    base = 0.31
     profile = (
         np.clip((height[:, None] - z) / 0.2 + 0.5, 0, 1)
         * np.clip((z - base) / 0.2 + 0.5, 0, 1)
@@ -173,7 +177,8 @@ def test_heights_hold_what_their_slope_and_their_history_need():
 def test_a_heap_of_known_slope(plane):
     rng = np.random.default_rng(5)
     slope = np.array([-0.45, 0.2]) if plane else np.array([-0.45])
-    angle, found = np.degrees(np.arctan(np.linalg.norm(slope))), []
+    angle = np.degrees(np.arctan(np.linalg.norm(slope)))
+    found = []
     axes = {"x": np.arange(30.0), "y": np.arange(12.0)} if plane else {"x": np.arange(30.0)}
     grid = np.meshgrid(*axes.values(), indexing="ij")
     for _ in range(60):
@@ -195,7 +200,8 @@ def test_a_heap_of_known_slope(plane):
 @pytest.mark.parametrize("steep", [0.0, 0.5, -2.0])
 def test_errors_of_a_line_through_three_heights(steep):
     """Heights s x + (0, e, 0): squares of 2 e^2 / 3 are left to one degree of freedom, over sum x^2 = 2."""
-    x, e = np.array([-1.0, 0.0, 1.0]), 0.03
+    x = np.array([-1.0, 0.0, 1.0])
+    e = 0.03
     found = xcg.fit_slope(xr.DataArray(steep * x + [0.0, e, 0.0], {"x": x}))
     assert float(found.slope[0]) == pytest.approx(steep, abs=1e-12)
     assert float(found.slope_error[0]) == pytest.approx(e / 3**0.5)
@@ -205,7 +211,8 @@ def test_errors_of_a_line_through_three_heights(steep):
 def test_neighbours_within_a_support_are_not_independent():
     x = np.arange(0, 30, 0.5)
     rough = xr.DataArray(np.random.default_rng(1).normal(size=60), {"x": x})
-    alone, wide = xcg.fit_slope(rough), xcg.fit_slope(rough.assign_attrs(cutoff=2.0))
+    alone = xcg.fit_slope(rough)
+    wide = xcg.fit_slope(rough.assign_attrs(cutoff=2.0))
     assert float(wide.slope_error[0] / alone.slope_error[0]) == pytest.approx(8**0.5)
 
 

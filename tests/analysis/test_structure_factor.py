@@ -20,7 +20,8 @@ def test_waves_are_sums_of_exponentials(box):
     rng = np.random.default_rng(1)
     numbers = rng.integers(-9, 10, (20, dimension))
     f = ds.cg.structure_factor(vectors=numbers, by="species", groups=[1, 2, 3])
-    position, species = ds.position.to_numpy()[0], ds.species.to_numpy()[0]
+    position = ds.position.to_numpy()[0]
+    species = ds.species.to_numpy()[0]
     wave = np.exp(-1j * position @ f.wave_vector.to_numpy()[0].T)
     groups = [species > 0, *(species == k for k in (1, 2, 3))]
     for a, first in enumerate(groups):
@@ -71,7 +72,9 @@ def test_hard_spheres_follow_percus_and_yevick():
 def test_long_waves_are_fluctuations_of_numbers():
     """Parseval: the variance of the number in Gaussian windows at all places is a sum over S(k)."""
     ds = gas(1, 200, "xyz")
-    x, edge, width = ds.position.to_numpy()[0, :, 0], 5.0, 0.5
+    x = ds.position.to_numpy()[0, :, 0]
+    edge = 5.0
+    width = 0.5
     most = 12
     f = ds.cg.structure_factor(vectors=[(h, 0, 0) for h in range(1, most + 1)])
     k = f.wave_vector.to_numpy()[0, :, 0]

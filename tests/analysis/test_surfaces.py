@@ -28,7 +28,8 @@ def falling_grains(periodic="xy", count=120, seed=3, steps=1, dt=0.0, contacts=F
     position = start + velocity * dt * (np.arange(steps) - (steps - 1) / 2)[:, None, None]
     more = {}
     if contacts:
-        i, j = np.arange(0, count - 1, 2), np.arange(1, count, 2)
+        i = np.arange(0, count - 1, 2)
+        j = np.arange(1, count, 2)
         position[..., j, :] = start[j] = start[i] + rng.uniform(-0.4, 0.4, (len(i), 3))
         more = {"contact_i": i, "contact_j": j, "contact_force": rng.normal(size=(len(i), 3)),
                 "contact_point": (start[i] + start[j]) / 2}  # fmt: skip
@@ -64,7 +65,9 @@ def images(ds, k, reach=2):
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
 @pytest.mark.parametrize("k", [0, 2])
 def test_a_whole_plane_by_brute_force(periodic, k):
-    ds, width, place = falling_grains(periodic, contacts=True), 0.8, 1.7
+    ds = falling_grains(periodic, contacts=True)
+    width = 0.8
+    place = 1.7
     normal = -2.0 * np.eye(3)[k]
     point = np.full(3, 0.4)
     point[k] = place
@@ -98,11 +101,14 @@ def test_momentum_density_times_the_area():
 
 
 def test_a_tilted_plane_by_brute_force():
-    ds, width = falling_grains(""), 0.8
-    normal, point = np.array([1.0, 2.0, -0.5]), np.array([3.0, 2.0, 2.0])
+    ds = falling_grains("")
+    width = 0.8
+    normal = np.array([1.0, 2.0, -0.5])
+    point = np.array([3.0, 2.0, 2.0])
     q = ds.cg.flow_rate(xcg.Plane(point, normal), ["mass", "momentum"], width=width)
     n = normal / np.linalg.norm(normal)
-    v, m = ds.velocity.values[0], ds.mass.values[0]
+    v = ds.velocity.values[0]
+    m = ds.mass.values[0]
     psi = plane_marginal(width, (ds.position.values[0] - point) @ n)
     assert q.mass_flow_rate.item() == pytest.approx((m * (v @ n) * psi).sum(), rel=1e-10)
     np.testing.assert_allclose(
@@ -145,12 +151,10 @@ def mass_within(ds, low, high, width):
 
 
 def test_outflow_of_a_closed_box_is_its_loss_of_mass():
-    ds, low, high, width = (
-        falling_grains("", count=60, steps=3, dt=1e-3),
-        [1.5, 1.2, 1.0],
-        [4.2, 3.9, 3.1],
-        0.7,
-    )
+    ds = falling_grains("", count=60, steps=3, dt=1e-3)
+    low = [1.5, 1.2, 1.0]
+    high = [4.2, 3.9, 3.1]
+    width = 0.7
     mass = mass_within(ds, low, high, width)
     rate = float(mass[2] - mass[0]) / float(ds.time[2] - ds.time[0])
     out = sum(
@@ -162,7 +166,8 @@ def test_outflow_of_a_closed_box_is_its_loss_of_mass():
 
 
 def test_triangles_and_cylinders_are_sums_over_points():
-    ds, width = falling_grains("", count=200), 0.8
+    ds = falling_grains("", count=200)
+    width = 0.8
     bounds = ((1.0, 5.0), (0.5, 4.5))
     plane = ds.cg.flow_rate(
         xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=bounds), ["mass", "momentum"], width=width
@@ -190,7 +195,8 @@ def test_parts_of_a_triangle_have_its_area_and_its_centre(spacing):
     """Parts are congruent, so that the sum is exact for whatever varies linearly over the triangle."""
     corners = np.array([[1.0, 0.5, 2.0], [5.0, 1.5, 2.5], [2.0, 4.5, -1.0]])
     cells = _points(xcg.Surface(corners, [[0, 1, 2]]), None, spacing)
-    centre, area = cells.centre, cells.area
+    centre = cells.centre
+    area = cells.area
     whole = 0.5 * np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
     assert area.sum() == pytest.approx(whole)
     np.testing.assert_allclose(area @ centre / whole, corners.mean(axis=0), rtol=1e-12)
@@ -199,7 +205,8 @@ def test_parts_of_a_triangle_have_its_area_and_its_centre(spacing):
 
 
 def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():
-    ds, plane = falling_grains(steps=4, dt=0.1), xcg.Plane((0, 0, 2), (0, 0, 1))
+    ds = falling_grains(steps=4, dt=0.1)
+    plane = xcg.Plane((0, 0, 2), (0, 0, 1))
     eager, lazy = (one.cg.flow_rate(plane, width=1.0) for one in (ds, ds.chunk(time=1)))
     assert lazy.mass_flow_rate.chunks is not None
     np.testing.assert_array_equal(lazy.mass_flow_rate, eager.mass_flow_rate)
@@ -207,8 +214,10 @@ def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():
 
 
 def test_energy_of_grains_without_contacts():
-    ds, width = falling_grains("xy"), 0.9
-    v, m = ds.velocity.values[0], ds.mass.values[0]
+    ds = falling_grains("xy")
+    width = 0.9
+    v = ds.velocity.values[0]
+    m = ds.mass.values[0]
     psi = plane_marginal(width, ds.position.values[0][:, 2] - 2.0)
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "energy", width=width)
     assert q.energy_flow_rate.item() == pytest.approx(
@@ -225,7 +234,8 @@ def test_energy_of_grains_without_contacts():
     "lacking", [["angular_velocity"], ["moment_of_inertia"], ["angular_velocity", "contact_force"]]
 )
 def test_energy_without_rotation_says_so(lacking):
-    ds, plane = xcg.datasets.random_scene(50), xcg.Plane((0, 0, 2.0), (0, 0, 1))
+    ds = xcg.datasets.random_scene(50)
+    plane = xcg.Plane((0, 0, 2.0), (0, 0, 1))
     ds = ds.assign(angular_velocity=ds.velocity / 0.5)
     assert "comment" not in ds.cg.flow_rate(plane, "energy").energy_flow_rate.attrs
     part = ds.drop_vars(lacking)
@@ -364,7 +374,8 @@ def of_grains(ds, chosen=slice(None)):
     """Position, velocity, mass, volume, and kinetic energy of the grains of the first step."""
     g = ds.isel(time=0)
     r, v, omega = (g[name].values[chosen] for name in ("position", "velocity", "angular_velocity"))
-    m, inertia = g.mass.values[chosen], g.moment_of_inertia.values[chosen]
+    m = g.mass.values[chosen]
+    inertia = g.moment_of_inertia.values[chosen]
     return r, v, m, g.volume.values[chosen], (m * (v**2).sum(1) + inertia * (omega**2).sum(1)) / 2
 
 
@@ -387,7 +398,8 @@ def by_definition(ds, point, normal, c):
                 continue
             b = place - r[grain]
             b -= edges * np.rint(b / np.where(edges > 0, edges, 1.0))
-            at, x = r[grain], place  # the image of the contact near the grain
+            at = r[grain]  # the image of the contact near the grain
+            x = place
             x = at + b
             part = sum(
                 cumulative((at - point) @ n + s, c) - cumulative((x - point) @ n + s, c)
@@ -433,7 +445,8 @@ def through_pieces(ds, places, across, c):
     """Integrals by places (n, 3) and n dA (n, 3) of many more pieces, and what crosses in either direction."""
     r, v, m, *_ = of_grains(ds)
     total = either = 0.0
-    low, high = places.min(axis=0) - c, places.max(axis=0) + c
+    low = places.min(axis=0) - c
+    high = places.max(axis=0) + c
     for shift in images_of(ds, 1):
         near = ((r + shift > low) & (r + shift < high)).all(axis=1)
         for one, u, mass in zip((r + shift)[near], v[near], m[near], strict=True):
@@ -491,7 +504,8 @@ def test_flow_out_of_the_silo_is_its_loss_of_grains():
     """Steps are far apart, and the flow through the slot is not steady: some percent."""
     ds = xcg.datasets.open("hopper_6").compute()
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 8), (0, 0, -1)), width=1.0).mass_flow_rate
-    z, m = ds.position.sel(component="z").values, ds.mass.values[0]
+    z = ds.position.sel(component="z").values
+    m = ds.mass.values[0]
     fallen = (
         z[:-1] - z[1:] + 2.0
     ) % 34 - 2.0  # to where it falls back at the top, but for jumps upwards
@@ -509,7 +523,8 @@ def touching(point, force, *, depth=0.5, **more):
     """Grains that touch a wall at some points, with some forces on them."""
     point = np.asarray(point, float)
     centre = np.asarray(more.pop("centre", point + np.array([0, 0, depth])), float)
-    number, diameter = np.full(len(point), -1), np.full(len(point), DIAMETER)
+    number = np.full(len(point), -1)
+    diameter = np.full(len(point), DIAMETER)
     return xcg.scene_from_arrays(
         centre, diameter=diameter, density=1.0, contact_i=np.arange(len(point)), contact_j=number,
         contact_force=np.asarray(force, float), contact_point=point, **more,
@@ -560,8 +575,10 @@ def test_contacts_farther_than_within_are_left_out(within, taken):
 
 def test_a_wall_larger_than_the_grains_says_where_its_cells_end():
     ds = xcg.datasets.random_scene(100, walls=True, periodic="y")
-    x, radius = ds.position[0, :, 0], ds.diameter[0] / 2
-    low, high = float((x - radius).min()), float((x + radius).max())
+    x = ds.position[0, :, 0]
+    radius = ds.diameter[0] / 2
+    low = float((x - radius).min())
+    high = float((x + radius).max())
     floor = xcg.Plane((0, 0, 0), (0, 0, 1))
     f = ds.cg.wall_stress(floor)
     size = f.x[1] - f.x[0]
@@ -585,7 +602,8 @@ def test_hydrostatic_pressure_in_a_cylinder(direction):
     axis = np.array(direction) / np.linalg.norm(direction)
     along = (cells.centre - [1, 2, 3]) @ axis
     inwards = silo.normals_at(cells.centre)
-    pressure, friction = 4.0 * (20 - along), 0.3 * along
+    pressure = 4.0 * (20 - along)
+    friction = 0.3 * along
     force = (pressure[:, None] * inwards + friction[:, None] * axis) * cells.area[:, None]
     ds = touching(cells.centre, force, centre=cells.centre + 0.5 * inwards)
     f = ds.cg.wall_stress(silo, 1.0, spacing=0.5)
@@ -627,7 +645,8 @@ SURFACES: dict[str, Wall] = {
 @pytest.mark.parametrize("width", [0.1, 0.9])
 def test_traction_times_area_is_the_sum_of_the_forces(name, width):
     """For any forces anywhere near, however cells and support compare."""
-    rng, wall = np.random.default_rng(5), SURFACES[name]
+    rng = np.random.default_rng(5)
+    wall = SURFACES[name]
     place = rng.uniform(0, 6, (300, 3))
     point = place - wall.distance(place)[:, None] * wall.normals_at(place)
     np.testing.assert_allclose(wall.distance(point), 0, atol=1e-9)

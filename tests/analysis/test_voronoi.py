@@ -103,7 +103,8 @@ def test_normals_point_from_the_first_particle_to_the_second():
         box=dict.fromkeys("xyz", (0, 5)),
     )
     v = xcg.voronoi(ds, faces=True).isel(time=0)
-    place, radius = ds.position[0].to_numpy(), ds.diameter[0].to_numpy() / 2
+    place = ds.position[0].to_numpy()
+    radius = ds.diameter[0].to_numpy() / 2
     i, j = (v[name].to_numpy() for name in ("face_i", "face_j"))
     away = place[j] - place[i]
     distance = np.linalg.norm(away, axis=1)

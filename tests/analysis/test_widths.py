@@ -168,7 +168,8 @@ def test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames(frames):
 def test_the_frames_for_a_target_reach_it():
     flow = FLOWS["sine"](60)
     found = flow.scene.cg.choose_width("velocity", frames=4, target=0.08, sample=30, **NODES)
-    frames, width = found.target_frames.item(), found.target_width.item()
+    frames = found.target_frames.item()
+    width = found.target_width.item()
     assert 2 < frames < 20
     size = np.sqrt(0.5)
     assert true_error(flow, width, frames) / size == pytest.approx(0.08, rel=0.2)

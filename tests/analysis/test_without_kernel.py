@@ -142,14 +142,16 @@ def test_faces_that_touch_and_cells_within_a_grain():
 
 def test_axes_that_are_not_divided_reach_through_the_box():
     ds = random_scene(periodic="xyz")
-    whole, f = ds.cg.cell_volumes(1.0), ds.cg.cell_volumes(1.0, axes="xz")
+    whole = ds.cg.cell_volumes(1.0)
+    f = ds.cg.cell_volumes(1.0, axes="xz")
     assert f.volume_fraction.dims == ("time", "x", "z")
     np.testing.assert_allclose(f.volume_fraction, whole.volume_fraction.mean("y"), rtol=1e-12)
 
 
 def test_a_layer_of_spheres_and_of_discs():
     rng = np.random.default_rng(2)
-    position, diameter = rng.uniform(1, 5, (30, 3)) * [1, 1, 0], rng.uniform(0.5, 1.5, 30)
+    position = rng.uniform(1, 5, (30, 3)) * [1, 1, 0]
+    diameter = rng.uniform(0.5, 1.5, 30)
     for shape in ("sphere", "disc"):
         ds = xcg.scene_from_arrays(position, velocity=np.ones((30, 3)), diameter=diameter, density=1.0, dimension=2,
                                    thickness=2.0, shape=shape)  # fmt: skip
@@ -169,7 +171,8 @@ def test_phases_add_up_and_velocity_is_a_mean():
 
 def test_lazy_results_equal_eager_ones():
     ds = random_scene(steps=3)
-    eager, lazy = ds.cg.cell_volumes(1.0), ds.chunk(time=1).cg.cell_volumes(1.0)
+    eager = ds.cg.cell_volumes(1.0)
+    lazy = ds.chunk(time=1).cg.cell_volumes(1.0)
     assert lazy.density.chunks is not None
     xr.testing.assert_identical(lazy.compute().drop_attrs(), eager.drop_attrs())
 
@@ -223,7 +226,8 @@ def test_temperatures_in_planes_equal_a_loop_over_grains(periodic):
     for k, centre in enumerate(s.z.values):
         top = bottom = 0.0
         for m in range(-n, n + 1):
-            plane, share = centre + m * width / (2 * n), 1 - abs(m) / (n + 1)
+            plane = centre + m * width / (2 * n)
+            share = 1 - abs(m) / (n + 1)
             h = x[:, 2] - plane
             if periodic:
                 h -= 5.0 * np.rint(h / 5.0)

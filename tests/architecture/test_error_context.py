@@ -194,7 +194,8 @@ def test_wrong_arguments_raise_one_error_that_names_them(parser, made, tmp_path,
         pytest.skip("VTK finds no way to draw")
     monkeypatch.chdir(tmp_path)
     dumps.write_series(tmp_path, (0, 10))
-    accepted, unnamed = [], []
+    accepted = []
+    unnamed = []
     for wrong in WRONG:
         error = error_of(parser, wrong, made)
         if error is None:

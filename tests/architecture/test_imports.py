@@ -171,7 +171,8 @@ def test_imports_only_go_down_and_wings_stay_apart():
 
 
 def test_no_module_imports_itself_in_a_circle():
-    graph, done = {}, set()
+    graph = {}
+    done = set()
     for own, target in _imports():
         graph.setdefault(own, set()).add(target)
 
@@ -202,7 +203,8 @@ def test_modules_of_one_name_are_a_module_and_its_loops():
 
 
 def test_classes_have_names_of_their_own():
-    seen, twice = set(), set()
+    seen = set()
+    twice = set()
     for nodes in nodes_of_package(".py").values():
         for node in nodes:
             if isinstance(node, ast.ClassDef):

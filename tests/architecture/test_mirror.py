@@ -23,7 +23,8 @@ def test_files_have_the_names_of_modules():
     others = set()
     for path in (ROOT / "tests").rglob("test_*.py"):
         place = path.relative_to(ROOT / "tests")
-        room, module = ROOT / "xcg" / place.parent, place.stem.removeprefix("test_")
+        room = ROOT / "xcg" / place.parent
+        module = place.stem.removeprefix("test_")
         if place.parts[0] in ACROSS or place.parts[:2] == PUBLIC:
             continue
         if not any((room / f"{p}{module}.py").exists() for p in ("", "_")):

@@ -193,7 +193,8 @@ def write_gzipped_dumps(folder: str | Path, particles: int, steps: int) -> dict[
 def fstat_text(ds: xr.Dataset) -> str:
     """The contacts of a step as MercuryDPM writes them, with 17 digits."""
     one = ds.isel(time=0)
-    force, point = one["contact_force"].to_numpy(), one["contact_point"].to_numpy()
+    force = one["contact_force"].to_numpy()
+    point = one["contact_point"].to_numpy()
     size = np.linalg.norm(force, axis=1)[:, None]
     normal = force / np.where(size > 0, size, 1)
     numbers = [point, 0 * size, 0 * size, size, 0 * size, normal, normal]

@@ -11,13 +11,16 @@ COUNT = 1_000_000
 
 def test_logarithms_are_accurate():
     """To 2e-16 and rounding, times their factors; the same bits uncompiled."""
-    rng, room = np.random.default_rng(1), 4096
+    rng = np.random.default_rng(1)
+    room = 4096
     ratio = np.concatenate(
         [10.0 ** rng.uniform(0, 290, room // 2), 1.0 + 10.0 ** rng.uniform(-16, 1, room // 2)]
     )
-    factor, found = rng.normal(size=room), []
+    factor = rng.normal(size=room)
+    found = []
     for add in (compiled(elementary.add_logarithms), uncompiled(elementary.add_logarithms)):
-        memory, out = ratio.copy(), np.zeros(room)
+        memory = ratio.copy()
+        out = np.zeros(room)
         add(memory, memory.view("int64"), np.zeros(room, "int64"), factor, room, out)
         found.append(out)
     np.testing.assert_array_equal(*found)

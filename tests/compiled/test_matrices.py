@@ -42,23 +42,20 @@ def parts_of(found):
 
 def grains(seed, flat=()):
     rng = np.random.default_rng(seed)
-    x, mass = rng.uniform(-1, 1, (40, 12, 3)), rng.uniform(0.1, 1, (40, 12))
+    x = rng.uniform(-1, 1, (40, 12, 3))
+    mass = rng.uniform(0.1, 1, (40, 12))
     x[..., list(flat)] = 0.0
     return x, mass
 
 
 def by_eigenvectors(sums, active, about_node):
     """As `fit_gradient`, all nodes by NumPy's eigenvectors."""
-    count, mass, momentum, offset = (
-        sums[matrices.COUNT],
-        sums[matrices.MASS],
-        sums[matrices.MOMENTUM : matrices.OFFSET],
-        sums[5:8],
-    )
-    shear, spread = (
-        sums[matrices.SHEAR : matrices.SPREAD].reshape(3, 3, -1),
-        sums[matrices.SPREAD :][matrices.SYMMETRIC],
-    )
+    count = sums[matrices.COUNT]
+    mass = sums[matrices.MASS]
+    momentum = sums[matrices.MOMENTUM : matrices.OFFSET]
+    offset = sums[5:8]
+    shear = sums[matrices.SHEAR : matrices.SPREAD].reshape(3, 3, -1)
+    spread = sums[matrices.SPREAD :][matrices.SYMMETRIC]
     there = mass > 0.0
     drift, mean = (
         np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset)
@@ -76,8 +73,10 @@ def by_eigenvectors(sums, active, about_node):
     determined = there & (~np.reshape(active, (3, 1)) | (projection > 1.0 - 1e-6))
     moved = np.moveaxis(shear - drift[:, None] * offset, -1, 0)
     inverse = scaled @ vectors.swapaxes(1, 2)
-    gradient, six = moved @ inverse, np.triu_indices(3)
-    explained, inverse = (gradient @ moved.swapaxes(1, 2))[:, *six], inverse[:, *six]
+    gradient = moved @ inverse
+    six = np.triu_indices(3)
+    explained = (gradient @ moved.swapaxes(1, 2))[:, *six]
+    inverse = inverse[:, *six]
     explained[count <= spanned.sum(axis=1) + 1] = np.nan
     determined = np.where(determined, 1.0, np.nan)
     return np.concatenate([gradient.reshape(-1, 9).T, explained.T, determined, mean, inverse.T])
@@ -89,7 +88,8 @@ def by_eigenvectors(sums, active, about_node):
 def test_fits_are_those_by_eigenvectors(count, flat, about_node):
     """Grains in a point, on a line, in a plane; the axes along which all are at zero are active or not."""
     x, mass = grains(3, flat)
-    x, mass = x[:, :count], mass[:, :count]
+    x = x[:, :count]
+    mass = mass[:, :count]
     u = np.random.default_rng(4).normal(size=x.shape)
     sums = moments_of(x, u, mass)
     for active in (tuple(k not in flat for k in range(3)), (True,) * 3):

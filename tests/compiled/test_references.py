@@ -121,25 +121,28 @@ def test_deposit_of_points_equals_its_reference(name, axes):
     rng = np.random.default_rng(1)
     block, nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
-    position, velocity = rng.uniform(-0.5, 2.0, (9, 3)) * active, rng.normal(size=(9, 3)) + 1e3
-    mass, constants, order = rng.uniform(1, 2, 9), rng.normal(size=(9, 4)), np.arange(9)
-    batches, phase = batches_of(position, order), np.zeros(9, "int64")
+    position = rng.uniform(-0.5, 2.0, (9, 3)) * active
+    velocity = rng.normal(size=(9, 3)) + 1e3
+    mass = rng.uniform(1, 2, 9)
+    constants = rng.normal(size=(9, 4))
+    order = np.arange(9)
+    batches = batches_of(position, order)
+    phase = np.zeros(9, "int64")
     grains = Grains(
         order, batches, position, velocity, mass, constants, phase, (0.0, 0.0, 0.0), 1.0
     )
     scratch = Scratch(block.lists(nodes, [2.0] * 3), np.empty((BATCH, GRAIN + 4)))
     for level in (SQUARED, CUBIC):
-        sums, reference = np.zeros((1, len(places), level + 4)), np.full((len(places), 3), np.nan)
+        sums = np.zeros((1, len(places), level + 4))
+        reference = np.full((len(places), 3), np.nan)
         deposit(grains, nodes, weights, level, None, None, scratch, sums, reference)
         for node, found, first in zip(places, sums[0], reference, strict=True):
             flow, summed = reference_deposit(position, velocity, mass, constants, node, value)
             if level == CUBIC:  # in the place of the columns of LINEAR
                 flow = flow[:CUBIC].copy()
                 seen = ((position - node) ** 2).sum(axis=1) < 1.0
-                u, w = (
-                    (velocity - first)[seen],
-                    mass[seen] * value(np.linalg.norm((position - node)[seen], axis=1)),
-                )
+                u = (velocity - first)[seen]
+                w = mass[seen] * value(np.linalg.norm((position - node)[seen], axis=1))
                 flow[CUBE : CUBE + 3], flow[CUBE + 3] = (w * (u * u).sum(axis=1)) @ u, 0.0
             np.testing.assert_allclose(found, [*flow, *summed], rtol=1e-9, atol=1e-11)
 
@@ -150,18 +153,14 @@ def test_deposit_of_segments_equals_its_reference(name, axes):
     rng = np.random.default_rng(2)
     block, nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
-    start, branch, force = (
-        rng.uniform(0.0, 1.5, (5, 3)),
-        rng.normal(size=(5, 3)),
-        rng.normal(size=(5, 3)),
-    )
+    start = rng.uniform(0.0, 1.5, (5, 3))
+    branch = rng.normal(size=(5, 3))
+    force = rng.normal(size=(5, 3))
     records = np.column_stack([start, branch, force, np.zeros(5)])
     assert records.shape[1] == SEGMENT
     segments = Segments(records, np.zeros(0), bounds_of_segments(records))
-    lists, sums = (
-        block.lists(nodes, (2.0 + np.abs(branch).max(axis=0)).tolist()),
-        np.zeros((1, len(places), 9)),
-    )
+    lists = block.lists(nodes, (2.0 + np.abs(branch).max(axis=0)).tolist())
+    sums = np.zeros((1, len(places), 9))
     deposit_segments(
         segments, nodes, weights, lists, closed_for(lists.values.shape[1]), False, sums
     )

@@ -54,7 +54,8 @@ ARRAYS = [
 
 def compiled(instruction, count):
     """A loop that does one instruction of `count` arguments."""
-    names, found = ", ".join(f"x{k}" for k in range(count)), {}
+    names = ", ".join(f"x{k}" for k in range(count))
+    found = {}
     exec(f"def call({names}): return instruction({names})", {"instruction": instruction}, found)
     return numba.njit(error_model="numpy")(found["call"])
 
@@ -71,10 +72,13 @@ def assert_same_bits(one, other):
 @pytest.mark.parametrize(("instruction", "dtype", "shape", "arguments"), ARRAYS)
 def test_instructions_on_arrays_equal_their_python_functions(instruction, dtype, shape, arguments):
     rng = np.random.default_rng(7)
-    call, changed = compiled(instruction, 1 + len(arguments(rng))), False
+    call = compiled(instruction, 1 + len(arguments(rng)))
+    changed = False
     for _ in range(30):
-        before, others = numbers(rng, shape, dtype), arguments(rng)
-        by_compiler, by_python = before.copy(), before.copy()
+        before = numbers(rng, shape, dtype)
+        others = arguments(rng)
+        by_compiler = before.copy()
+        by_python = before.copy()
         call(by_compiler, *others)
         instruction.py_func(by_python, *others)
         assert_same_bits(by_compiler, by_python)
@@ -88,16 +92,21 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
     """Both forms of what lists points write the same bits, of the points that are near, and nothing before them."""
     rng = np.random.default_rng(11)
     points = rng.uniform(-1, 1, (3, 64))
-    place, e = np.array([0.1, -0.2, 0.3]), np.array([0.6, 0.0, 0.8])
-    along, of_place = np.clip((points.T - place) @ e, 0.0, 0.5), real is None
+    place = np.array([0.1, -0.2, 0.3])
+    e = np.array([0.6, 0.0, 0.8])
+    along = np.clip((points.T - place) @ e, 0.0, 0.5)
+    of_place = real is None
     away = np.linalg.norm(points.T - place - (0.0 if of_place else along[:, None] * e), axis=1)
     # whether the last digit counts is not the point here
     points[:, abs(away - 1.0) < 1e-5] = 9.0
     away[abs(away - 1.0) < 1e-5] = 9.0
     with mock.patch.object(cells, "_COMPRESSES", compresses):
-        instruction, others, rows = cells.list_near_place, (tuple(place),), (X, Y, Z, Q2)
+        instruction = cells.list_near_place
+        others = (tuple(place),)
+        rows = (X, Y, Z, Q2)
         if not of_place:
-            instruction, others = cells.list_near_segment, (tuple(place), tuple(e), 0.5)
+            instruction = cells.list_near_segment
+            others = (tuple(place), tuple(e), 0.5)
             rows = (Q2, ALONG)
         call = compiled(instruction, 6 + len(others))
         lanes = cells.VECTOR // np.dtype(real or "float64").itemsize
@@ -129,12 +138,15 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
 
 def test_transpose8x8_transposes_eight_rows():
     rng = np.random.default_rng(9)
-    memory, call = numbers(rng, 200, "float64"), compiled(simd.transpose8x8, 6)
+    memory = numbers(rng, 200, "float64")
+    call = compiled(simd.transpose8x8, 6)
     for _ in range(20):
         by_compiler = np.zeros((12, simd.TILE))
         by_python = by_compiler.copy()
-        apart, first = rng.integers(8, 20), rng.integers(0, 50)
-        row, column = rng.integers(0, 5), rng.integers(0, simd.TILE - 7)
+        apart = rng.integers(8, 20)
+        first = rng.integers(0, 50)
+        row = rng.integers(0, 5)
+        column = rng.integers(0, simd.TILE - 7)
         call(memory, first, apart, by_compiler, row, column)
         simd.transpose8x8.py_func(memory, first, apart, by_python, row, column)
         assert_same_bits(by_compiler, by_python)

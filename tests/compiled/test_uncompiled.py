@@ -69,7 +69,8 @@ np.savez({str(path)!r}, **all_fields())
         [sys.executable, "-c", code], env=env, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    plain, compiled = np.load(path), all_fields()
+    plain = np.load(path)
+    compiled = all_fields()
     assert len(plain.files) == len(compiled) > 200
     for name, values in compiled.items():
         np.testing.assert_array_equal(plain[name], values, err_msg=name)

@@ -161,7 +161,9 @@ def test_interpolation_between_nodes_errs_as_documented(name):
 
 def test_velocity_at_grains_equals_the_field():
     ds = accuracy.sheared(300, 1.0)
-    x, v, m = ds.position.values[0], ds.velocity.values[0], ds.mass.values[0]
+    x = ds.position.values[0]
+    v = ds.velocity.values[0]
+    m = ds.mass.values[0]
     found = accuracy.alternatives.velocity_at_grains(x, v, m, accuracy.CUTOFF)
     for i in (0, 17, 299):
         at = dict(zip("xyz", x[i].tolist(), strict=True))
@@ -203,7 +205,8 @@ def test_the_dense_packing_is_dense(particles, contacts):
         i, j = (
             np.searchsorted(ds.particle_id[0], ds[name][0]) for name in ("contact_i", "contact_j")
         )
-        x, box = ds.position.values[0], ds.attrs["box_upper"]
+        x = ds.position.values[0]
+        box = ds.attrs["box_upper"]
         branch = x[i] - x[j] - box * np.rint((x[i] - x[j]) / box)
         assert np.linalg.norm(branch, axis=1).max() < 1.3 * 2.0
         assert len(np.unique(np.sort(np.stack([i, j]), axis=0), axis=1).T) == len(i)
@@ -215,7 +218,8 @@ def test_the_loop_in_c_adds_the_same_as_in_numba():
     if in_c is None:
         pytest.skip("no C compiler")
     rng = np.random.default_rng(5)
-    weights, factors = rng.normal(size=37), rng.normal(size=101)
+    weights = rng.normal(size=37)
+    factors = rng.normal(size=101)
     sums = np.zeros(400), np.zeros(400)
     for loop, out in zip((alternatives.multiply_add, in_c), sums, strict=True):
         loop(out, weights, factors)

@@ -67,7 +67,8 @@ def test_each_script_agrees_with_physics(script, monkeypatch):
         assert plt.get_fignums(), "no picture"
         for figure in map(plt.figure, plt.get_fignums()):
             for ax in figure.axes:
-                below, beside = ax.get_shared_x_axes(), ax.get_shared_y_axes()
+                below = ax.get_shared_x_axes()
+                beside = ax.get_shared_y_axes()
                 named = any(a.get_xlabel() for a in below.get_siblings(ax)) and any(
                     a.get_ylabel() for a in beside.get_siblings(ax)
                 )

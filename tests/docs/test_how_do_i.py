@@ -47,7 +47,8 @@ def setting():
     """What the page says first."""
     names: dict = {}
     exec(BLOCK.search(SETTING)[1], names)
-    frames, particles = [0, 0, 1, 1], [0, 1, 0, 1]
+    frames = [0, 0, 1, 1]
+    particles = [0, 1, 0, 1]
     tracks = {
         "frame": frames,
         "particle": particles,
@@ -61,7 +62,8 @@ def setting():
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """Files of the four codes, under the names of the page."""
-    chute, data = ROOT / "examples" / "data" / "lammps_chute", ROOT / "tests" / "data"
+    chute = ROOT / "examples" / "data" / "lammps_chute"
+    data = ROOT / "tests" / "data"
     places = {
         **{p.name: p for p in chute.glob("*.gz")},
         "P_0004.vtp": real_data("mfix_chute") / "P_FB1_0004.vtp",

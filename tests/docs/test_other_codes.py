@@ -76,7 +76,8 @@ def test_recipe_for_yade_opens(folder):
 
 def test_recipe_for_tables_opens(folder):
     scene = datasets.random_scene(20, seed=1)
-    x, v = scene.position.values[0].T, scene.velocity.values[0].T
+    x = scene.position.values[0].T
+    v = scene.velocity.values[0].T
     grains = dict(zip("xyz", x, strict=True)) | dict(zip(("vx", "vy", "vz"), v, strict=True))
     grains |= {
         "id": scene.particle_id.values[0],

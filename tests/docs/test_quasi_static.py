@@ -122,7 +122,8 @@ def test_closed_form_is_the_sum_over_sliding_contacts(example_on_path):
 
     for friction in (0.0, 0.2, 0.5):
         for slope in (1.0, 1.1):
-            c, s = 1 / np.hypot(1, slope), slope / np.hypot(1, slope)
+            c = 1 / np.hypot(1, slope)
+            s = slope / np.hypot(1, slope)
             normals = [(k * s, 0, m * c) for k in (1, -1) for m in (1, -1)]
             normals += [(0, k * s, m * c) for k in (1, -1) for m in (1, -1)]
             stress = np.zeros((3, 3))

@@ -45,7 +45,8 @@ def test_an_erodible_bed_speeds_up_from_above_and_heats_up_from_below():
 
 
 def test_fields_of_the_strained_lattice_are_its_closed_forms():
-    ds, closed = lattice.lattice(), lattice.exact()
+    ds = lattice.lattice()
+    closed = lattice.exact()
     wide = lattice.at_point(ds, "lucy", 3 * lattice.DIAMETER)
     for name, value in closed.items():
         assert wide[name] == pytest.approx(value, rel=1e-5, abs=1e-6), name
@@ -86,7 +87,8 @@ def test_chains_of_a_compressed_box_grow_in_number_and_then_merge_into_one():
     assert (count[-8:] == 1).all()
     assert fc.length_max[-1] > 990
     # the pressure is the virial of all contacts over the volume of the box
-    x, force = ds.position.values[-1], ds.contact_force.values[-1]
+    x = ds.position.values[-1]
+    force = ds.contact_force.values[-1]
     kept = ds.contact_i.values[-1] >= 0
     row = {key: k for k, key in enumerate(ds.particle_id.values[-1])}
     i, j = ([row[key] for key in ds[name].values[-1][kept]] for name in ("contact_i", "contact_j"))

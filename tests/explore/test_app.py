@@ -199,7 +199,8 @@ def assert_colours(page, call):
     velocity = names["f"]["velocity"].isel(time=0)
     speed = ((velocity**2).sum("component", skipna=False) ** 0.5).transpose("z", "x")
     numbers = speed.to_numpy()
-    low, high = np.nanmin(numbers), np.nanmax(numbers)
+    low = np.nanmin(numbers)
+    high = np.nanmax(numbers)
     palette = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in palettes.Viridis256])
     for row, column in ((20, 10), (45, 30), (80, 20)):
         place = [speed["x"][column].item(), speed["z"][row].item()]

@@ -14,7 +14,8 @@ def run(call, **names):
     *before, last = call.rsplit("\n" if call.startswith("f = ") else "\0", 1)
     if before and "plot(" not in last:  # the call of plot is on several lines
         before, last = call.split("\nf.cg.plot", 1)
-        before, last = [before], f"f.cg.plot{last}"
+        before = [before]
+        last = f"f.cg.plot{last}"
     exec("\n".join(before), names)
     return eval(last, names), names
 

@@ -38,7 +38,9 @@ KERNELS = [
 def by_points(places, walls, kernel):
     """Sum of the kernel over many points on the accessible side."""
     radius, cosine, turn = Sobol(3, seed=1).random_base2(15).T
-    radius, cosine, turn = kernel.cutoff * np.cbrt(radius), 2 * cosine - 1, 2 * np.pi * turn
+    radius = kernel.cutoff * np.cbrt(radius)
+    cosine = 2 * cosine - 1
+    turn = 2 * np.pi * turn
     sine = np.sqrt(1 - cosine**2)
     away = radius[:, None] * np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
     weight = kernel.value(radius) / kernel.value(radius).sum()
@@ -61,7 +63,8 @@ def test_the_accessible_fraction_near_walls_equals_brute_force(name, kernel):
 
 def test_the_accessible_fraction_beside_a_plane_is_a_polynomial():
     """The marginal of Lucy's kernel along one axis, integrated by hand."""
-    c, x = 1.5, np.linspace(-1.6, 1.6, 41)
+    c = 1.5
+    x = np.linspace(-1.6, 1.6, 41)
     q = np.minimum(np.abs(x) / c, 1)
     # int_q^1 2 pi s (1 - 6 s^2 + 8 s^3 - 3 s^4) ds, integrated from 0 to q
     half = 105 / 8 * (q / 10 - q**3 / 6 + 3 * q**5 / 10 - 8 * q**6 / 30 + q**7 / 14)
@@ -314,7 +317,8 @@ def test_surfaces_beyond_the_box_count_as_far_as_the_box(periodic, reach):
     """Averaged over x and y, a floor of triangles beyond the box is a plane, and a wide tube is nothing."""
     ds = xcg.datasets.random_scene(60, seed=1, periodic=periodic)
     side = float(ds.box[0, 0, 1])
-    low, high = -reach, side + reach
+    low = -reach
+    high = side + reach
     corners = [[low, low, 0], [high, low, 0], [high, high, 0], [low, high, 0]]
     given = {"axes": "z", "width": 0.5, "spacing": 0.25, "bounds": {"z": (-0.5, 2.0)}}
 

@@ -88,7 +88,8 @@ def sizes_of_terms(ds, truth, peak, width):
 
 def comparable(name, truth, sizes, count, fitted):
     """Nodes at which a field holds digits in both computations."""
-    density, pressure = np.array(truth["density"]), np.abs(truth["pressure"])
+    density = np.array(truth["density"])
+    pressure = np.abs(truth["pressure"])
     keep = np.array([value is not None for value in truth[name]])
     if name in RATIOS:  # weights at the rim hold few digits, and their ratios none
         keep &= (density == 0) | (density > 1e-6 * density.max(initial=0))
@@ -229,7 +230,8 @@ def test_kernel_gradient_refuses_heaviside_and_warns_of_gaussian():
 @pytest.mark.filterwarnings("ignore:the shifted gaussian kernel is continuous")
 def test_kernel_gradient_of_the_shifted_gaussian_equals_that_of_the_velocity():
     """Between nodes so close that no grain comes into reach from one to the next."""
-    ds, h = xcg.datasets.random_scene(60, seed=3), 1e-6
+    ds = xcg.datasets.random_scene(60, seed=3)
+    h = 1e-6
     at = {"y": 2.0, "z": 2.1}
     options = {
         "kernel": xcg.Gaussian(0.9, shifted=True),
@@ -317,7 +319,8 @@ def test_each_phase_takes_a_width_of_its_own(axes):
             "contact_stress_by_pair",
             "boundary_force_density",
         ):
-            want, got = same[name].sel(phase=phase), own[name].sel(phase=phase)
+            want = same[name].sel(phase=phase)
+            got = own[name].sel(phase=phase)
             np.testing.assert_allclose(
                 got, want, rtol=0, atol=1e-12 * float(abs(want).max()), err_msg=name
             )
@@ -814,7 +817,8 @@ def test_arguments_of_another_form_raise(wrong, message):
 def test_a_kernel_narrower_than_the_largest_grain_warns(dimension):
     """Its volume times the kernel's largest value is the fraction at its centre."""
     small = xcg.datasets.random_scene(200, dimension=dimension, seed=2)
-    position, diameter = small.position.values[0], small.diameter.values[0].copy()
+    position = small.position.values[0]
+    diameter = small.diameter.values[0].copy()
     diameter[:] = 0.1
     diameter[5] = 1.0
     ds = xcg.scene_from_arrays(

@@ -38,7 +38,8 @@ def test_messages_name_the_escaped_particle_and_a_remedy(far):
 @pytest.mark.parametrize(("lazy", "steps", "factor"), [(False, 1, 1), (False, 3, 3), (True, 3, 1)])
 def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, factor):
     """All steps of a scene in memory, one chunk of a lazy one."""
-    ds, nodes = one_escaped(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
+    ds = one_escaped(150.0, lazy=lazy, steps=steps)
+    nodes = 205 * 105 * 205
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
     monkeypatch.setattr("xcg.fields.coarse_grain.run", lambda *_, **__: pytest.fail("computed"))
     with pytest.raises(

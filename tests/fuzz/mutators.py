@@ -81,7 +81,8 @@ def mutate_once(data: bytes, rng: random.Random, others: tuple[bytes, ...]) -> b
         return data[:at] + rng.choice(PIECES) * rng.choice((1, 1, 1, 100)) + data[at:]
     if way == "line":
         lines = data.split(b"\n")
-        one, two = rng.randrange(len(lines)), rng.randrange(len(lines))
+        one = rng.randrange(len(lines))
+        two = rng.randrange(len(lines))
         lines[one], lines[two] = lines[two], rng.choice((lines[one], lines[one] * 2, b""))
         return b"\n".join(lines)
     if way == "integer":

@@ -72,7 +72,8 @@ def fuzz(name: str, minutes: float, seed: int, folder: Path) -> dict[str, object
     total: Counter[str] = Counter()
     kinds: dict[str, list[str]] = {}
     start = time.monotonic()
-    deadline, number = start + 60 * minutes, 0
+    deadline = start + 60 * minutes
+    number = 0
     while time.monotonic() < deadline:
         number += 1
         here, there = multiprocessing.Pipe(duplex=False)

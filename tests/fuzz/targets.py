@@ -211,7 +211,8 @@ def _use_hdf5(folder: Path) -> None:
         "contact_j": "j",
         "contact_force": "f",
     }
-    path, places = folder / "run.h5", {name: f"/S{{step}}/{word}" for name, word in mapping.items()}
+    path = folder / "run.h5"
+    places = {name: f"/S{{step}}/{word}" for name, word in mapping.items()}
     fields_of(xcg.open_scene(path, contacts=path, engine="hdf5", mapping=places, density=2.0))
 
 

@@ -235,11 +235,13 @@ def test_damaged_chunks_of_saved_scenes_raise(tmp_path):
     chunks = sorted(
         p for p in (tmp_path / "scene.zarr").glob("*/c*") if p.is_file() and p.stat().st_size > 16
     )
-    rng, raised = random.Random(1), 0
+    rng = random.Random(1)
+    raised = 0
     for _ in range(100):
         path = rng.choice(chunks)
         whole = path.read_bytes()
-        data, at = bytearray(whole), rng.randrange(len(whole))
+        data = bytearray(whole)
+        at = rng.randrange(len(whole))
         if rng.random() < 0.5:
             data[at % 16] = rng.randrange(256)  # heads hold the sizes
         else:

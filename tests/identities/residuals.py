@@ -141,7 +141,8 @@ def with_flux(f: dict[str, NDArray]) -> dict[str, NDArray]:
     """Add momentum_flux = sum m v v Psi = rho V V + sigma^k to fields that hold its parts."""
     if not {"density", "momentum_density", "kinetic_stress"} <= set(f):
         return f
-    p, rho = f["momentum_density"], f["density"][..., None, None]
+    p = f["momentum_density"]
+    rho = f["density"][..., None, None]
     advected = np.divide(
         p[..., :, None] * p[..., None, :],
         rho,
@@ -194,7 +195,9 @@ def smear(
     ds: xr.Dataset, columns: NDArray, points: NDArray, width: float, *, slope: bool = False
 ) -> NDArray:
     """Sum of q_i Psi(r - r_i) over free grains, for columns (n, ...); with `slope`, of q_i grad Psi (last index)."""
-    c, axes, period = 2 * width, axes_of(ds), period_of(ds)
+    c = 2 * width
+    axes = axes_of(ds)
+    period = period_of(ds)
     norm = {2: 5 / (math.pi * c**2), 3: 105 / (16 * math.pi * c**3)}[len(axes)] / depth_of(ds)
     frame = frame_of(ds)
     position = frame["position"][frame["free"]][:, axes]
@@ -320,7 +323,8 @@ def static_equilibrium(
 def moved(ds: xr.Dataset, dt: float, acceleration: NDArray | float = 0.0) -> xr.Dataset:
     """Return the grains, without contacts, after dt of constant acceleration (n, 3)."""
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
-    position, velocity = ds["position"].values, ds["velocity"].values
+    position = ds["position"].values
+    velocity = ds["velocity"].values
     new = position + velocity * dt + acceleration * dt**2 / 2, velocity + acceleration * dt
     return ds.drop_vars(contacts).assign(
         {
@@ -373,7 +377,8 @@ def momentum_between_frames(
 
     Frames at t -+ dt follow from the contact forces and gravity at t; grains that are frozen do not move.
     """
-    acceleration, weight = accelerations(ds), gravity_of(ds)
+    acceleration = accelerations(ds)
+    weight = gravity_of(ds)
     fields = ["density", "momentum_density", "kinetic_stress", "contact_stress"]
     div = divergence(ds, fields, points, width)
     f = with_flux(at_points(ds, [*fields, "boundary_force_density"], points, width=width))
@@ -439,7 +444,8 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     frame = frame_of(ds)
     speed = float(np.linalg.norm(frame["velocity"][frame["free"]], axis=1).max(initial=0.0))
     scales = {name: float(np.nanmax(np.abs(values), initial=0.0)) for name, values in f.items()}
-    rho, stress = scales["density"], scales["contact_stress"]
+    rho = scales["density"]
+    stress = scales["contact_stress"]
     scales |= {"momentum_density": rho * speed, "velocity": speed, "fluctuation_density": rho}
     scales |= dict.fromkeys(["granular_temperature", "directional_temperature"], speed**2)
     scales |= dict.fromkeys(["velocity_gradient", "shear_rate_tensor", "shear_rate"], speed / width)
@@ -453,10 +459,8 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     scales |= dict.fromkeys(["strong_contact_stress", "weak_contact_stress"], stress)
     scales |= dict.fromkeys(["boundary_force_density", "contact_force_density"], stress / width)
     # torques and powers of forces that cancel
-    spin, radius = (
-        np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max(),
-        ds.attrs["dmax"] / 2,
-    )
+    spin = np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max()
+    radius = ds.attrs["dmax"] / 2
     surface = speed + float(spin) * radius
     scales |= {"vorticity": speed / width, "couple_stress": stress * radius}
     scales |= dict.fromkeys(["torque_density", "contact_couple_density"], stress)
@@ -507,8 +511,10 @@ def marginals(ds: xr.Dataset, width: float, point: NDArray) -> Residual:
     the peak of the largest term where the point is at the rim of all of them.
     """
     worst = Residual(np.zeros(1), 1.0)
-    plane, frame = ds.attrs["plane"], frame_of(ds)
-    m, v = frame["mass"], np.linalg.norm(frame["velocity"], axis=1)
+    plane = ds.attrs["plane"]
+    frame = frame_of(ds)
+    m = frame["mass"]
+    v = np.linalg.norm(frame["velocity"], axis=1)
     force = np.linalg.norm(frame["contact_force"], axis=1).max(initial=0.0)
     terms = {
         "density": m, "volume_fraction": frame["volume"], "momentum_density": m * v, "momentum_flux": m * v**2,
@@ -535,11 +541,13 @@ def marginals(ds: xr.Dataset, width: float, point: NDArray) -> Residual:
 
 def virial(ds: xr.Dataset, width: float) -> Residual:
     """9: the integral of sigma^c over its whole support is sum f a over both sides; in units of sum |f| |a|."""
-    frame, period = frame_of(ds), period_of(ds)
+    frame = frame_of(ds)
+    period = period_of(ds)
     ids = frame["particle_id"][frame["free"]].tolist()
     row = {number: k for k, number in enumerate(ids)}
     position = frame["position"][frame["free"]]
-    total, size = np.zeros((3, 3)), 0.0
+    total = np.zeros((3, 3))
+    size = 0.0
     rows = (frame[f"contact_{name}"] for name in ("i", "j", "force", "point"))
     for i, j, force, point in zip(*rows, strict=True):
         for number, on_it in ((int(i), force), (int(j), -force)):
@@ -563,14 +571,13 @@ def phase_divergence(
 
     In units of the largest |sigma^c| / w. Forces of phases on each other are opposite, and none acts on itself.
     """
-    fields, options = (
-        ["contact_stress", "interphase_force", "boundary_force_density"],
-        {"by": by, "groups": groups},
-    )
+    fields = ["contact_stress", "interphase_force", "boundary_force_density"]
+    options = {"by": by, "groups": groups}
     f = at_points(ds, fields, points, width=width, **options)
     found = divergence(ds, ["contact_stress"], points, width, **options)["contact_stress"]
     scale = float(np.abs(f["contact_stress"]).max() / width)
-    frame, force = frame_of(ds), forces_on(ds)
+    frame = frame_of(ds)
+    force = forces_on(ds)
     phase = frame[by][frame["free"]]
     own = [force, *(np.where(phase[:, None] == group, force, 0.0) for group in groups)]
     resultant = np.stack([smear(ds, column, points, width) for column in own], axis=1)

@@ -55,11 +55,9 @@ def places(ds: xr.Dataset, width: float, count: int, seed: int = 0) -> NDArray:
     rng = np.random.default_rng(seed)
     plane = [("xyz").index(a) for a in ds.attrs["plane"]]
     valid = ds["contact_i"].values[0] >= 0
-    i, j, centre = (
-        ds["contact_i"].values[0][valid],
-        ds["contact_j"].values[0][valid],
-        ds["contact_point"].values[0][valid],
-    )
+    i = ds["contact_i"].values[0][valid]
+    j = ds["contact_j"].values[0][valid]
+    centre = ds["contact_point"].values[0][valid]
     row = np.clip(np.searchsorted(ds["particle_id"].values[0], i), 0, ds.sizes["particle"] - 1)
     partner = np.clip(np.searchsorted(ds["particle_id"].values[0], j), 0, ds.sizes["particle"] - 1)
     position = ds["position"].values[0]

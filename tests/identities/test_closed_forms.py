@@ -24,10 +24,8 @@ def inner(ds, width, count, seed=0):
     """Grains that have their whole support among others, as places to look at."""
     frame = residuals.frame_of(ds)
     position = frame["position"]
-    low, high = (
-        np.quantile(position, 0.02, axis=0) + 2 * width,
-        np.quantile(position, 0.98, axis=0) - 2 * width,
-    )
+    low = np.quantile(position, 0.02, axis=0) + 2 * width
+    high = np.quantile(position, 0.98, axis=0) - 2 * width
     axes = residuals.axes_of(ds)
     inside = np.flatnonzero(
         ((position > low) & (position < high))[:, axes].all(axis=1) & frame["free"]
@@ -154,7 +152,8 @@ def test_averages_over_a_layer_box_have_closed_forms():
     """A square lattice of discs: traces run over the two axes of the plane, and the thickness divides."""
     n, bond, force, speed, thickness = 6, 0.9, 1.5, 0.4, 0.25
     i, j = np.divmod(np.arange(n * n), n)
-    right, up = (i + 1) % n * n + j, i * n + (j + 1) % n
+    right = (i + 1) % n * n + j
+    up = i * n + (j + 1) % n
     pairs = np.concatenate(
         [np.stack([np.arange(n * n), right], 1), np.stack([np.arange(n * n), up], 1)]
     )
@@ -169,7 +168,8 @@ def test_averages_over_a_layer_box_have_closed_forms():
         "granular_temperature", temperature="biased", width=1.0, axes=""
     )
     phi = np.pi / 4 / bond**2
-    contact, kinetic = force / (bond * thickness), 2.0 * phi * speed**2
+    contact = force / (bond * thickness)
+    kinetic = 2.0 * phi * speed**2
     exact = {"volume_fraction": phi, "density": 2 * phi, "pressure": contact + kinetic, "shear_stress": 0.0,
              "granular_temperature": speed**2 * n**2 / (n**2 - 1), "coordination_number": 4.0}  # fmt: skip
     for name, value in exact.items():
@@ -201,7 +201,8 @@ def reciprocal(edge, shells):
 def test_lattice_fields_reach_their_plateau(kernel):
     """phi(r) = phi_0 sum over reciprocal vectors of the kernel's transform: the spread over points is bounded by it."""
     ds = xcg.datasets.face_centred_cubic(2)
-    edge, exact = 2 * np.sqrt(2), np.pi / (3 * np.sqrt(2))
+    edge = 2 * np.sqrt(2)
+    exact = np.pi / (3 * np.sqrt(2))
     k = np.linalg.norm(reciprocal(edge / 2, 24), axis=1)
     spreads = []
     for width in (0.4, 0.75, 1.5, 3.0):

@@ -147,7 +147,10 @@ def as_tensors(f, matrix):
 
 
 def assert_transforms(case, matrix, tolerance=ROUNDING):
-    ds, points, width, names = case.ds, case.points, case.width, allowed(case.ds, NO_PRESSURE)
+    ds = case.ds
+    points = case.points
+    width = case.width
+    names = allowed(case.ds, NO_PRESSURE)
     here = residuals.at_points(ds, names, points, width=width)
     there = residuals.at_points(turned(ds, matrix), names, points @ matrix.T, width=width)
     assert residuals.difference(ds, width, as_tensors(here, matrix), there).relative < tolerance
@@ -224,7 +227,8 @@ def test_cylinders_turn_with_the_scene(seed, angle, azimuth, polar, place, axes,
             spacing={"r": case.width, "theta": 1.0, "z": case.width},
         )  # fmt: skip
 
-    here, there = fields(case.ds, np.eye(3)), fields(turned(case.ds, matrix), matrix)
+    here = fields(case.ds, np.eye(3))
+    there = fields(turned(case.ds, matrix), matrix)
     for name in SUMS:
         size = float(np.abs(here[name]).max())
         np.testing.assert_allclose(there[name], here[name], rtol=0, atol=1e-10 * size, err_msg=name)

@@ -100,7 +100,9 @@ def test_fields_equal_the_columns_of_mercury(reference, coordinates):
 def test_cell_centres_are_nodes(reference, coordinates):
     """The mesh of MercuryCG, as bounds and spacing, and its order of rows."""
     columns, points, _, cutoff, rows = case_of(reference, coordinates)
-    axes, edge, n = coordinates.lower(), 5.44, 7
+    axes = coordinates.lower()
+    edge = 5.44
+    n = 7
     h = edge / n
     ds = load("mercury_synthetic").ds
     f = xcg.coarse_grain(

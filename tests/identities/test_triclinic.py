@@ -98,7 +98,8 @@ def test_contacts_found_equal_those_of_lammps(sheared):
     found = one.drop_dims("contact").cg.find_contacts()
 
     def pairs(ds):
-        i, j = ds.contact_i.values[0], ds.contact_j.values[0]
+        i = ds.contact_i.values[0]
+        j = ds.contact_j.values[0]
         return {
             (min(a, b), max(a, b)) for a, b in zip(i.tolist(), j.tolist(), strict=True) if a >= 0
         }
@@ -168,7 +169,8 @@ def test_grains_written_by_images_that_move_give_the_same_fields(sheared):
         "heat_flux", "vorticity",
     ]  # fmt: skip
     options = {"width": 1.0, "spacing": 2.0, "bounds": dict.fromkeys("xyz", (0.0, 6.0))}
-    a, b = one.cg.coarse_grain(fields, **options), two.cg.coarse_grain(fields, **options)
+    a = one.cg.coarse_grain(fields, **options)
+    b = two.cg.coarse_grain(fields, **options)
     for name in fields:
         atol = 1e-9 * float(np.abs(a[name]).max())
         np.testing.assert_allclose(a[name], b[name], rtol=0, atol=atol, err_msg=name)

@@ -124,12 +124,11 @@ def test_runs_that_ended_between_the_names_of_two_files_go_on(tmp_path, monkeypa
     job = write_job(tmp_path)
     job.write_text(JOB.replace("temporal", images))
     xcg_run("run", job, "-q")
-    whole, names = (
-        loaded(tmp_path / "out" / "fields.nc"),
-        sorted(p.name for p in (tmp_path / "out").iterdir()),
-    )
+    whole = loaded(tmp_path / "out" / "fields.nc")
+    names = sorted(p.name for p in (tmp_path / "out").iterdir())
     shutil.rmtree(tmp_path / "out")
-    real, calls = os.replace, itertools.count()
+    real = os.replace
+    calls = itertools.count()
 
     def replace(part, path):
         if Path(path).parent == tmp_path / "out" and next(calls) == 1:

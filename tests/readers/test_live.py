@@ -16,11 +16,9 @@ class Lammps:
     """Two grains that touch across the edge x = 0, and one at a wall, as LAMMPS' Python module hands them out."""
 
     POSITION = np.array([[0.4, 1.0, 1.0], [9.5, 1.0, 1.0], [5.0, 5.0, 0.48]])
-    FORCE, SHEAR, PUSH = (
-        np.array([10.0, 0.0, 0.0]),
-        np.array([0.0, 2.0, -1.0]),
-        np.array([0.0, 0.5, 30.0]),
-    )
+    FORCE = np.array([10.0, 0.0, 0.0])
+    SHEAR = np.array([0.0, 2.0, -1.0])
+    PUSH = np.array([0.0, 0.5, 30.0])
 
     def __init__(
         self,
@@ -279,9 +277,11 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
     for scene in (dumps, again, own):
         same = np.lexsort((scene.contact_j[0], scene.contact_i[0]))
         for name in set(dumps.data_vars) & set(live.data_vars):
-            a, b = live[name].values[0], scene[name].values[0]
+            a = live[name].values[0]
+            b = scene[name].values[0]
             if "contact" in live[name].dims:  # of walls, files tell a bound for their number only
-                a, b = a[order], b[same][-len(order) :]
+                a = a[order]
+                b = b[same][-len(order) :]
             np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15 * np.abs(b).max(), err_msg=name)
         for name in ("periodic", "unit_system", "dimension", "wall_names", "d43"):
             assert (

@@ -261,7 +261,8 @@ def test_files_that_changed_are_noticed(series, tmp_path):
 def test_a_changed_file_of_equal_size_is_noticed(tmp_path):
     path = write(tmp_path / "p.0.dump", dump_text(step=0))
     scene = open_scene(path)
-    size, modified = path.stat().st_size, path.stat().st_mtime_ns
+    size = path.stat().st_size
+    modified = path.stat().st_mtime_ns
     write(path, dump_text(step=5, box="ITEM: BOX BOUNDS pp pp ff\n0 11\n0 10\n-1 9\n"))
     os.utime(path, ns=(modified + 1, modified + 1))
     assert path.stat().st_size == size

@@ -55,7 +55,8 @@ def test_axes_that_keep_their_period_have_neighbours_across_its_edges(lazy):
         ["velocity", "velocity_gradient"], axes="xz", width=1.2, gradient="finite_difference"
     )
     assert f.attrs["wrapped_axes"] == "x"
-    v, step = f.velocity, float(f.x[1] - f.x[0])
+    v = f.velocity
+    step = float(f.x[1] - f.x[0])
     want = (v.isel(x=1) - v.isel(x=-1)) / (2 * step)
     np.testing.assert_allclose(f.velocity_gradient.isel(x=0).sel(direction="x"), want, rtol=1e-9)
 
@@ -100,10 +101,14 @@ def test_a_body_across_the_edge_of_a_box_that_shrinks(lazy):
 
 def slices_by_hand(ds, t, method, edge, nodes, width, planes):
     """Velocity and number of grains of each slice, image by image."""
-    x, v = ds.position.values[t][:, 0], ds.velocity.values[t]
-    d, m = ds.diameter.values[t], ds.mass.values[t]
+    x = ds.position.values[t][:, 0]
+    v = ds.velocity.values[t]
+    d = ds.diameter.values[t]
+    m = ds.mass.values[t]
     for node in nodes:
-        total, momentum, seen = 0.0, np.zeros(3), set()
+        total = 0.0
+        momentum = np.zeros(3)
+        seen = set()
         for grain in range(len(x)):
             for n in range(-5, 6):
                 off = x[grain] + n * edge - node
@@ -118,7 +123,8 @@ def slices_by_hand(ds, t, method, edge, nodes, width, planes):
                     )
                 if weight > 0:
                     seen.add(grain)
-                    total, momentum = total + weight, momentum + weight * v[grain]
+                    total = total + weight
+                    momentum = momentum + weight * v[grain]
         yield momentum / total, len(seen)
 
 
@@ -159,9 +165,12 @@ def test_regions_across_an_edge_against_a_loop_over_images():
     for scene in (ds, ds.assign(position=ds.position + far)):
         m = scene.cg.microstructure(["volume_fraction", "particle_count"], bounds=bounds)
         for t, edge in enumerate((10.0, 8.0)):
-            x, volume = alone[t].position.values[0], alone[t].volume.values[0]
+            x = alone[t].position.values[0]
+            volume = alone[t].volume.values[0]
             for name, region in bounds.items():
-                count, filled, size = 0, 0.0, edge**3
+                count = 0
+                filled = 0.0
+                size = edge**3
                 for low, high in region.values():
                     size *= (high - low) / edge
                 for centre, own in zip(x, volume, strict=True):
@@ -169,7 +178,8 @@ def test_regions_across_an_edge_against_a_loop_over_images():
                     for axis, (low, high) in region.items():
                         at = centre["xyz".index(axis)] + edge * np.arange(-20, 21)
                         images *= ((low <= at) & (at < high)).sum()
-                    count, filled = count + images, filled + images * own
+                    count = count + images
+                    filled = filled + images * own
                 found = m.sel(region=name).isel(time=t)
                 assert found.particle_count == count
                 np.testing.assert_allclose(found.volume_fraction, filled / size, rtol=1e-12)
@@ -245,9 +255,12 @@ def vectors_of(kind, steps=5):
 
 def moving(kind, *, unwrapped=False, **options):
     """Make grains that move with the box and by OWN, in it or unwrapped; return them and their gradients."""
-    vectors, start = vectors_of(kind), np.random.default_rng(3).uniform(0, 3, (20, 3))
+    vectors = vectors_of(kind)
+    start = np.random.default_rng(3).uniform(0, 3, (20, 3))
     smooth = vectors_of("sheared" if kind == "flipped" else kind)
-    place, places, images = start, [], []
+    place = start
+    places = []
+    images = []
     for t, cell in enumerate(vectors):
         if t:
             place = place @ np.linalg.inv(smooth[t - 1]) @ smooth[t] + OWN

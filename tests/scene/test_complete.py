@@ -60,17 +60,16 @@ def test_found_contacts_and_all_that_follows_as_in_a_larger_box(seed, lazy):
     small, large = (repeated(copies, seed) for copies in (1, 3))
     if lazy:
         small = small.chunk(time=1)
-    small, large = (
-        small.cg.find_contacts(k_n=1.0, max_contacts=60 if lazy else None),
-        large.cg.find_contacts(k_n=1.0),
-    )
+    small = small.cg.find_contacts(k_n=1.0, max_contacts=60 if lazy else None)
+    large = large.cg.find_contacts(k_n=1.0)
     expected = sorted(
         ((i, j, *branch) for i, j, branch in by_hand(*random_grains(seed)[:2])), key=rounded
     )
     i, j = (
         small[name].values[0][small.contact_i.values[0] >= 0] for name in ("contact_i", "contact_j")
     )
-    diameter, overlap = small.diameter.values[0], small.overlap.values[0][: len(i)]
+    diameter = small.diameter.values[0]
+    overlap = small.overlap.values[0][: len(i)]
     branch = ((diameter[i] + diameter[j]) / 2 - overlap)[:, None] * small.contact_normal.values[0][
         : len(i)
     ]
@@ -107,7 +106,8 @@ def dumps(tmp_path, columns="id1 id2 dx dy dz fnx fny fnz", sign=1.0):
         f"{k + 1} 1 {x} {y} {z} {d / 2} 1"
         for k, ((x, y, z), d) in enumerate(zip(position, diameter, strict=True))
     ]
-    rows, stress = [], np.zeros((3, 3))
+    rows = []
+    stress = np.zeros((3, 3))
     for k, (i, j, branch) in enumerate(by_hand(position, diameter)):
         force = (1 + 0.1 * k) * branch
         stress += np.outer(force, branch) / EDGE**3
@@ -201,7 +201,8 @@ def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
     rng = np.random.default_rng(len(periodic))
     plain = []
     for edge in np.geomspace(1.5, 30.0, 40):
-        position, diameter = rng.uniform(0.0, edge, (20, 3)), rng.uniform(0.3, 1.5, 40)
+        position = rng.uniform(0.0, edge, (20, 3))
+        diameter = rng.uniform(0.3, 1.5, 40)
         position = np.concatenate(
             [position, (position + rng.normal(scale=0.5, size=(20, 3))) % edge]
         )

@@ -63,14 +63,14 @@ def test_other_forms_of_one_scene_have_the_same_fields(scene, how, lazy):
 @pytest.mark.parametrize("how", SAME)
 def test_results_by_particle_keep_the_rows_of_the_scene(scene, how):
     given = SAME[how](scene)
-    mine, usual = given.cg.particle_stress(), scene.cg.particle_stress()
-    chains, usual_chains = given.cg.force_chains(min_length=2), scene.cg.force_chains(min_length=2)
+    mine = given.cg.particle_stress()
+    usual = scene.cg.particle_stress()
+    chains = given.cg.force_chains(min_length=2)
+    usual_chains = scene.cg.force_chains(min_length=2)
     assert (usual_chains.chain_count > 0).all()
     for t in range(2):
-        ids, expected = (
-            np.nan_to_num(given.particle_id.isel(time=t), nan=-1),
-            usual.particle_id[t].values,
-        )
+        ids = np.nan_to_num(given.particle_id.isel(time=t), nan=-1)
+        expected = usual.particle_id[t].values
         np.testing.assert_array_equal(mine.particle_id[t], ids)
         row = np.array([np.flatnonzero(expected == i)[0] for i in ids[ids >= 0]])
         np.testing.assert_array_equal(mine.stress[t].values[ids >= 0], usual.stress[t].values[row])
@@ -101,7 +101,8 @@ def test_bodies_and_microstructure_of_shuffled_rows(scene):
 
 
 def test_one_step_has_results_of_one_step(scene):
-    f, one = scene.cg.coarse_grain(**MESH), scene.isel(time=1)
+    f = scene.cg.coarse_grain(**MESH)
+    one = scene.isel(time=1)
     assert "time" not in one.dims
     xr.testing.assert_equal(one.cg.coarse_grain(**MESH), f.isel(time=1))
     xr.testing.assert_equal(
@@ -160,7 +161,8 @@ def test_chosen_particles_keep_the_contacts_with_all_others(scene, how, lazy):
 
 @pytest.mark.parametrize("how", CHOSEN)
 def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the_scene(scene, how):
-    chosen, lazy = CHOSEN[how](scene), CHOSEN[how](scene.chunk(time=1))
+    chosen = CHOSEN[how](scene)
+    lazy = CHOSEN[how](scene.chunk(time=1))
     assert lazy.position.chunks is not None
     for options in ({}, {"axes": "z", "by": "species", "groups": [1]}):
         xr.testing.assert_equal(
@@ -188,7 +190,8 @@ def test_diameters_changed_before_a_selection_warn(scene):
 @pytest.mark.parametrize("lazy", [False, True])
 def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy):
     scene = scene.chunk(time=1) if lazy else scene
-    one, several = scene.isel(particle=5), scene.isel(particle=[5])
+    one = scene.isel(particle=5)
+    several = scene.isel(particle=[5])
     xr.testing.assert_equal(
         one.cg.coarse_grain(**MESH, by="species").compute(),
         several.cg.coarse_grain(**MESH, by="species").compute(),
@@ -200,7 +203,8 @@ def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy)
         xr.testing.assert_equal(
             got.compute(), expected.isel(particle=0, missing_dims="ignore").compute()
         )
-    single, first = scene.isel(contact=0), scene.isel(contact=[0])
+    single = scene.isel(contact=0)
+    first = scene.isel(contact=[0])
     xr.testing.assert_equal(
         single.cg.coarse_grain(**MESH).compute(), first.cg.coarse_grain(**MESH).compute()
     )
@@ -236,10 +240,8 @@ def test_rows_may_be_selected_by_label(scene, lazy):
         f.sel(step=1).compute(), scene.cg.coarse_grain(**MESH).isel(time=1).compute()
     )
     by_id = scene.isel(time=1).set_coords("particle_id").compute().swap_dims(particle="particle_id")
-    ids, rows = (
-        [7, 3, 12],
-        scene.particle_id.isel(time=1).compute().to_index().get_indexer([7, 3, 12]),
-    )
+    ids = [7, 3, 12]
+    rows = scene.particle_id.isel(time=1).compute().to_index().get_indexer([7, 3, 12])
     stresses = by_id.sel(particle_id=ids).cg.particle_stress()
     assert stresses.particle_id.values.tolist() == ids
     expected = scene.isel(time=1, particle=rows).cg.particle_stress()
@@ -281,7 +283,8 @@ def test_results_by_the_number_of_the_step_are_computed_once_to_be_saved(scene, 
     tasks = []
     with Callback(pretask=lambda key, graph, state: tasks.append(str(key))):
         f.compute()
-        once, tasks = len([key for key in tasks if "coarse" in key]), []
+        once = len([key for key in tasks if "coarse" in key])
+        tasks = []
         g.cg.save(tmp_path / f"g{suffix}")
     assert once > 0
     assert len([key for key in tasks if "coarse" in key]) == once
@@ -334,7 +337,8 @@ def test_selections_of_nothing_are_named_with_the_range_of_positions():
 def test_mean_stress_of_chosen_particles_is_the_sum_over_their_sides(scene):
     step = scene.isel(time=0)
     chosen = step.isel(particle=np.flatnonzero(step.species == 1))
-    ids, total = set(chosen.particle_id.values.tolist()), np.zeros((3, 3))
+    ids = set(chosen.particle_id.values.tolist())
+    total = np.zeros((3, 3))
     centre = dict(zip(step.particle_id.values.tolist(), step.position.values, strict=True))
     for c in np.flatnonzero(step.contact_i.values >= 0):
         for name, sign in (("contact_i", 1), ("contact_j", -1)):
@@ -444,7 +448,8 @@ def test_components_in_several_chunks_are_turned(scene):
 
 
 def test_masked_arrays_raise():
-    position, mask = np.eye(3), [False, True, False]
+    position = np.eye(3)
+    mask = [False, True, False]
     masked = np.ma.masked_array(np.ones(3), mask)
     for given in (
         {"diameter": masked},

@@ -52,7 +52,8 @@ def test_the_order_of_the_two_particles_does_not_matter(options):
         lambda s: s.cg.force_chains(60.0)[["chain_id", "links", "chain_particles", "chain_stress"]],
     )
     for compute in everything:
-        one, two = compute(ds), compute(other)
+        one = compute(ds)
+        two = compute(other)
         for name in one.data_vars:
             size = float(np.abs(one[name]).max())
             np.testing.assert_allclose(
@@ -63,7 +64,8 @@ def test_the_order_of_the_two_particles_does_not_matter(options):
 @pytest.mark.parametrize("periodic", ["", "xyz"])
 def test_normals_are_along_the_centres_and_at_walls_towards_the_contact_point(periodic):
     ds = off_line(5, periodic=periodic).isel(time=0)
-    x, c = ds.position.values, ds.contact_point.values
+    x = ds.position.values
+    c = ds.contact_point.values
     period = 5.0 if periodic else np.inf
     normal = []
     for i, j, point in zip(ds.contact_i.values, ds.contact_j.values, c, strict=True):
@@ -136,13 +138,15 @@ def test_walls_of_lammps_are_partners_with_names(silo):
         np.testing.assert_allclose(
             silo.contact_force.where(here).sum("contact")[0], force, atol=1e-7
         )
-    point, side = silo.contact_point[0], (silo.contact_j == -2)[0].to_numpy()
+    point = silo.contact_point[0]
+    side = (silo.contact_j == -2)[0].to_numpy()
     np.testing.assert_allclose(np.hypot(*point[side, :2].T), 0.025, rtol=1e-6)
 
 
 def test_forces_of_grains_at_rest_are_balanced(silo):
     """Pairs, walls and weight add up to nothing, so that the force is that on the grain, whatever a manual says."""
-    particles, rows = silo.isel(time=0), silo.contact_i[0] >= 0
+    particles = silo.isel(time=0)
+    rows = silo.contact_i[0] >= 0
     force = np.zeros((particles.sizes["particle"], 3))
     i, j, f = (
         particles[name][rows].to_numpy() for name in ("contact_i", "contact_j", "contact_force")

@@ -15,7 +15,8 @@ AXES = ("x", "y", "z")
 def ds():
     rng = np.random.default_rng(3)
     position = rng.uniform(0, [4, 2, 1], (3, 40, 3))
-    diameter, species = rng.uniform(0.5, 1.0, (3, 40)), np.tile(np.repeat([1, 2], 20), (3, 1))
+    diameter = rng.uniform(0.5, 1.0, (3, 40))
+    species = np.tile(np.repeat([1, 2], 20), (3, 1))
     return xcg.scene_from_arrays(position, diameter=diameter, density=2.0, species=species)
 
 
@@ -38,10 +39,8 @@ def turned(ds):
 @pytest.mark.parametrize("change", [lambda ds: moved(ds, -100), lambda ds: moved(ds, 0.8), turned])
 def test_bounds_follow_positions_in_memory(ds, change):
     options = {"width": 0.3, "spacing": 0.1}
-    as_it_was, f = (
-        ds.cg.coarse_grain("density", **options),
-        change(ds).cg.coarse_grain("density", **options),
-    )
+    as_it_was = ds.cg.coarse_grain("density", **options)
+    f = change(ds).cg.coarse_grain("density", **options)
     mass = ds.mass.sum("particle").values
     np.testing.assert_allclose(mass_in(as_it_was)[[0, -1]], mass[[0, -1]], rtol=2e-3)
     np.testing.assert_allclose(mass_in(f)[[0, -1]], mass[[0, -1]], rtol=2e-3)
@@ -172,7 +171,8 @@ def test_sizes_stay_where_only_places_were_changed(ds):
 @pytest.mark.parametrize("weighed", [True, False])
 def test_half_of_the_mass_lies_in_grains_up_to_d50(weighed):
     rng = np.random.default_rng(3)
-    diameter, mass = rng.uniform(1.0, 3.0, 40), rng.uniform(0.5, 2.0, 40)
+    diameter = rng.uniform(1.0, 3.0, 40)
+    mass = rng.uniform(0.5, 2.0, 40)
     share = mass if weighed else diameter**3
     up_to = np.array([share[diameter <= d].sum() for d in diameter])
     expected = diameter[up_to >= 0.5 * share.sum()].min()

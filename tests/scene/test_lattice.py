@@ -20,7 +20,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:the box is periodic along")
 
 NUMBERS = np.array(list(product(range(-4, 5), repeat=3)))
 BOX = {"x": (0.0, 5.0), "y": (-1.0, 3.0), "z": (0.5, 6.5)}
-LOW, LENGTHS = np.array([0.0, -1.0, 0.5]), np.array([5.0, 4.0, 6.0])
+LOW = np.array([0.0, -1.0, 0.5])
+LENGTHS = np.array([5.0, 4.0, 6.0])
 
 
 def cell_of(tilt=(0.0, 0.0, 0.0), lengths=LENGTHS):
@@ -38,7 +39,8 @@ def tilted_packing(seed, cell, count=60, moving=True):
     rng = np.random.default_rng(seed)
     position = LOW + rng.random((count, 3)) @ cell
     diameter = rng.uniform(1.2, 1.8, count)
-    lattice, rows = lattice_of(cell), []
+    lattice = lattice_of(cell)
+    rows = []
     for i, j in zip(*np.triu_indices(count, 1), strict=True):
         branches = position[i] - position[j] + NUMBERS @ cell
         for branch in branches[np.linalg.norm(branches, axis=1) < (diameter[i] + diameter[j]) / 2]:
@@ -113,7 +115,8 @@ def test_all_images_in_a_region_are_found(tilt, angles, seed, periodic):
     velocity = rng.standard_normal((3, 3))
     lattice = lattice_of(cell_of(tilt) @ turn, periodic, velocity)
     position = rng.uniform(-8, 8, (15, 3))
-    low, high = np.array([-3.0, -6.0, -2.0]), np.array([4.0, 3.0, 5.0])
+    low = np.array([-3.0, -6.0, -2.0])
+    high = np.array([4.0, 3.0, 5.0])
     row, shift, drift = lattice.images(position, low, high)
     found = sorted(
         zip(row.tolist(), map(tuple, np.round(position[row] + shift, 6).tolist()), strict=True)
@@ -135,7 +138,8 @@ def test_all_images_in_a_region_are_found(tilt, angles, seed, periodic):
 def test_vectors_of_any_basis_of_a_lattice_are_as_short():
     cell = cell_of((0.4, -0.3, 0.2))
     other = np.array([[1, 0, 0], [7, 1, 0], [-3, 12, 1]]) @ cell
-    one, two = lattice_of(cell), lattice_of(other, "xyz")
+    one = lattice_of(cell)
+    two = lattice_of(other, "xyz")
     np.testing.assert_allclose(
         np.linalg.norm(one.basis, axis=1), np.linalg.norm(two.basis, axis=1), rtol=1e-12
     )
@@ -210,7 +214,8 @@ def test_the_integral_of_stress_is_the_virial_and_of_density_the_mass():
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice=cell)
     f = ds.cg.coarse_grain(["density", "contact_stress", "fabric"], width=0.9, spacing=0.25)
     lattice = lattice_of(cell)
-    i, j = given["contact_i"], given["contact_j"]
+    i = given["contact_i"]
+    j = given["contact_j"]
     branch = lattice.shortest(given["position"][i] - given["contact_point"]) - lattice.shortest(
         given["position"][j] - given["contact_point"]
     )
@@ -281,7 +286,8 @@ def test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges(t
 def test_an_average_across_the_shear_is_that_in_the_middle_of_the_box():
     ds = sheared(0.0)
     f = ds.cg.coarse_grain("velocity", axes="z", width=1.0)
-    position, velocity = ds.position.values[0], ds.velocity.values[0, :, 0]
+    position = ds.position.values[0]
+    velocity = ds.velocity.values[0, :, 0]
     in_middle = velocity - RATE * (position[:, 1] - LOW[1] - LENGTHS[1] / 2)
     np.testing.assert_allclose(f.velocity.sel(component="x"), in_middle.mean(), rtol=1e-9)
     assert np.ptp(in_middle) < 1e-12
@@ -375,7 +381,8 @@ def test_all_contacts_across_tilted_edges_are_found(tilt):
             strict=True,
         )
     )
-    i, j = given["contact_i"], given["contact_j"]
+    i = given["contact_i"]
+    j = given["contact_j"]
     centre = given["position"][i] - given["contact_point"]
     overlap = given["diameter"][i] - 2 * np.linalg.norm(lattice_of(cell).shortest(centre), axis=1)
     assert found == sorted(zip(i, j, np.round(overlap, 9), strict=True))
@@ -414,11 +421,9 @@ def test_microstructure_and_chains_equal_those_of_another_basis():
 
 def test_displacements_are_relative_to_a_box_that_is_sheared_and_flips():
     rng = np.random.default_rng(11)
-    share, tilts, time = (
-        rng.random((300, 3)),
-        [2.3, -2.3, -1.9],
-        [0.0, 0.5, 1.0],
-    )  # 2.3, 2.7 - 5, 3.1 - 5
+    share = rng.random((300, 3))  # 2.3, 2.7 - 5, 3.1 - 5
+    tilts = [2.3, -2.3, -1.9]
+    time = [0.0, 0.5, 1.0]
     cells = [cell_of((tilt, 0.4, 0.0)) for tilt in (2.3, 2.7, 3.1)]
     position = [LOW + share @ cell + rng.integers(-1, 2, (300, 3)) @ cell for cell in cells]
     ds = xcg.scene_from_arrays(
@@ -443,12 +448,14 @@ def test_slices_of_sheared_boxes_take_the_velocity_of_the_image():
 def test_bodies_across_a_sheared_edge_have_the_velocity_of_one_place():
     ds = sheared(1.7)
     y = ds.position[0, :, 1].values
-    low, high = int(np.argmin(y)), int(np.argmax(y))
+    low = int(np.argmin(y))
+    high = int(np.argmax(y))
     lattice = lattice_of(cell_of((1.7, 0, 0)))
     body = np.full(len(y), -1)
     body[[low, high]] = 3
     # put the second sphere beside the first, then write it by its image
-    position, velocity = ds.position.values[0].copy(), ds.velocity.values[0].copy()
+    position = ds.position.values[0].copy()
+    velocity = ds.velocity.values[0].copy()
     position[high] = position[low] + [0.1, -0.4, 0.0] + lattice_of(cell_of((1.7, 0, 0))).cell[1]
     velocity[high] = [RATE * (position[high, 1] - LOW[1]), 0, 0]
     assert np.isfinite(lattice.shortest(position)).all()

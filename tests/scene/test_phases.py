@@ -77,7 +77,8 @@ def test_sizes_five_standard_deviations_apart_are_two_phases():
 
 def test_same_size_other_density_and_three_phases():
     kind = np.random.default_rng(4).integers(0, 3, 900)
-    d, rho = np.array([0.002, 0.002, 0.005])[kind], np.array([1000.0, 2500.0, 2500.0])[kind]
+    d = np.array([0.002, 0.002, 0.005])[kind]
+    rho = np.array([1000.0, 2500.0, 2500.0])[kind]
     ds = at_rest(d, rho).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + kind)
     assert phases(at_rest(d, rho), max_phases=1) == [1]
@@ -192,7 +193,8 @@ def test_stress_by_pairs_adds_up_and_is_right_for_one_pair():
     got = one.cg.coarse_grain(
         "density", by="species", by_pair=True, axes="", at=at, width=0.75
     ).contact_stress_by_pair
-    kernel, r = BruteKernel("lucy", 0.75), np.array([0.25, 0.3, 0.0])
+    kernel = BruteKernel("lucy", 0.75)
+    r = np.array([0.25, 0.3, 0.0])
     point = np.array([0.5, 0, 0])
     sides = {
         "1": kernel.segment(r, np.zeros(3), point) * 1.0,
@@ -228,7 +230,8 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
     grains, contacts = (
         weights(ds, kernel, f, frame[name], extent) for name in ("position", "contact_point")
     )
-    i, j = frame["contact_i"], frame["contact_j"]
+    i = frame["contact_i"]
+    j = frame["contact_j"]
     phases = {"bulk": (1, 2), "1": (1,), "2": (2,)}
     of = dict(zip(frame["particle_id"].tolist(), species.tolist(), strict=True))
     side_i, side_j = (np.array([of.get(k, "wall") for k in ids.tolist()], object) for ids in (i, j))
@@ -237,7 +240,8 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
     total = rho.sum(1)[:, None]
     velocity = rho @ frame["velocity"] / np.where(total > 0, total, np.inf)
     for phase, members in phases.items():
-        g, own = f.sel(phase=phase), np.isin(species, members)
+        g = f.sel(phase=phase)
+        own = np.isin(species, members)
         for other in ("1", "2", "wall"):
             partner = "wall" if other == "wall" else int(other)
             force = np.zeros((nodes, 3))
@@ -255,7 +259,8 @@ def test_exchange_between_phases_equals_brute_force(scene, axes):
             np.where(rho.sum(1)[:, None] > 0, flux, 0.0),
             float(abs(rho).sum(1).max()),
         )
-        phi, total = volume[:, own].sum(1), volume.sum(1)
+        phi = volume[:, own].sum(1)
+        total = volume.sum(1)
         close(g.void_fraction, 1 - phi, 1.0)
         with np.errstate(invalid="ignore"):
             close(g.concentration, np.where(total > 0, phi / total, np.nan), 1.0)
@@ -300,7 +305,8 @@ def test_averages_of_concentrations_are_ratios_of_averages():
     f = ds.cg.coarse_grain(
         ["concentration", "volume_fraction", "void_fraction"], by="species", width=0.8
     )
-    mean, phi = f.cg.time_average(), f.volume_fraction.mean("time")
+    mean = f.cg.time_average()
+    phi = f.volume_fraction.mean("time")
     bulk = phi.sel(phase="bulk", drop=True)
     xr.testing.assert_allclose(
         mean.concentration, (phi / bulk.where(bulk > 0)).transpose(*mean.concentration.dims)

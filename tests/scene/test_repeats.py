@@ -78,7 +78,8 @@ def test_contacts_listed_twice_count_once(scene, how, points):
     stress = twice.cg.coarse_grain("contact_stress", axes="", width=0.8).contact_stress.values[0]
     np.testing.assert_allclose(stress, love, rtol=2e-5 if "digits" in how else 1e-12, atol=1e-7)
     fields = ["contact_stress", "fabric", "coordination_number"]
-    f, expected = twice.cg.coarse_grain(fields, **mesh), once.cg.coarse_grain(fields, **mesh)
+    f = twice.cg.coarse_grain(fields, **mesh)
+    expected = once.cg.coarse_grain(fields, **mesh)
     for name in fields:
         np.testing.assert_allclose(f[name], expected[name], rtol=1e-4, atol=1e-6)
 
@@ -104,7 +105,8 @@ def test_different_contacts_of_a_pair_all_count():
     ds = xcg.scene_from_arrays(**bodies, **two, contact_force=parts, contact_point=corner[[0, 0]])
     assert ds.sizes["contact"] == 2
     # on both sides of a small box
-    sides, parts = [[1.0, 0, 0], [0.0, 0, 0]], [[-1.0, 0, 0], [1.0, 0, 0]]
+    sides = [[1.0, 0, 0], [0.0, 0, 0]]
+    parts = [[-1.0, 0, 0], [1.0, 0, 0]]
     box = {"box": {"x": (0, 2)}, "periodic": "x"}
     ds = xcg.scene_from_arrays(**bodies, **two, **box, contact_force=parts, contact_point=sides)
     assert ds.sizes["contact"] == 2
@@ -151,7 +153,8 @@ def test_repeated_pairs_equal_those_of_a_loop(span):
 def test_one_repeated_pair_among_many_is_found(apart):
     i, j = (ids.ravel() for ids in np.meshgrid(np.arange(-3, 30), np.arange(40, 80)))
     order = np.random.default_rng(0).permutation(i.size)
-    i, j = i[order] * apart, j[order] * apart
+    i = i[order] * apart
+    j = j[order] * apart
     assert not repeated_pairs(i, j)[0].size
     rows, number = repeated_pairs(np.append(i, j[77]), np.append(j, i[77]))
     assert rows.tolist() == [77, i.size]
@@ -261,13 +264,15 @@ def sums(packing):
 
 @pytest.mark.parametrize("eps", EPS)
 def test_stress_and_counts_equal_those_of_the_mean_of_both_sides(packing, eps):
-    contacts, rng = listed(packing), np.random.default_rng(1)
+    contacts = listed(packing)
+    rng = np.random.default_rng(1)
     both, mean = from_both_sides(contacts, eps, rng)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SceneWarning)
         found = with_contacts(packing, both)
         once = with_contacts(packing, {**contacts, "contact_force": mean})
-        a, b = sums(found), sums(once)
+        a = sums(found)
+        b = sums(once)
     rounding = 1e-4 if eps <= 1e-4 else 1e-12  # up to which one of the rows is taken as it is
     for name in a:
         np.testing.assert_allclose(
@@ -349,7 +354,8 @@ def test_forces_near_zero_do_not_make_contacts_of_their_own():
     """A hundredth of the mean force is the scale of what is nearly zero."""
     n = 20
     x = np.arange(n + 1.0)
-    i, j = np.arange(n), np.arange(1, n + 1)
+    i = np.arange(n)
+    j = np.arange(1, n + 1)
     force = np.zeros((n, 3))
     force[:, 0] = -10.0
     force[::5, 0] = [1e-9, -2e-9, 0.0, 1e-4]

@@ -329,7 +329,8 @@ def test_volumes_that_are_not_those_of_the_axes_are_named(prefix, columns):
 @pytest.mark.parametrize("periodic", ["", "xy"])
 def test_a_box_in_a_smaller_unit_than_positions_is_named(periodic):
     ds = xcg.datasets.random_scene(100, seed=1)
-    position, diameter = ds.position.values[0], ds.diameter.values[0]
+    position = ds.position.values[0]
+    diameter = ds.diameter.values[0]
     given = {"diameter": diameter, "density": 2500.0, "periodic": periodic}
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -113,7 +113,9 @@ def fast_frame():
         0
     ]
     kernel = BruteKernel("lucy", 1.0)
-    x, v, m = ds.position.values[0], fast.velocity.values[0], ds.mass.values[0]
+    x = ds.position.values[0]
+    v = fast.velocity.values[0]
+    m = ds.mass.values[0]
     dx = x - 2.5
     dx -= 5.0 * np.rint(dx / 5.0)
     w = m * kernel(np.linalg.norm(dx, axis=1))
@@ -142,7 +144,8 @@ def far_origin():
     ours = moved.cg.coarse_grain(
         "density", axes="", at=_point(at + shift), width=0.8
     ).density.item()
-    x, r = moved.position.values[0], at + shift
+    x = moved.position.values[0]
+    r = at + shift
     squared = np.maximum(
         (x**2).sum(axis=1) - 2 * x @ r + r @ r, 0
     )  # the expanded square of fast distance matrices
@@ -156,7 +159,8 @@ def far_origin():
 def narrow_kernel():
     """Contact stress at w = 0.3 d: the branch is as long as the support."""
     kernel = xcg.Lucy(0.3)
-    start, end = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    start = np.zeros(3)
+    end = np.array([1.0, 0.0, 0.0])
     points = np.random.default_rng(4).uniform([-0.6, -0.6, -0.6], [1.6, 0.6, 0.6], (4000, 3))
     points[::4, 1:] = 0
     truth = np.array([BruteKernel("lucy", 0.3).segment(p, start, end) for p in points])
@@ -173,7 +177,8 @@ def support_beyond_the_box():
     ds = xcg.datasets.random_scene(30, seed=5, edge=1.0)
     at = np.array([0.2, 0.4, 0.9])
     ours = ds.cg.coarse_grain("density", axes="", at=_point(at), width=0.9).density.item()
-    x, m = ds.position.values[0], ds.mass.values[0]
+    x = ds.position.values[0]
+    m = ds.mass.values[0]
     kernel = BruteKernel("lucy", 0.9)
     nearest = x - at - np.rint(x - at)
     naive = m @ kernel(np.linalg.norm(nearest, axis=1))
@@ -207,7 +212,8 @@ def jumping_kernel():
     ds["velocity"] = ds.position.sel(component=["y", "y", "y"]).drop_vars("component") * np.array(
         [1.0, 0, 0]
     )
-    at, h = np.array([2.5, 2.5, 2.5]), 1e-3
+    at = np.array([2.5, 2.5, 2.5])
+    h = 1e-3
     options = {"kernel": "heaviside", "width": 1.2, "axes": ""}
     ours = ds.cg.coarse_grain(
         "velocity_gradient", at=_point(at), **options

@@ -69,7 +69,9 @@ def beside_a_wall():
 
 def thin_gas():
     """Temperature of 25 particles at a width that sees five of them as equals: unknown, or with a large error."""
-    rng, side, draws = np.random.default_rng(1), 5.0, 200
+    rng = np.random.default_rng(1)
+    side = 5.0
+    draws = 200
     position = np.broadcast_to(rng.uniform(0, side, (25, 3)), (draws, 25, 3))
     ds = xcg.scene_from_arrays(
         position, velocity=rng.normal(size=position.shape), diameter=np.full((draws, 25), 0.5), density=1.0,
@@ -87,7 +89,9 @@ def thin_gas():
 
 def correlated_velocities():
     """Packing in which all particles of a cell of 2 d move alike: each cell counts once, not eight times."""
-    rng, side, frames = np.random.default_rng(1), 8.0, 60
+    rng = np.random.default_rng(1)
+    side = 8.0
+    frames = 60
     position = rng.uniform(0, side, (frames, 512, 3))
     cells = (position // 2).astype(int)
     drawn = rng.normal(size=(frames, 4, 4, 4, 3))
@@ -98,7 +102,8 @@ def correlated_velocities():
     )  # fmt: skip
     f = ds.cg.coarse_grain(["velocity"], errors=True, for_averages=True, axes="z", width=1.0)
     mean = f.cg.time_average()
-    alone, both = _rms(f.velocity_error), _rms(mean.velocity_error) * frames**0.5
+    alone = _rms(f.velocity_error)
+    both = _rms(mean.velocity_error) * frames**0.5
     return Limit(
         "velocities of neighbours are correlated (clusters of 8)", "fewer particles are independent than are seen",
         f"`velocity_error` of one frame is {_rms(f.velocity) / alone:.1f} times too small; `time_average` takes the "

@@ -154,7 +154,9 @@ def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
         out = dask.compute(
             map_over_time(ds, ["position", "step"], faulty, results, "faulty", "skip")
         )[0]
-    a, b, skipped = out["a"], out["b"], out["skipped"]
+    a = out["a"]
+    b = out["b"]
+    skipped = out["skipped"]
     np.testing.assert_array_equal(a, [1, 1, np.nan, 1, 1])
     np.testing.assert_array_equal(b, [1, 1, -1, 1, 1])
     assert skipped.tolist() == [False, False, True, False, False]
@@ -307,7 +309,8 @@ def test_a_file_removed_after_opening_is_skipped(folder):
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_truncated_file_of_many_steps_raises_or_is_cut(tmp_path, keep, packed):
     data = "".join(dumps.dump_text(step=k) for k in range(6)).encode()
-    path, step = tmp_path / ("many.dump.gz" if packed else "many.dump"), len(data) / 6
+    path = tmp_path / ("many.dump.gz" if packed else "many.dump")
+    step = len(data) / 6
     if packed:
         data = gzip.compress(data, 1)
     data = data[: int(keep * len(data))]

@@ -62,7 +62,9 @@ def to_vtu(ds, folder):
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
-    points, mesh, writer = vtkPoints(), vtk.vtkUnstructuredGrid(), vtkXMLUnstructuredGridWriter()
+    points = vtkPoints()
+    mesh = vtk.vtkUnstructuredGrid()
+    writer = vtkXMLUnstructuredGridWriter()
     points.SetData(numpy_to_vtk(nodes, deep=True))
     mesh.SetPoints(points)
     writer.SetFileName(str(folder / "mesh.vtu"))

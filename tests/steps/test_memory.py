@@ -151,10 +151,12 @@ def test_steps_of_many_contacts_do_not_keep_their_segments(packing, monkeypatch)
 
 
 def test_sorted_arrays_are_not_copied():
-    ids, wanted = np.arange(5), np.array([3, 0, 4])
+    ids = np.arange(5)
+    wanted = np.array([3, 0, 4])
     assert rows_of(ids, wanted) is wanted
     assert rows_of(ids, np.array([3, -2, 5])).tolist() == [3, -1, -1]
     frame = {"particle_id": ids, "position": np.zeros((5, 3))}
-    one, padded = stack([frame], list(frame), 5), stack([frame], list(frame), 6)
+    one = stack([frame], list(frame), 5)
+    padded = stack([frame], list(frame), 6)
     assert np.shares_memory(one["position"], frame["position"])
     assert padded["particle_id"].tolist() == [[0, 1, 2, 3, 4, -1]]

@@ -36,7 +36,8 @@ def test_rounding_errors_are_within_the_stated_bound(numbers, digits):
 
 @pytest.mark.parametrize("drop", [1, 3, 5])
 def test_bits_are_rounded_to_nearest_even(drop):
-    numbers, special = np.arange(200, dtype="uint32"), np.uint32(0xF0000000)
+    numbers = np.arange(200, dtype="uint32")
+    special = np.uint32(0xF0000000)
     bits = np.append(numbers, [special, special + np.uint32(7)])
     round_bits(bits, np.uint32(drop), special)
     assert bits[:200].tolist() == [

@@ -133,7 +133,8 @@ CORNERS = 1.0 + np.array(
 
 def write_mesh(path):
     """A box of a hexahedron, and a tetrahedron on top of it: eight points and one, two cells."""
-    grid, points = vtk.vtkUnstructuredGrid(), vtk.vtkPoints()
+    grid = vtk.vtkUnstructuredGrid()
+    points = vtk.vtkPoints()
     points.SetDataType(vtk.VTK_DOUBLE)
     for place in [*CORNERS.tolist(), [2.0, 2.0, 6.0]]:
         points.InsertNextPoint(place)
@@ -171,7 +172,8 @@ def scene():
 @pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
 def test_points_and_centres_equal_those_of_the_file(tmp_path, suffix):
     path = write_mesh(tmp_path / f"mesh{suffix}")
-    points, centres = xcg.mesh_points(path), xcg.mesh_points(path, centers=True)
+    points = xcg.mesh_points(path)
+    centres = xcg.mesh_points(path, centers=True)
     assert points["x"].dims == ("point",)
     assert centres["x"].dims == ("cell",)
     np.testing.assert_allclose(np.stack([points[a] for a in "xyz"], 1)[:8], CORNERS)

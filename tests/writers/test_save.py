@@ -208,7 +208,8 @@ def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     f["chosen"] = "time", np.linspace(0, 1, 5) > 0.5
     saved = xcg.save(f.chunk(time=2) if lazy else f, tmp_path / "own.zarr", **options)
     other = shutil.copytree(saved, tmp_path / "other.zarr")
-    one, two = zarr.open_group(saved, mode="r"), zarr.open_group(other, mode="r+")
+    one = zarr.open_group(saved, mode="r")
+    two = zarr.open_group(other, mode="r+")
     for name in f.data_vars:
         assert np.allclose(
             one[name], f[name], rtol=1e-3 if options else 0.0, atol=0.0, equal_nan=True
@@ -296,7 +297,8 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path):
 
 
 def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
-    ds, path = random_steps(1), tmp_path / "scene.zarr"
+    ds = random_steps(1)
+    path = tmp_path / "scene.zarr"
     other = xcg.datasets.simple_cubic(2)
 
     def meanwhile(block):
@@ -314,7 +316,8 @@ def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
 
 
 def test_a_second_writer_of_a_store_raises(tmp_path):
-    ds, path = xcg.datasets.simple_cubic(2), tmp_path / "scene.zarr"
+    ds = xcg.datasets.simple_cubic(2)
+    path = tmp_path / "scene.zarr"
     with whole_folder(path, overwrite=False, part=tmp_path / "part") as part:
         part.mkdir()
         with pytest.raises(

@@ -72,7 +72,8 @@ def assert_same_bits(one: Path, other: Path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_an_error_midway_keeps_the_steps_before(tmp_path, suffix, compression, monkeypatch):
     monkeypatch.setattr("xcg.writers.formats._steps_together", lambda layout: 1)
-    path, options = tmp_path / f"f{suffix}", {"compression": compression, "resume": True}
+    path = tmp_path / f"f{suffix}"
+    options = {"compression": compression, "resume": True}
     with dask.config.set(scheduler="sync"):
         with pytest.raises(RuntimeError, match="stopped"):
             xcg.save(fields(fail_at=3, seen=[]), path, **options)

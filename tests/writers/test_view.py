@@ -67,7 +67,8 @@ def test_meshes_of_steps_phases_and_planes():
         ["density"], by="species", groups=[1, 2], axes="xz", at={"y": 1.5}, width=0.8, spacing=1.0
     )
     image = f.cg.to_pyvista(index=1)
-    nx, nz = f.sizes["x"], f.sizes["z"]
+    nx = f.sizes["x"]
+    nz = f.sizes["z"]
     assert image.dimensions == (nx, 1, nz)
     assert image.origin[1] == 1.5
     for name, phase in (("density", "bulk"), ("density_phase_1", 1), ("density_phase_2", 2)):
@@ -131,7 +132,8 @@ def test_spheres_are_as_large_as_their_grains(scene):
 def test_lines_lead_from_grains_to_their_contact_points(scene):
     blocks = scene.cg.to_pyvista(shapes=False)
     assert isinstance(blocks, pv.MultiBlock)
-    step, lines = scene.isel(time=0), blocks["contacts"]
+    step = scene.isel(time=0)
+    lines = blocks["contacts"]
     np.testing.assert_array_equal(
         blocks["particles"].points, step.position.values.astype(blocks["particles"].points.dtype)
     )

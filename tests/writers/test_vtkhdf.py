@@ -231,7 +231,8 @@ def test_compression_is_a_choice(tmp_path):
 
 
 def test_each_chunk_is_computed_once_with_all_its_variables(tmp_path):
-    seen, calls = [], []
+    seen = []
+    calls = []
 
     def parse(block, block_info=None):
         seen.append(block_info[0]["chunk-location"][0])

@@ -40,8 +40,10 @@ def above(q):
     return q.integrate("z") - q.cumulative_integrate("z")
 
 
-weight, drag = above(-ds.attrs["gravity"][2] * m.density), above(m.sum_drag)
-stress, error = m.stress.sel(direction="z"), m.stress_error.sel(direction="z")
+weight = above(-ds.attrs["gravity"][2] * m.density)
+drag = above(m.sum_drag)
+stress = m.stress.sel(direction="z")
+error = m.stress_error.sel(direction="z")
 
 fig, ax = plt.subplots()
 for axis, sign, load in (("z", 1, weight), ("x", -1, drag)):

@@ -52,7 +52,8 @@ ax.plot(V, f.z, "o", ms=4, label="coarse-grained")
 ax.plot(bagnold(flow.z, V0, A, h), flow.z, "k-", label="Bagnold's profile")
 ax.set(xlabel=r"velocity $V_x$ [$\sqrt{g d}$]", ylabel="height $z$")
 ax.legend()
-T, noise = f.granular_temperature, f.granular_temperature_error
+T = f.granular_temperature
+noise = f.granular_temperature_error
 right.fill_betweenx(f.z, T - 2 * noise, T + 2 * noise, alpha=0.3, lw=0, label="two standard errors")
 right.plot(T, f.z, label="coarse-grained")
 right.set(xlabel="granular temperature [$g d$]")
@@ -92,7 +93,8 @@ ax.set(xlabel="stress [$m g / d^2$]", ylabel="height $z$")
 ax.legend()
 plt.show()
 
-carried, load = float(stress.sel(z=5)), float(above[1].sel(z=5))
+carried = float(stress.sel(z=5))
+load = float(above[1].sel(z=5))
 at_5 = f"{load:.2f} with accelerations, {above[0].sel(z=5):.2f} by weight alone"
 print(f"at z = 5 contacts carry {carried:.2f}; what is above makes {at_5}")
 

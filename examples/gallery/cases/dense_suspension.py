@@ -27,7 +27,9 @@ names = ["volume_fraction", "viscous_number", "relative_viscosity"]
 options = {"fluid_viscosity": 1.0, "shear_dims": "xy", "pressure_dims": "y"}
 f = ds.cg.coarse_grain(names, axes="y", width=1.0, for_averages=True, **options).compute()
 m = f.cg.time_average(window=6, every=6).mean("y")  # one for each volume fraction
-J, phi, eta = m.viscous_number, m.volume_fraction, m.relative_viscosity
+J = m.viscous_number
+phi = m.volume_fraction
+eta = m.relative_viscosity
 
 # %%
 # Each average has its error, by the scatter of the steps.
@@ -59,7 +61,8 @@ plt.show()
 # \phi_m` meets :math:`J = 0`.
 
 slope, start = np.polyfit(np.sqrt(J), 1 / phi, 1)
-jammed, measured = 1 / start, 0.585
+jammed = 1 / start
+measured = 0.585
 print(f"phi_m = {jammed:.3f}, measured {measured}; a = {slope / start:.2f}, measured 1")
 print("mu    =", (eta * J).round(2).values)
 print("mu_c  =", (0.32 + 0.38 / (1 + 0.005 / J)).round(2).values)

@@ -20,7 +20,8 @@ surface = f.cg.free_surface("y", share=0.5).isel(time=0)
 
 part = surface.sel(x=slice(20, 90))  # without the wall and the foot
 fit = xcg.fit_slope(part)
-angle, error = float(fit.angle), float(fit.angle_error)
+angle = float(fit.angle)
+error = float(fit.angle_error)
 print(f"slope {angle:.2f} +- {error:.2f} degrees")
 
 fig, ax = plt.subplots(figsize=(8, 3), layout="constrained")

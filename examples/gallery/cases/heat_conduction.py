@@ -26,7 +26,8 @@ k, stiffness = (
     5e9,
 )  # conductivity of glass (W/m/K); effective modulus of Hertz's law for a contact of glass (Pa)
 now = ds.isel(time=0)
-z, radius = now.position.sel(component="z").values, now.diameter.values / 2
+z = now.position.sel(component="z").values
+radius = now.diameter.values / 2
 
 # %%
 # Hertz's law relates the radius of a contact to its force, :math:`a^3 = 3 f R^* / 4 E^*`. Walls have no grain at the
@@ -38,7 +39,9 @@ i, j = (
     for name in ("contact_i", "contact_j")
 )
 inside = (i >= 0) & (j >= 0)
-i, j, force = i[inside], j[inside], np.linalg.norm(now.contact_force.values[inside], axis=1)
+i = i[inside]
+j = j[inside]
+force = np.linalg.norm(now.contact_force.values[inside], axis=1)
 a = (0.75 * force * radius[i] * radius[j] / (radius[i] + radius[j]) / stiffness) ** (1 / 3)
 conductance = 2 * k * a
 
@@ -46,7 +49,9 @@ conductance = 2 * k * a
 # In a steady state, each grain that is not held receives as much as it gives. Grains that touch no other would have any
 # temperature: a conductance of almost nothing to the mean takes them there.
 
-n, held, T = len(z), (z < 0.01) | (z > z.max() - 0.02), np.where(z < 0.1, 330.0, 300.0)
+n = len(z)
+held = (z < 0.01) | (z > z.max() - 0.02)
+T = np.where(z < 0.1, 330.0, 300.0)
 between = coo_array((conductance, (i, j)), (n, n)).tocsr()
 between = between + between.T
 network = diags_array(between.sum(axis=1) + 1e-16) - between
@@ -111,7 +116,8 @@ carried = float(flow.mean())
 print(
     f"given {1e3 * given:.6f} mW, carried {1e3 * carried:.6f} mW, largest difference {abs(flow / given - 1).max():.1e}"
 )
-low, high = 1e3 * float(conductivity.min()), 1e3 * float(conductivity.max())
+low = 1e3 * float(conductivity.min())
+high = 1e3 * float(conductivity.max())
 print(f"conductivity of the bed {low:.1f} to {high:.1f} mW/m/K, of glass {k} W/m/K")
 
 # %%
@@ -138,7 +144,8 @@ f = gas.cg.coarse_grain(
 
 wave = 2 * (f.temperature * np.cos(k * (f.z - low))).mean("z")
 convective = 2 * (f.flux_temperature.sel(component="z") * np.sin(k * (f.z - low))).mean("z")
-n, phi = float(f.number_density.mean()), float(f.volume_fraction.mean())
+n = float(f.number_density.mean())
+phi = float(f.volume_fraction.mean())
 diffusivity = convective / (n * k * wave)  # flux over the slope of the temperature
 
 # %%

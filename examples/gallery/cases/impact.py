@@ -65,7 +65,8 @@ weight = sphere.mass * ds.attrs["gravity"][2]
 in_file = sphere.force_z - weight
 for k in range(4):
     print(f"{k + 1} ms: {on_sphere[k]:.4f} N by the field, {in_file[k]:.4f} N in the files")
-contact, expected = on_sphere[0], in_file[0]
+contact = on_sphere[0]
+expected = in_file[0]
 
 # %%
 # They differ by some tenths of a per cent, as LAMMPS writes forces of contacts that are half a time step off where

@@ -16,12 +16,15 @@ import pandas as pd
 import xcg
 
 ds = xcg.datasets.open("biaxial").isel(time=[0, 1]).compute()
-pixel, rng = 1 / 25, np.random.default_rng(1)  # pixel in diameters
+pixel = 1 / 25  # pixel in diameters
+rng = np.random.default_rng(1)
 
-seen, forces = [], []
+seen = []
+forces = []
 for frame, step in enumerate(ds.time):
     now = ds.sel(time=step)
-    r, ids = now.position.values[:, :2], now.particle_id.values
+    r = now.position.values[:, :2]
+    ids = now.particle_id.values
     noisy = r / pixel + rng.normal(scale=0.1, size=r.shape)
     seen.append(
         pd.DataFrame({"frame": frame, "particle": ids, "x": noisy[:, 0], "y": noisy[:, 1]}).assign(
@@ -31,7 +34,9 @@ for frame, step in enumerate(ds.time):
     i, j = (now[name].values for name in ("contact_i", "contact_j"))
     there = i >= 0
     row = pd.Series(np.arange(ids.size), index=ids)
-    i, j, force = i[there], j[there], now.contact_force.values[there, :2]
+    i = i[there]
+    j = j[there]
+    force = now.contact_force.values[there, :2]
     branch = r[row[i]] - r[row[j]]
     box = np.ptp(now.box.values, axis=1)[:2]
     branch -= box * np.rint(branch / box)
@@ -50,7 +55,8 @@ for frame, step in enumerate(ds.time):
             }
         )
     )
-discs, contacts = pd.concat(seen), pd.concat(forces)
+discs = pd.concat(seen)
+contacts = pd.concat(forces)
 print(
     discs.head(3).to_string(index=False),
     contacts.head(3).round(3).to_string(index=False),
@@ -117,7 +123,8 @@ noise = float(((measured - true) ** 2).mean() ** 0.5)
 print(
     f"axial strain: {float(true.mean()):.4f} by the simulation, {float(measured.mean()):.4f} by the tables"
 )
-stress, expected = float(maps["by the tables"].mean()), scale
+stress = float(maps["by the tables"].mean())
+expected = scale
 print(f"error of the strain at a node: {noise:.4f}")
 
 # %%

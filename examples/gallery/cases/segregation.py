@@ -23,7 +23,8 @@ names = ["volume_fraction", "density", "velocity", "concentration"]
 f = ds.cg.coarse_grain(
     names, by="phase", axes="z", width=1.0, bounds={"z": (0, 24)}, spacing=0.25
 ).compute()
-bulk, large = f.sel(phase="bulk"), f.sel(phase=2)
+bulk = f.sel(phase="bulk")
+large = f.sel(phase=2)
 c = large.concentration.where(bulk.volume_fraction > 0.2)
 
 # %%

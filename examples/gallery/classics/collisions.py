@@ -39,7 +39,8 @@ def force(position):
     return total
 
 
-position, velocity = start.position.to_numpy(), start.velocity.to_numpy()
+position = start.position.to_numpy()
+velocity = start.velocity.to_numpy()
 step = contact_time / 20
 push = force(position)
 recorded = []

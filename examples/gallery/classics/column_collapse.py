@@ -47,7 +47,8 @@ u, alpha = (depth[name].sel(component="x") for name in ("depth_averaged_velocity
 
 fig, axes = plt.subplots(3, 1, sharex=True, layout="constrained", figsize=(6.4, 6.4))
 for step, shade in zip((1, 2, 3), (0.6, 0.3, 0), strict=True):
-    label, thick = f"{float(ds.time[step]):.0f}", depth.solid_depth.isel(time=step) > 1
+    label = f"{float(ds.time[step]):.0f}"
+    thick = depth.solid_depth.isel(time=step) > 1
     axes[0].plot(surface.x, surface.height.isel(time=step), color=str(shade), label=label)
     axes[1].plot(u.x, u.isel(time=step).where(thick), color=str(shade))
     axes[2].plot(
@@ -90,7 +91,8 @@ plt.show()
 # %%
 # **Check.** The powers of low and of tall columns:
 
-exponent, expected = float(tall[0]), 0.73
+exponent = float(tall[0])
+expected = 0.73
 print("run-out over width", np.round(runout, 2))
 print(
     f"power of low columns {low[0]:.2f} (published 0.96 to 1), of tall ones {exponent:.2f} (2/3 to {expected})"

@@ -18,7 +18,8 @@ import xcg
 ds = xcg.datasets.open("cooling")
 names = ["granular_temperature", "volume_fraction"]
 f = ds.cg.coarse_grain(names, errors=True, axes="", at={}).compute()  # means of the box
-T, phi = f.granular_temperature, f.volume_fraction
+T = f.granular_temperature
+phi = f.volume_fraction
 
 # %%
 # Each sphere of diameter :math:`d` in a gas of elastic spheres collides at the rate :math:`\omega = 4 n d^2 \chi

@@ -18,7 +18,9 @@ import xarray as xr
 import xcg
 
 rates = [0.02, 0.03, 0.05, 0.1, 0.2, 0.3]
-number, mu, error = [], [], []
+number = []
+mu = []
+error = []
 for rate in rates:
     ds = xcg.datasets.open(f"shear_cell_{rate}")
     # sums, whose means are unbiased: the magnitude, shear_rate, of few discs holds their noise
@@ -52,7 +54,8 @@ plt.show()
 # **Check.** How far the points are from the published line, and which numbers the fit has:
 
 above = float(np.mean(mu - da_cruz))
-measured, expected = float(np.mean(mu)), float(np.mean(da_cruz))
+measured = float(np.mean(mu))
+expected = float(np.mean(da_cruz))
 print("mu", [f"{m:.3f} +- {e:.3f}" for m, e in zip(mu, error, strict=True)])
 print(f"on average {above:.3f} above da Cruz et al.")
 for name in fit.parameter.values:

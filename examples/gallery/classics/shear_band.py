@@ -18,7 +18,8 @@ import xcg
 
 ds = xcg.datasets.open("biaxial")  # shortened by 0, 2 and 6 %
 mean = ds.cg.coarse_grain("stress", axes="", at={}).stress.compute()
-s3, s1 = mean.sel(component="x", direction="x"), mean.sel(component="y", direction="y")
+s3 = mean.sel(component="x", direction="x")
+s1 = mean.sel(component="y", direction="y")
 friction = np.degrees(np.arcsin((s1 - s3) / (s1 + s3)))
 
 late = ds.isel(time=[1, 2])
@@ -61,7 +62,8 @@ H = u.displacement_gradient.mean(["x", "y"])
 print(f"angle of friction at 2 %: {float(friction[1]):.1f} degrees")
 print(f"bands at {band:.0f} degrees, after Coulomb {coulomb:.0f}")
 for c in "xy":
-    found, imposed = float(H.sel(component=c, direction=c)), float(stretch.sel(component=c))
+    found = float(H.sel(component=c, direction=c))
+    imposed = float(stretch.sel(component=c))
     print(f"strain along {c}: fields {found:.4f}, box {imposed:.4f}")
 
 # %%

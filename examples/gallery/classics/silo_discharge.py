@@ -17,7 +17,8 @@ import numpy as np
 
 import xcg
 
-slots, L = np.array([4, 5, 6]), 4.0
+slots = np.array([4, 5, 6])
+L = 4.0
 runs = {D: xcg.datasets.open(f"hopper_{D}") for D in slots}
 
 names = ["velocity", "volume_fraction", "velocity_gradient"]
@@ -58,7 +59,10 @@ plt.show()
 # over the height of the box; `xcg.flow_rate` through the plane of the slot has it from the grains near the slot alone,
 # with a larger error. With :math:`W^{2/3}` over :math:`D`, Beverloo's law is a straight line.
 
-rate, error, density, outflow = [], [], [], []
+rate = []
+error = []
+density = []
+outflow = []
 for D, ds in runs.items():
     p = ds.cg.coarse_grain(["momentum_density", "density"], axes="z", width=1.0).compute()
     W = -p.momentum_density.sel(component="z").mean("z") * 18 * L
@@ -69,7 +73,8 @@ for D, ds in runs.items():
     outflow.append((D, float(through.mean()), float(through.std() / np.sqrt(through.size - 1))))
 slope, start = np.polyfit(slots, np.array(rate) ** (2 / 3), 1)
 published = 1.03
-C, k = slope**1.5 / (np.mean(density) * L), -start / slope
+C = slope**1.5 / (np.mean(density) * L)
+k = -start / slope
 print("rates", [f"{w:.1f} +- {e:.1f}" for w, e in zip(rate, error, strict=True)])
 print(f"C = {C:.2f} (published {published}), k = {k:.2f} (1 to 2)")
 

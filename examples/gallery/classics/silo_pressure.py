@@ -62,7 +62,8 @@ plt.show()
 # **Check.** The law has the right size where nothing but the ratio of forces on the side went into it:
 
 deep = slice(0.05, 0.23)
-measured, expected = float(sigma_zz.sel(z=deep).mean()), float(janssen.sel(z=deep).mean())
+measured = float(sigma_zz.sel(z=deep).mean())
+expected = float(janssen.sel(z=deep).mean())
 print(f"K = {K:.2f}, friction of the side {mu_w:.2f}, length {1e3 * length:.0f} mm")
 print(f"mean vertical stress above 50 mm: {measured:.0f} Pa, by Janssen's law {expected:.0f} Pa")
 

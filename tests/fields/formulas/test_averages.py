@@ -33,7 +33,8 @@ def assert_ratios_of_sums(got, f, dims):
     np.testing.assert_allclose(
         got.particle_density, mean["density"] / mean["volume_fraction"], rtol=1e-12
     )
-    s2, s3 = (f.volume_fraction / f.d32).mean(dims), f.volume_fraction.mean(dims)
+    s2 = (f.volume_fraction / f.d32).mean(dims)
+    s3 = f.volume_fraction.mean(dims)
     np.testing.assert_allclose(got.d32, s3 / s2, rtol=1e-12)
     np.testing.assert_allclose(got.d43, (f.volume_fraction * f.d43).mean(dims) / s3, rtol=1e-12)
     z = (f.coordination_number * f.number_density).mean(dims) / mean["number_density"]
@@ -69,7 +70,8 @@ def assert_ratios_of_sums(got, f, dims):
 def test_profile_and_average_are_ratios_of_sums(lazy):
     ds = random_steps(6, first=80, more=0)
     f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(**ALL)
-    profile, average = f.cg.profile("z"), f.cg.time_average()
+    profile = f.cg.profile("z")
+    average = f.cg.time_average()
     if lazy:
         assert profile.velocity.chunks is not None
         assert average.inertial_number_error.chunks is not None
@@ -216,7 +218,9 @@ def test_the_block_is_chosen_within_the_scatter_of_the_errors():
     got = as_result(x).cg.time_average().density_error.values
     chosen = []
     for column, error in zip(x.T, got, strict=True):
-        errors, scatter, samples = [], [], column
+        errors = []
+        scatter = []
+        samples = column
         while len(samples) >= 16:
             errors.append(samples.std(ddof=1) / np.sqrt(len(samples)))
             scatter.append(errors[-1] / np.sqrt(2 * (len(samples) - 1)))
@@ -300,7 +304,8 @@ def test_errors_of_ratios_equal_those_of_the_ratio_of_sums():
 
 def test_the_density_of_the_material_is_averaged_by_volume():
     rng = np.random.default_rng(3)
-    rho, phi = rng.uniform(500, 3000, (9, 4)), rng.uniform(0.1, 0.6, (9, 4))
+    rho = rng.uniform(500, 3000, (9, 4))
+    phi = rng.uniform(0.1, 0.6, (9, 4))
     ratios = {
         "volume_fraction": (("time", "x"), phi),
         "particle_density": (("time", "x"), rho / phi),
@@ -380,9 +385,11 @@ def test_every_field_has_an_averaging_rule():
 )
 def test_all_missing_sums_are_named_at_once(options):
     """Each field by itself, and what it needs: its averages are those of the result that holds all fields."""
-    ds, options = random_steps(3, first=80, more=0), {**ALL, "fluid_viscosity": 1e-3, **options}
+    ds = random_steps(3, first=80, more=0)
+    options = {**ALL, "fluid_viscosity": 1e-3, **options}
     whole = ds.cg.coarse_grain(**options)
-    average, chosen = whole.cg.time_average(), registry.options_of(whole.attrs)
+    average = whole.cg.time_average()
+    chosen = registry.options_of(whole.attrs)
     for name in whole.data_vars:
         needs = needed_for_averages([name], chosen)
         part = whole[[name, *needs]]
@@ -398,7 +405,8 @@ def test_all_missing_sums_are_named_at_once(options):
 
 
 def test_for_averages_adds_the_needed_sums():
-    names, ds = ["velocity", "inertial_number"], random_steps(3, first=80, more=0)
+    names = ["velocity", "inertial_number"]
+    ds = random_steps(3, first=80, more=0)
     f = ds.cg.coarse_grain(names, for_averages=True, **ALL)
     sums = {
         "density",
@@ -410,7 +418,8 @@ def test_for_averages_adds_the_needed_sums():
     }
     assert list(f)[:2] == names
     assert set(f) == {*names, *sums}
-    average, whole = f.cg.time_average(), ds.cg.coarse_grain(**ALL).cg.time_average()
+    average = f.cg.time_average()
+    whole = ds.cg.coarse_grain(**ALL).cg.time_average()
     for name in names:
         np.testing.assert_allclose(average[name], whole[name], rtol=1e-12, err_msg=name)
     assert list(ds.cg.coarse_grain(names, **ALL)) == names
@@ -442,7 +451,8 @@ def test_components_in_any_order_have_the_same_averages():
     )
     turned = f.sel(component=["z", "x", "y"], direction=["y", "z", "x"])
     for average in (lambda f: f.cg.time_average(), lambda f: f.cg.profile("z")):
-        got, expected = average(turned), average(f)
+        got = average(turned)
+        expected = average(f)
         assert set(got.data_vars) == set(expected.data_vars)
         for name in expected.data_vars:
             labels = {
@@ -543,11 +553,13 @@ def test_kinetic_stress_of_an_average_is_about_the_averaged_velocity(by):
     # from sums of m v v Psi
     turned = {"component": "direction"}
     of_bulk = f.isel(phase=0, drop=True) if by else f
-    v, v_of_bulk = f.velocity.fillna(0.0), of_bulk.velocity
+    v = f.velocity.fillna(0.0)
+    v_of_bulk = of_bulk.velocity
     drift = f.density * (v - v_of_bulk)
     flux = f.kinetic_stress + f.density * v_of_bulk * v_of_bulk.rename(turned)
     flux = flux + drift * v_of_bulk.rename(turned) + v_of_bulk * drift.rename(turned)
-    mean_flux, mean_momentum = flux.mean("time"), (f.density * v).mean("time")
+    mean_flux = flux.mean("time")
+    mean_momentum = (f.density * v).mean("time")
     density = f.density.mean("time")
     u = (of_bulk.density * v_of_bulk).mean("time") / of_bulk.density.mean("time")
     expected = mean_flux - mean_momentum * u.rename(turned) - u * mean_momentum.rename(turned)
@@ -696,7 +708,8 @@ def test_averaged_fields_close_the_balance_of_momentum():
 
     def divergence(stress):
         flux = (of_flow + stress.sel(direction="z")).transpose("z", "component").values
-        forward, back = np.roll(flux, -1, axis=0), np.roll(flux, 1, axis=0)
+        forward = np.roll(flux, -1, axis=0)
+        back = np.roll(flux, 1, axis=0)
         return (forward - back) / 0.1
 
     closed = np.abs(rate + divergence(average.kinetic_stress)).max()

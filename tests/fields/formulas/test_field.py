@@ -21,7 +21,8 @@ def heated_grains(periodic="xy", *, heat=1.0, **options):
 
 def sides(ds):
     """Grain, contact point relative to it, and received rate of each side of each contact that is a grain."""
-    g, edge = ds.isel(time=0), np.array([5.0 if a in ds.periodic else 0.0 for a in "xyz"])
+    g = ds.isel(time=0)
+    edge = np.array([5.0 if a in ds.periodic else 0.0 for a in "xyz"])
     for i, j, point, rate in zip(g.contact_i.values, g.contact_j.values, g.contact_point.values,
                                  g.contact_heat.values, strict=True):  # fmt: skip
         for grain, received in ((i, rate), (j, -rate)):
@@ -38,7 +39,8 @@ def shifts(ds):
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
 def test_conduction_equals_its_definition(periodic):
-    ds, kernel = heated_grains(periodic), BruteKernel("lucy", WIDTH)
+    ds = heated_grains(periodic)
+    kernel = BruteKernel("lucy", WIDTH)
     nodes = np.random.default_rng(1).uniform(0.2, 4.8, (7, 3))
     s, weights = np.polynomial.legendre.leggauss(120)
     expected = np.zeros_like(nodes)
@@ -75,7 +77,8 @@ def cumulative(x, c):
 def test_the_heat_balance_closes(periodic):
     """Content between two planes changes by what grains carry, what contacts conduct, and what walls give."""
     ds, c, (low, high) = heated_grains(periodic), 2 * WIDTH, (0.4, 3.1)
-    r, v = ds.position.values[0], ds.velocity.values[0]
+    r = ds.position.values[0]
+    v = ds.velocity.values[0]
     content = np.random.default_rng(3).normal(size=len(r)) + 300.0
     gained = np.zeros(len(r))
     for grain, _, received in sides(ds):

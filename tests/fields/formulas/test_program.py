@@ -76,7 +76,8 @@ def test_fits_by_eigenvectors_equal_those_of_the_loop():
     ds = xcg.datasets.random_scene(200, seed=3)
     z = 1.0 + 1e-3 * (ds.position.isel(component=2) - 1.0)
     thin = ds.assign(position=ds.position.where(ds.component != "z", z))
-    names, options = ["velocity_gradient", "granular_temperature"], {"width": 0.6}
+    names = ["velocity_gradient", "granular_temperature"]
+    options = {"width": 0.6}
     played, plain, _ = played_and_plain(thin, names, **options)
     assert_same(played, plain)
     with mock.patch.object(registry, "evaluate") as by_numpy:
@@ -187,7 +188,8 @@ def test_loops_are_compiled_for_few_numbers_of_arrays():
 
 def test_rows_list_exactly_the_inputs_of_their_formulas():
     """A formula runs on exactly the fields and moments that its row names; without any one of them it fails."""
-    rows, needed = {}, {}
+    rows = {}
+    needed = {}
     for gradient, deviatoric, temperature, friction, size in product(
         get_args(Gradient),
         ("stress", "rate"),

@@ -244,7 +244,9 @@ def test_the_example_with_an_eigenvalue_runs():
     page = (ROOT / "docs" / "custom.md").read_text()
     names: dict = {}
     exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
-    ds, f, mean = names["ds"], names["f"], names["profile"]
+    ds = names["ds"]
+    f = names["f"]
+    mean = names["profile"]
     np.testing.assert_array_equal(f.major_stress, np.linalg.eigvalsh(f.stress)[..., -1])
     assert f.major_stress.dims == ("time", "x", "y", "z", "phase")
     assert f.major_stress.attrs["units"] == "Pa"

@@ -116,12 +116,14 @@ def weights_of(a, ds):
 )
 @settings(max_examples=8, deadline=None)
 def test_variables_of_particles_are_their_sums(axes, weight, name, seed):
-    a, ds = arrays(seed), build(seed)
+    a = arrays(seed)
+    ds = build(seed)
     kinds = [xcg.Sum, xcg.Mean, xcg.Variance, *([] if name == "inner" else [xcg.Flux])]
     asked = [kind(name, weight) for kind in kinds]
     f = ds.cg.coarse_grain([*asked, "velocity"], width=WIDTH, spacing=0.21, axes=axes)
     psi = kernel_sums(f, a["position"], axes)
-    u, velocity = weights_of(weight, ds), f.velocity.to_numpy().reshape(-1, 3)
+    u = weights_of(weight, ds)
+    velocity = f.velocity.to_numpy().reshape(-1, 3)
     _, mean, _, _ = written_out(psi, u, a[name], a["velocity"])
     total, mean, variance, flux = written_out(psi, u, a[name], a["velocity"], (mean, velocity))
     close(f[f"sum_{name}"], total)
@@ -133,11 +135,13 @@ def test_variables_of_particles_are_their_sums(axes, weight, name, seed):
 
 @pytest.mark.parametrize("weight", ["mass", "volume", "number"])
 def test_parts_of_phases_are_about_the_bulk_and_add_up(weight):
-    a, ds = arrays(), build()
+    a = arrays()
+    ds = build()
     asked = [kind("heat", weight) for kind in (xcg.Sum, xcg.Mean, xcg.Variance, xcg.Flux)]
     width = {1: 0.1, 2: 0.12, 3: 0.15}
     f = ds.cg.coarse_grain([*asked, "velocity"], width=width, spacing=0.21, by="species")
-    psi, u = np.empty((f.x.size * f.y.size * f.z.size, N)), weights_of(weight, ds)
+    psi = np.empty((f.x.size * f.y.size * f.z.size, N))
+    u = weights_of(weight, ds)
     for species, w in width.items():
         one = a["species"] == species
         psi[:, one] = kernel_sums(f, a["position"][one], width=w)
@@ -157,7 +161,8 @@ def test_parts_of_phases_are_about_the_bulk_and_add_up(weight):
 @pytest.mark.parametrize("by", [None, "species"])
 @pytest.mark.parametrize("name", ["contact_wear", "contact_slip"])
 def test_variables_of_contacts_are_sums_at_the_contact_points(name, by):
-    a, ds = arrays(), build()
+    a = arrays()
+    ds = build()
     asked = [kind(name) for kind in (xcg.Sum, xcg.Mean, xcg.Variance)]
     f = ds.cg.coarse_grain(asked, width=WIDTH, spacing=0.21, by=by)
     psi = kernel_sums(f, a["contact_point"])
@@ -179,17 +184,16 @@ def test_variables_of_contacts_are_sums_at_the_contact_points(name, by):
 
 
 def test_variables_on_a_plane_and_at_a_point():
-    a, ds = arrays(), build()
+    a = arrays()
+    ds = build()
     f = ds.cg.coarse_grain("heat", width=WIDTH, spacing=0.21, axes="xz", at={"y": 0.1})
     psi = kernel_sums(f, a["position"])
     close(f.heat, written_out(psi, ds.mass.to_numpy()[0], a["heat"], None)[1])
 
 
-SIGNS, SIZES, WEIGHTS = (
-    st.sampled_from([-1.0, 0.0, 1.0]),
-    st.floats(1e-6, 1e12),
-    st.sampled_from(["mass", "volume", "number"]),
-)
+SIGNS = st.sampled_from([-1.0, 0.0, 1.0])
+SIZES = st.floats(1e-6, 1e12)
+WEIGHTS = st.sampled_from(["mass", "volume", "number"])
 
 
 @given(SIGNS, SIZES, WEIGHTS, st.booleans())
@@ -379,7 +383,8 @@ def test_variables_may_be_assigned_lazily():
     )
     assert f.dyad.dims == ("time", "z", "component", "direction")
     a = ds.isel(time=0)
-    v, w = a.velocity.to_numpy(), a.whirl.to_numpy()
+    v = a.velocity.to_numpy()
+    w = a.whirl.to_numpy()
     psi = kernel_sums(f.isel(time=[0]), a.position.to_numpy(), "z")
     close(f.dyad, written_out(psi, a.mass.to_numpy(), v[:, :, None] * w[:, None], None)[1])
     drift = f.momentum_density.to_numpy()[0]
@@ -423,13 +428,15 @@ def test_averages_are_ratios_of_sums(tmp_path):
     f = ds.cg.coarse_grain(asked, width=WIDTH, axes="yz", spacing=0.3)
     f.to_netcdf(tmp_path / "f.nc")
     with xr.open_dataset(tmp_path / "f.nc") as reopened:
-        mean, line = reopened.cg.time_average(), reopened.cg.profile("z")
+        mean = reopened.cg.time_average()
+        line = reopened.cg.profile("z")
     for name, weight in (
         ("heat", "density"),
         ("variance_heat", "density"),
         ("contact_slip", "contact_number_density"),
     ):
-        w, q = f[weight], f[name].fillna(0)
+        w = f[weight]
+        q = f[name].fillna(0)
         xr.testing.assert_allclose(mean[name], (w * q).sum("time") / w.sum("time"))
         xr.testing.assert_allclose(line[name], (w * q).sum("y") / w.sum("y"))
     xr.testing.assert_allclose(mean.flux_heat, f.flux_heat.mean("time"))
@@ -471,7 +478,8 @@ def test_a_job_file_holds_quantities_as_text(tmp_path):
 def test_columns_of_contacts_become_variables(tmp_path):
     rows = [(1, 0.0, 0.0, 0.0), (2, 1.0, 0.0, 0.0), (3, 2.0, 0.0, 0.0)]
     head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF {}\n{}\nITEM: BOX BOUNDS ff ff ff\n-1 3\n-1 1\n-1 1\nITEM: {} {}\n"
-    grains, contacts = tmp_path / "grains.dump", tmp_path / "contacts.dump"
+    grains = tmp_path / "grains.dump"
+    contacts = tmp_path / "contacts.dump"
     table = "\n".join(f"{i} {x} {y} {z} 1.0" for i, x, y, z in rows)
     grains.write_text(head.format("ATOMS", 3, "ATOMS", "id x y z diameter") + table + "\n")
     pairs = "1 2 1 0 0 7.5\n2 3 1 0 0 2.5\n"

@@ -113,7 +113,8 @@ def test_wrong_axes_raise(given, message):
 def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
     if np.linalg.norm(np.cross(x, z)) < 0.01:
         return
-    frame, ds = xcg.Rotated(x=x, z=z, origin=origin), grains_with_tensors()
+    frame = xcg.Rotated(x=x, z=z, origin=origin)
+    ds = grains_with_tensors()
     fields = [*FIELDS, xcg.Mean("pull"), xcg.Mean("strain"), xcg.Variance("pull", name="scatter")]
     f = ds.cg.coarse_grain(fields, frame=frame, spacing=1.5, width=0.9)
     g = by_hand(ds, frame.axes, origin).cg.coarse_grain(fields, spacing=1.5, width=0.9)
@@ -131,7 +132,8 @@ def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
 
 def test_tensors_turn_back_into_those_of_the_scene():
     """One point, given in either axes: what is found there is the same thing."""
-    ds, frame = grains_with_tensors(), xcg.Rotated(z=(1, 2, 3), x=(1, -1, 0.5), origin=(1, 0.5, -2))
+    ds = grains_with_tensors()
+    frame = xcg.Rotated(z=(1, 2, 3), x=(1, -1, 0.5), origin=(1, 0.5, -2))
     place = np.array([2.0, 2.5, 3.0])
     there = dict(zip("xyz", frame.axes @ (place - frame.origin), strict=True))
     for name in ("velocity", "contact_stress", "velocity_gradient", "granular_temperature"):
@@ -145,7 +147,8 @@ def test_tensors_turn_back_into_those_of_the_scene():
 
 
 def test_arguments_are_in_the_axes_of_the_frame():
-    ds, frame = grains_with_tensors(), xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
+    ds = grains_with_tensors()
+    frame = xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
     options = {
         "pressure_dims": "z",
         "shear_dims": "xz",
@@ -174,7 +177,8 @@ def test_gravity_turns_with_the_frame():
 @pytest.mark.parametrize("z", [(1, 0, 0), (0, -1, 0), (0, 0, -1)])
 def test_periods_along_the_axes_stay_periods_along_axes(z):
     """Quarter turns give the nodes of the periodic mesh, each somewhere else, and averages over the box."""
-    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=z)
+    ds = grains_with_tensors("xyz")
+    frame = xcg.Rotated(z=z)
     f = ds.cg.coarse_grain(["density", "contact_stress"], frame=frame, spacing=0.5)
     assert f.attrs["wrapped_axes"] == "xyz"
     g = ds.cg.coarse_grain("density", spacing=0.5)
@@ -195,7 +199,8 @@ def test_periods_along_the_axes_stay_periods_along_axes(z):
 @pytest.mark.parametrize("z", [(0, 1, 1), (1, 2, 3)])
 def test_points_in_a_turned_periodic_box(periodic, z):
     """Images follow their box: the same places, in either axes, within it and in the next one."""
-    ds, frame = grains_with_tensors(periodic), xcg.Rotated(z=z, origin=(1, 0, 0))
+    ds = grains_with_tensors(periodic)
+    frame = xcg.Rotated(z=z, origin=(1, 0, 0))
     place = np.random.default_rng(0).uniform(-2, 7, (12, 3))
     turned = (place - frame.origin) @ frame.axes.T
     here, there = (
@@ -203,7 +208,8 @@ def test_points_in_a_turned_periodic_box(periodic, z):
         for p in (place, turned)
     )
     names = ["density", "contact_stress", "velocity"]
-    a, b = ds.cg.coarse_grain(names, at=here), ds.cg.coarse_grain(names, at=there, frame=frame)
+    a = ds.cg.coarse_grain(names, at=here)
+    b = ds.cg.coarse_grain(names, at=there, frame=frame)
     np.testing.assert_allclose(b.density, a.density, rtol=1e-10, atol=1e-12)
     stress = np.einsum("ij,kl,tnjl->tnik", frame.axes, frame.axes, a.contact_stress)
     np.testing.assert_allclose(b.contact_stress, stress, atol=1e-11 * np.abs(stress).max())
@@ -212,7 +218,8 @@ def test_points_in_a_turned_periodic_box(periodic, z):
 
 def test_averages_over_the_whole_periods_of_a_turned_box():
     """About y, the axes x and z together still are two axes of the box."""
-    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
+    ds = grains_with_tensors("xyz")
+    frame = xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
     f = ds.cg.coarse_grain("density", frame=frame, axes="y", spacing=0.5)
     g = ds.cg.coarse_grain("density", axes="y", spacing=0.5)
     np.testing.assert_allclose(f.density, g.density, rtol=1e-12)
@@ -252,10 +259,8 @@ def test_lazy_results_in_turned_axes_equal_eager_ones(tmp_path):
         data_vars="all",
     )
     ds.cg.save(tmp_path / "scene.nc")
-    lazy, frame = (
-        xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1}),
-        xcg.Rotated(z=(1, 2, 3)),
-    )
+    lazy = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1})
+    frame = xcg.Rotated(z=(1, 2, 3))
     bounds = dict.fromkeys("xyz", (-1.0, 4.0))
     f = lazy.cg.coarse_grain(["density", "velocity"], frame=frame, spacing=1.0, bounds=bounds)
     assert f.density.chunks is not None
@@ -292,7 +297,8 @@ def test_widths_displacements_and_balances_take_a_frame():
 
 def test_displacements_in_turned_boxes():
     """A periodic box that stays is turned with its grains; one that changes is refused."""
-    ds, frame = grains_with_tensors("xyz"), xcg.Rotated(z=(1, 2, 3))
+    ds = grains_with_tensors("xyz")
+    frame = xcg.Rotated(z=(1, 2, 3))
     later = ds.assign(position=(ds.position + 0.1 * ds.velocity) % 5.0).assign_coords(time=[1.0])
     two = xr.concat([ds, later], "time", data_vars="all")
     at = dict.fromkeys("xyz", 2.0)

@@ -47,7 +47,8 @@ def rotating(axis=(0.0, 0.0, 1.0), drift=(0.0, 0.0, 0.0), dimension=3, noise=0.0
 
 
 def turning(theta):
-    c, s = np.cos(theta), np.sin(theta)
+    c = np.cos(theta)
+    s = np.sin(theta)
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
@@ -106,7 +107,8 @@ def test_rigid_rotation_in_a_plane():
 
 
 def test_nodes_are_points_whose_fields_are_turned():
-    ds, frame = grains_along_z(), xcg.Cylindrical(origin=(2.5, 2.5, 1.0))
+    ds = grains_along_z()
+    frame = xcg.Cylindrical(origin=(2.5, 2.5, 1.0))
     names = [
         "density",
         "velocity",
@@ -124,7 +126,9 @@ def test_nodes_are_points_whose_fields_are_turned():
         spacing={"r": 0.75, "theta": 1.2, "z": 1.0},
         width=0.8,
     )
-    x, y, z = 2.5 + f.r * np.cos(f.theta), 2.5 + f.r * np.sin(f.theta), 1.0 + f.z
+    x = 2.5 + f.r * np.cos(f.theta)
+    y = 2.5 + f.r * np.sin(f.theta)
+    z = 1.0 + f.z
     g = ds.cg.coarse_grain(names, at={"x": x, "y": y, "z": z}, width=0.8).transpose(
         "time", "r", "theta", "z", ...
     )
@@ -144,7 +148,8 @@ def test_nodes_are_points_whose_fields_are_turned():
 @pytest.mark.parametrize("axes", ["r", "rz"])
 def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
     """Sums at fine angles, turned one by one and averaged; ratios and gradients follow from them."""
-    ds, width = grains_along_z(), 0.6
+    ds = grains_along_z()
+    width = 0.6
     low, high = part or (0.0, 2 * np.pi)
     bounds = (
         {"r": (0.6, 1.8)}
@@ -180,21 +185,26 @@ def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
 
 def test_the_heat_flux_of_a_ring_by_brute_force():
     """Third moments about the velocity of the ring, of grains in the axes at each angle."""
-    ds, width, count = rotating(noise=0.5, drift=(0.2, -0.1, 0.4)), 0.6, 400
+    ds = rotating(noise=0.5, drift=(0.2, -0.1, 0.4))
+    width = 0.6
+    count = 400
     f = ds.cg.coarse_grain(
         ["kinetic_heat_flux", "velocity"], frame=xcg.Cylindrical(origin=(1, 2, 3), error=1e-6), axes="r",
         at={"z": 0.0}, bounds={"r": (0.8, 1.6)}, spacing=0.8, width=width,
     )  # fmt: skip
-    place, kernel = ds.position.values[0] - (1, 2, 3), xcg.Lucy(width, dimension=3)
+    place = ds.position.values[0] - (1, 2, 3)
+    kernel = xcg.Lucy(width, dimension=3)
     for k, r in enumerate(f.r.values):
-        weight, turned = [], []
+        weight = []
+        turned = []
         for theta in 2 * np.pi * (np.arange(count) + 0.5) / count:
             node = (r * np.cos(theta), r * np.sin(theta), 0.0)
             weight.append(
                 ds.mass.values[0] * kernel.value(np.linalg.norm(place - node, axis=1)) / count
             )
             turned.append(ds.velocity.values[0] @ turning(theta).T)
-        w, v = np.concatenate(weight), np.concatenate(turned)
+        w = np.concatenate(weight)
+        v = np.concatenate(turned)
         mean = w @ v / w.sum()
         flux = 0.5 * (w * ((v - mean) ** 2).sum(axis=1)) @ (v - mean)
         np.testing.assert_allclose(f.velocity[0, k], mean, atol=1e-6)
@@ -226,7 +236,8 @@ def test_averages_over_theta_are_within_their_stated_error():
 
 @pytest.mark.parametrize("axis", ["x", "y", "z", (0.0, 1.0, 2.0)], ids=str)
 def test_the_integral_over_the_cylinder_is_the_mass(axis):
-    ds, mass = rotating(), float(rotating().mass.sum())
+    ds = rotating()
+    mass = float(rotating().mass.sum())
     f = ds.cg.coarse_grain(
         ["density"],
         frame=xcg.Cylindrical(axis, origin=(1, 2, 3)),
@@ -286,7 +297,8 @@ def test_temperatures_of_rings_are_without_bias(axes):
 
 def test_large_velocities_leave_small_fluctuations():
     """References at all angles are brought together before squares are summed."""
-    fast, slow = rotating(), rotating(noise=1e-4)
+    fast = rotating()
+    slow = rotating(noise=1e-4)
     options = {
         "frame": xcg.Cylindrical(origin=(1, 2, 3)), "axes": "r", "width": 0.5, "bounds": {"r": (0.5, 2)},
         "extent": {"z": 6.0}, "spacing": 0.5,

@@ -94,7 +94,8 @@ def test_a_horizontal_drum_is_its_chord_smeared_along_the_height(direction):
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
 def test_four_planes_are_the_area_of_their_rectangle(angle):
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     walls = [
         xcg.Plane((sign * 2 * c, sign * 2 * s, 0), (-sign * c, -sign * s, 0)) for sign in (1, -1)
     ]
@@ -162,7 +163,8 @@ def test_rays_cross_more_triangles_than_those_from_a_node():
     """Shelves, each a closed box across the whole section."""
     gaps = np.arange(12)
     assert 2 * len(gaps) > MOST_CROSSINGS
-    corners, faces = [], []
+    corners = []
+    faces = []
     for gap in gaps:
         first = len(corners)
         corners += [

@@ -36,7 +36,8 @@ def test_fields_equal_those_of_lammps(chute):
     f = ds.cg.coarse_grain([f"{name}/*" for name in COLUMNS], preset="lammps", **mesh)
     assert tuple(f.sizes[a] for a in "xyz") == SHAPE
     for name, columns in COLUMNS.items():
-        found, expected = flat(f[name.replace("/", "_")]), table[:, columns]
+        found = flat(f[name.replace("/", "_")])
+        expected = table[:, columns]
         if name == "velocity":  # zero there where nothing is, NaN here
             assert (np.isnan(found).any(axis=1) == (table[:, 2] == 0)).all()
             found = np.nan_to_num(found)
@@ -59,7 +60,8 @@ def test_the_boundary_force_equals_that_of_lammps_where_no_contact_crosses_an_ed
     apart = nodes - point
     apart -= np.array([20.0, 10.0, 0.0]) * np.rint(apart / np.array([20.0, 10.0, np.inf]))
     apart = (np.linalg.norm(apart, axis=2).min(axis=1) > CUTOFF)[::9]
-    found, expected = flat(f.boundary_force)[apart], table[apart, 19:22]
+    found = flat(f.boundary_force)[apart]
+    expected = table[apart, 19:22]
     assert (np.abs(expected).max(axis=1) > 0).sum() > 15
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 * np.abs(expected).max())
 
@@ -72,7 +74,8 @@ def kernel(r, dimension):
         return np.where(r < CUTOFF, inside, 0.0)
 
     x, w = np.polynomial.legendre.leggauss(200)
-    radii, sphere = 0.5 * CUTOFF * (1 + x), {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}[dimension]
+    radii = 0.5 * CUTOFF * (1 + x)
+    sphere = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}[dimension]
     return shape(r) / (0.5 * CUTOFF * w @ (sphere * radii ** (dimension - 1) * shape(radii)))
 
 
@@ -84,14 +87,17 @@ def test_fields_equal_their_formulas_written_out(axes):
     mesh = xcg.lammps_mesh(ds, axes, delta=1.25, cutoff=CUTOFF, width=WIDTH)
     f = ds.cg.coarse_grain(preset="lammps", **mesh).isel(time=0).transpose(*axes, ...)
     seen = ["xyz".index(a) for a in axes]
-    m, v, x = ds.mass.values[0], ds.velocity.values[0], ds.position.values[0]
+    m = ds.mass.values[0]
+    v = ds.velocity.values[0]
+    x = ds.position.values[0]
     for place in ([0] * len(axes), [2] * len(axes), [1, 2, 2][: len(axes)]):
         apart = np.array([f[a].values[k] for a, k in zip(axes, place, strict=True)]) - x[:, seen]
         for column, k in enumerate(seen):
             if k < 2:
                 apart[:, column] -= size * np.rint(apart[:, column] / size)
         w = kernel(np.linalg.norm(apart, axis=1), len(axes)) / size ** (3 - len(axes))
-        rho, p = w @ m, (w * m) @ v
+        rho = w @ m
+        p = (w * m) @ v
         out = v - p / rho
         at = f.isel(dict(zip(axes, place, strict=True)))
         kinetic = -np.einsum("i,ia,ib->ab", w * m, out, out)
@@ -159,7 +165,8 @@ def test_arguments_that_are_defaults_elsewhere_count():
     {"frame": xcg.Cylindrical((0, 0, 1), (2, 2, 0)), "axes": "r"},
 ])  # fmt: skip
 def test_places_without_differences_lack_gradients_alone(place):
-    ds, options = xcg.datasets.random_scene(60), {"preset": "lammps", "width": 0.8} | place
+    ds = xcg.datasets.random_scene(60)
+    options = {"preset": "lammps", "width": 0.8} | place
     assert set(ds.cg.coarse_grain(**options)) >= {"density", "velocity", "stress"}
     with pytest.raises(ValueError, match="finite_difference"):
         ds.cg.coarse_grain("velocity/grad", **options)

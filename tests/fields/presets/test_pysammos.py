@@ -54,7 +54,8 @@ def by_hand(base, fluctuation):
         d = dev(sigma, axes)
         size = np.sqrt(sum(d[i, j] ** 2 for i in range(3) for j in range(3)) / 2)
         out |= {f"total_stress_tensor_{dims}_dev": d, f"total_stress_tensor_{dims}_dev_mag": size}
-        g, e = (gamma if dims == "xyz" else flat), dev(gamma, axes)
+        g = gamma if dims == "xyz" else flat
+        e = dev(gamma, axes)
         out |= {f"shear_rate_tensor_{dims}": g, f"shear_rate_tensor_{dims}_dev": e}
         out[f"shear_rate_tensor_{dims}_mag"] = np.sqrt(2 * (g**2).sum())
         out[f"shear_rate_tensor_{dims}_dev_mag"] = np.sqrt(2 * (e**2).sum())
@@ -122,8 +123,10 @@ def test_temperature_about_the_node():
     x, v, m = (ds[n].values[0] for n in ("position", "velocity", "mass"))
     kernel = BruteKernel("lucy", 0.9)
     for r in np.random.default_rng(0).uniform(1.5, 3.5, (5, 3)):
-        w, at = m * kernel(np.linalg.norm(x - r, axis=1)), dict(zip("xyz", r, strict=True))
-        mean, root = w @ v / w.sum(), np.sqrt(w)[:, None]
+        w = m * kernel(np.linalg.norm(x - r, axis=1))
+        at = dict(zip("xyz", r, strict=True))
+        mean = w @ v / w.sum()
+        root = np.sqrt(w)[:, None]
         gradient = np.linalg.lstsq(root * (x - r), root * (v - mean), rcond=None)[0].T
         rest = v - mean - (x - r) @ gradient.T
         expected = w @ rest**2 / w.sum()
@@ -203,7 +206,8 @@ def its_nodes(first, last, c):
 
 def test_the_mesh_equals_that_of_pysammos():
     ds = xcg.datasets.simple_cubic(14)  # centres from 0 to 13
-    c, margin = 1.5, 2.5 * 1.5 + 0.5
+    c = 1.5
+    margin = 2.5 * 1.5 + 0.5
     mesh = xcg.pysammos_mesh(ds, "xz")
     f = ds.cg.coarse_grain("density", **mesh)
     for a in "xz":
@@ -238,7 +242,9 @@ def test_fabric_is_smeared_along_the_branch():
     ds = xcg.datasets.random_scene(250, periodic="", seed=3)
     x, volume = (ds[n].values[0] for n in ("position", "volume"))
     i, j, point = (ds[f"contact_{n}"].values[0] for n in ("i", "j", "point"))
-    kernel, found, theirs = BruteKernel("lucy", 0.75 * ds.attrs["d43"]), [], []
+    kernel = BruteKernel("lucy", 0.75 * ds.attrs["d43"])
+    found = []
+    theirs = []
     for r in np.random.default_rng(1).uniform(1.5, 3.5, (20, 3)):
         at = dict(zip("xyz", r, strict=True))
         f = preset(ds, "fabric_tensor", width=0.75 * ds.attrs["d43"], axes="", at=at)
@@ -260,7 +266,8 @@ def test_fabric_is_smeared_along_the_branch():
 @pytest.mark.parametrize(("kernel", "low"), [("lucy", (0.002, 0.008)), ("heaviside", (0.18, 0.30))])
 def test_contacts_are_found_by_their_segments_not_by_the_particle_s_centre(kernel, low):
     ds = xcg.datasets.face_centred_cubic(3)
-    edge, position = float(ds.box.values[0, 0, 1]), ds.position.values[0]
+    edge = float(ds.box.values[0, 0, 1])
+    position = ds.position.values[0]
     points = np.random.default_rng(0).uniform(0, edge, (12, 3))
     k = BruteKernel(kernel, 0.75)
     whole, centred, ours = 0.0, 0.0, 0.0
@@ -312,7 +319,8 @@ def test_images_at_faces_and_corners_are_counted():
 
 def test_the_period_is_the_box_not_the_extent_of_the_centres():
     ds = xcg.datasets.random_scene(150, edge=3.0, seed=2, polydispersity=1.0)
-    position, edge = ds.position.values[0], 3.0
+    position = ds.position.values[0]
+    edge = 3.0
     difference = position[ds.contact_i.values[0]] - position[ds.contact_j.values[0]]
     across = (np.abs(difference) > edge / 2).any(axis=1)
     right = difference - edge * np.rint(difference / edge)
@@ -386,7 +394,9 @@ def test_velocity_gradient_of_small_grains_and_its_order(scale):
 
 
 def test_magnitudes_take_both_triangles():
-    i, j, force = [0], [1], [[1.0, 5.0, 0.0]]
+    i = [0]
+    j = [1]
+    force = [[1.0, 5.0, 0.0]]
     ds = xcg.scene_from_arrays(
         [[0.5, 0, 0], [-0.5, 0, 0]], velocity=np.zeros((2, 3)), diameter=[1.0, 1.0], density=1.0,
         contact_i=i, contact_j=j, contact_force=force,
@@ -450,7 +460,8 @@ def test_a_line_as_vtkhdf(tmp_path):
 
 
 def test_steps_without_contacts_and_grains_that_enter():
-    a, b = xcg.datasets.random_scene(40, seed=1), xcg.datasets.random_scene(60, seed=2)
+    a = xcg.datasets.random_scene(40, seed=1)
+    b = xcg.datasets.random_scene(60, seed=2)
     names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
     second = {n: b[n].values[0] for n in names}
     first = {

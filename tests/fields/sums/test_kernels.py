@@ -100,7 +100,8 @@ def test_marginals_are_integrals_over_the_other_axes(name, dimension, seen):
 
 def test_the_1d_lucy_is_not_the_marginal_of_the_3d_one():
     r = np.linspace(0, 1, 11)
-    marginal, own = xcg.Lucy(1.0, dimension=3).value(r, 1), xcg.Lucy(1.0, dimension=1).value(r)
+    marginal = xcg.Lucy(1.0, dimension=3).value(r, 1)
+    own = xcg.Lucy(1.0, dimension=1).value(r)
     assert np.abs(marginal - own).max() > 0.05 * own.max()
 
 
@@ -117,7 +118,8 @@ def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
     rest = (half - s) * (half + s)  # 1 - r^2, without cancellation
     r = np.sqrt(1 - rest)
     p = rest / (1 + r)
-    lucy, peak = xcg.Lucy(cutoff=1.0, dimension=3), 105 / (16 * np.pi)
+    lucy = xcg.Lucy(cutoff=1.0, dimension=3)
+    peak = 105 / (16 * np.pi)
     for got, along in (
         (lucy.value(q[:, 0], 2), p**3 * (1 + 3 * r)),
         (lucy.derivative(q[:, 0], 2), -12 * q * p**2),
@@ -208,7 +210,8 @@ def test_a_gaussian_cut_where_it_has_no_digits_raises():
 
 def test_the_shifted_gaussian_is_the_gaussian_less_its_value_at_the_cutoff():
     r = np.linspace(0, 2.0, 30)
-    whole, shifted = xcg.Gaussian(0.7), xcg.Gaussian(0.7, shifted=True)
+    whole = xcg.Gaussian(0.7)
+    shifted = xcg.Gaussian(0.7, shifted=True)
     expected = np.exp(-0.5 * (r / 0.7) ** 2) - np.exp(-4.5)
     found = shifted.value(r) / shifted.value(0.0) * (1 - np.exp(-4.5))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
@@ -256,7 +259,9 @@ def test_segment_integrals_equal_quadrature(name, dimension, seen):
             rim = np.abs(np.linalg.norm(points, axis=1) - kernel.cutoff) > (
                 0.0 if length > 1e-3 else 0.02
             )
-            points, closed, truth = points[rim], closed[rim], truth[rim]
+            points = points[rim]
+            closed = closed[rim]
+            truth = truth[rim]
         # what is left: a difference of two antiderivatives over the length, of more terms for the polynomials of
         # a Gaussian; the series of a registered kernel
         rounding = 2e-14 if "gaussian" in name else 1e-14
@@ -268,10 +273,8 @@ def test_segment_integrals_equal_quadrature(name, dimension, seen):
 @pytest.mark.parametrize("length", [0.2, 0.69, 0.9, 2.5])
 def test_segments_of_the_marginal_of_a_gaussian_of_any_cutoff(ratio, length):
     """Closed forms hold for any width and length (in cutoffs)."""
-    kernel, rng = (
-        xcg.Gaussian(1.0, cutoff=ratio, dimension=3, shifted=True),
-        np.random.default_rng(3),
-    )
+    kernel = xcg.Gaussian(1.0, cutoff=ratio, dimension=3, shifted=True)
+    rng = np.random.default_rng(3)
     end = length * ratio * np.array([0.6, 0.8])
     points = rng.uniform(-1.0, 1.0, (200, 2)) * ratio + rng.uniform(0.0, 1.0, (200, 1)) * end
     truth = np.array([_over_angle(kernel, p, end) for p in points])
@@ -328,7 +331,8 @@ def random_segments(seed, seen, count):
 def line_through(profile, radii, point, end):
     """Mean of a profile along a segment from 0 by scipy, panel by panel: between its kinks, and about the foot."""
     length = np.linalg.norm(end)
-    foot, inside = point @ end / length, []
+    foot = point @ end / length
+    inside = []
     across2 = max(0.0, point @ point - foot**2)
     for radius in (*radii, 1.0):
         half = np.sqrt(max(0.0, radius**2 - across2))
@@ -365,7 +369,8 @@ def test_segments_of_registered_kernels_are_integrals_of_their_profiles(name):
 @pytest.mark.parametrize("seen", [1, 2])
 def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
     """Over one axis that is left out: of the kernel of one dimension more, seen in all of them."""
-    radii, kernel = OWN[name][1], kernel_of(name, 1.0, {}, seen + 1)
+    radii = OWN[name][1]
+    kernel = kernel_of(name, 1.0, {}, seen + 1)
     x, w = np.polynomial.legendre.leggauss(40)
     for points, end in random_segments(seen, seen, 12):
         found = kernel.segment(points * kernel.cutoff, 0 * end, end * kernel.cutoff)
@@ -398,7 +403,8 @@ def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
 @pytest.mark.parametrize("seen", [1, 2, 3])
 def test_stress_of_registered_kernels_balances_forces(name, seen):
     """``(a . grad) S = Psi(end) - Psi(start)`` up to sign, whatever is seen of it: the divergence of contact stress."""
-    kernel, h = kernel_of(name, 1.0, {}, 3), 2e-3
+    kernel = kernel_of(name, 1.0, {}, 3)
+    h = 2e-3
     reach = np.arange(1, 5) * h
     slope = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]) / h
     rng = np.random.default_rng(seen)
@@ -437,10 +443,8 @@ def test_kernels_registered_by_their_profiles_equal_those_of_their_own_loops(nam
     same = xcg.register_kernel("same", profile, smoothness=own.smoothness)(
         cutoff=1.0, dimension=dimension
     )
-    r, peak = (
-        np.concatenate([np.linspace(0.0, 0.99, 40), 1 - np.geomspace(1e-9, 1e-2, 15)]),
-        own.value(0.0, seen),
-    )
+    r = np.concatenate([np.linspace(0.0, 0.99, 40), 1 - np.geomspace(1e-9, 1e-2, 15)])
+    peak = own.value(0.0, seen)
     # odd powers of q have logarithms at r = 0 in their marginals
     tolerance = 1e-10 if name == "lucy" else 1e-12
     np.testing.assert_allclose(
@@ -482,7 +486,9 @@ def test_kernels_of_few_polynomials_have_closed_forms():
 
     with pytest.warns(xcg.SceneWarning, match="worst at q=0.3[67]"):
         kernel = xcg.register_kernel("one by one", one_by_one, smoothness=-1)(cutoff=1.0)
-    w, point, end = kernel.weights(3), np.array([0.1, 0.2, 0.3]), np.array([0.6, 0.0, 0.1])
+    w = kernel.weights(3)
+    point = np.array([0.1, 0.2, 0.3])
+    end = np.array([0.6, 0.0, 0.1])
     assert compiled(has_shells)(w.table)
     found = kernel.segment([point], 0 * end, end)[0] / w.norm
     assert found == pytest.approx(line_through(one_by_one, (0.37,), point, end), rel=1e-10)
@@ -490,8 +496,10 @@ def test_kernels_of_few_polynomials_have_closed_forms():
 
 def test_shells_without_the_compiler_have_the_same_bits():
     columns = kernel_of("quintic spline", 0.5, {}, 3).weights(3).table[SHELLS]
-    rng, found = np.random.default_rng(0), []
-    along, q2 = rng.uniform(-0.8, 1.4, 64), rng.uniform(0.0, 3.0, 64)
+    rng = np.random.default_rng(0)
+    found = []
+    along = rng.uniform(-0.8, 1.4, 64)
+    q2 = rng.uniform(0.0, 3.0, 64)
     for fill in (compiled(polynomials.fill_shells), uncompiled(polynomials.fill_shells)):
         out = np.empty(64)
         fill(columns, 0.6, along, np.maximum(q2, along**2), 60, out, closed_for(64))
@@ -597,7 +605,8 @@ def test_errors_are_below_rtol(length, rtol, seen, name, seed):
         rng.uniform(0, 1, 1000)[:, None] ** 4
     )  # crowd the line, where the error is largest
     end = length * np.eye(seen)[0]
-    exact, quick = kernel.segment(points, 0 * end, end), kernel.segment(points, 0 * end, end, order)
+    exact = kernel.segment(points, 0 * end, end)
+    quick = kernel.segment(points, 0 * end, end, order)
     largest = kernel.segment([0.5 * end], 0 * end, end)[0]
     assert np.abs(quick - exact).max() <= rtol * largest
     assert (
@@ -607,7 +616,8 @@ def test_errors_are_below_rtol(length, rtol, seen, name, seed):
 
 def test_fewer_points_for_shorter_branches_and_looser_promises():
     kernel = kernel_of("lucy", 0.5, {}, 3)
-    tight, loose = gauss_limits(kernel, 3, 1e-4), gauss_limits(kernel, 3, 1e-2)
+    tight = gauss_limits(kernel, 3, 1e-4)
+    loose = gauss_limits(kernel, 3, 1e-2)
     assert (np.diff(loose) > 0).all()
     assert (loose > tight).all()
     assert gauss_limits(kernel, 3, 0).size == 0
@@ -627,10 +637,8 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     assert gauss_limits(kernel, 3, 3.0 * 1.6e-3)[0] > 1 / 3
     assert gauss_limits(kernel, 3, 1.6e-3)[0] < 1 / 3
     # the error of 2, 4, ... points at a branch of c / 3, measured at random places, is where the limits part
-    points, end = (
-        np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)),
-        np.array([1 / 3, 0.0, 0.0]),
-    )
+    points = np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3))
+    end = np.array([1 / 3, 0.0, 0.0])
     exact = kernel.segment(points, 0 * end, end)
     for k, order in enumerate((2, 4)):
         error = (
@@ -651,7 +659,8 @@ def _rule(kernel, points, end, order):
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 7, 12, 13, 40])
 def test_any_number_of_gauss_points(order):
-    kernel, end = kernel_of("lucy", 0.5, {}, 3), np.array([0.7, -0.2, 0.4])
+    kernel = kernel_of("lucy", 0.5, {}, 3)
+    end = np.array([0.7, -0.2, 0.4])
     points = np.random.default_rng(order).uniform(-0.8, 1.0, (200, 3))
     found = kernel.segment(points, 0 * end, end, order)
     np.testing.assert_allclose(
@@ -674,7 +683,8 @@ def touching(rng, axes):
     normal = rng.normal(size=3)
     normal /= np.linalg.norm(normal)
     branch = 0.99 * radii.sum() * normal
-    place, force = rng.uniform(-5.0, 5.0, 3), rng.normal(size=3)
+    place = rng.uniform(-5.0, 5.0, 3)
+    force = rng.normal(size=3)
     ds = xcg.scene_from_arrays(
         [place, place - branch], diameter=2 * radii, density=1.0, contact_i=[0], contact_j=[1], contact_force=[force],
         contact_normal=[normal], box=[[-50.0, 50.0]] * 3,
@@ -688,7 +698,8 @@ def touching(rng, axes):
 @pytest.mark.parametrize("width", [0.3, 0.45, 0.75, 1.0, 2.0, 6.0])
 def test_the_error_of_every_contact_is_below_rtol(axes, kernel, width):
     """One contact between spheres of any sizes, at random places on the mesh, at widths of 0.3 d to 6 d."""
-    rng, shape = np.random.default_rng(round(100 * width)), kernel_of(kernel, width, {}, 3)
+    rng = np.random.default_rng(round(100 * width))
+    shape = kernel_of(kernel, width, {}, 3)
     options = {"axes": axes, "kernel": kernel, "width": width, "spacing": width / 3}
     for _ in range(3):
         ds, branch, force = touching(rng, axes)
@@ -771,11 +782,9 @@ def test_fields_of_a_kernel_with_negative_parts_equal_brute_force():
 
     xcg.register_kernel("with negative parts", profile)
     rng = np.random.default_rng(1)
-    position, velocity, heat = (
-        rng.uniform(0, 4, (30, 3)),
-        rng.normal(size=(30, 3)),
-        rng.normal(300.0, 1.0, 30),
-    )
+    position = rng.uniform(0, 4, (30, 3))
+    velocity = rng.normal(size=(30, 3))
+    heat = rng.normal(300.0, 1.0, 30)
     ds = xcg.scene_from_arrays(
         position, velocity=velocity, diameter=rng.uniform(0.5, 1, 30), density=1000.0, heat=heat,
         species=rng.integers(1, 3, 30),

@@ -39,7 +39,8 @@ def stress_along_z(z, contacts, cutoff):
     kernel = xcg.Lucy(cutoff=cutoff)
 
     def reached(node, low, high):
-        low, high = max(low, node - cutoff), min(high, node + cutoff)
+        low = max(low, node - cutoff)
+        high = min(high, node + cutoff)
         return (
             quad(lambda s: kernel.value(node - s, seen=1).item(), low, high, epsabs=1e-13)[0]
             if low < high
@@ -91,7 +92,8 @@ def test_both_halves_of_a_far_branch_are_cut():
 
 def test_the_far_part_of_a_slanted_branch_does_not_matter():
     """Cut or not, what nodes see of a branch is the same: two kernels' lengths and a million beyond them."""
-    near, direction = np.array([0.5, 0.5, 0.5]), np.array([0.6, -0.48, 0.64])
+    near = np.array([0.5, 0.5, 0.5])
+    direction = np.array([0.6, -0.48, 0.64])
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.25, "width": 0.2}
     with warned_of_far():
         long, short = (
@@ -182,7 +184,8 @@ def test_big_endian_numbers_give_equal_results():
     """As netCDF-3 gives them."""
     ds = xcg.datasets.random_scene(20, seed=1)
     turned = ds.map(lambda v: v.astype(v.dtype.newbyteorder(">")) if v.dtype.kind in "if" else v)
-    names, options = ["stress", "fabric"], {"axes": "z", "by": "species"}
+    names = ["stress", "fabric"]
+    options = {"axes": "z", "by": "species"}
     xr.testing.assert_equal(
         turned.cg.coarse_grain(names, **options), ds.cg.coarse_grain(names, **options)
     )
@@ -199,7 +202,8 @@ def test_wrong_numbers_of_times_and_steps_raise():
 
 
 def test_principal_axes_of_nan_are_nan():
-    values, vectors = np.empty((4, 3)), np.empty((4, 3, 3))
+    values = np.empty((4, 3))
+    vectors = np.empty((4, 3, 3))
     tensor = np.tile(np.diag([1.0, 3.0, 2.0]), (4, 1, 1))
     tensor[[1, 2, 3], [0, 1, 2], [0, 1, 2]] = np.nan
     principal(tensor, values, vectors)

@@ -71,7 +71,8 @@ def test_segments_listed_anew_have_the_same_bits(scene, call):
             a: xr.DataArray(x, dims="point") for a, x in zip("xyz", places, strict=False)
         }
     kept = scene.cg.coarse_grain(**given)
-    found, few = [], sharing_threads(2)
+    found = []
+    few = sharing_threads(2)
     some, told = anew(found)
     with planning(BLOCK_NODES=300), few, some, told:
         same_bits(kept, scene.cg.coarse_grain(**given))

@@ -12,7 +12,8 @@ from tests.lammps_forms import BOX, DEFAULTS, binary_step, check, frames_of, lam
 
 def test_a_binary_dump_equals_the_text_dump_beside_it():
     """Both by LAMMPS 22Jul2025, the text with all digits."""
-    folder, walls = real_data("lammps_binary"), {"floor": "f_floor[*]"}
+    folder = real_data("lammps_binary")
+    walls = {"floor": "f_floor[*]"}
     text, binary = (
         xcg.open_scene(folder / f"particles.{end}", walls=walls) for end in ("dump.gz", "bin")
     )

@@ -81,7 +81,8 @@ def test_columns_of_netcdf_have_the_names_of_text(tmp_path):
 
 
 def test_lost_atoms_are_left_out(tmp_path):
-    whole, some = rows_of(4), rows_of(4)
+    whole = rows_of(4)
+    some = rows_of(4)
     some[2:] = np.nan
     _, frames = frames_of(write_netcdf(tmp_path / "n.nc", {0: whole, 10: some}))
     check(frames[0], whole)

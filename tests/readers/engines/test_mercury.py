@@ -235,7 +235,8 @@ def test_a_real_run_is_read():
         step = scene.isel(time=t)
         rows = np.loadtxt(folder / "syn200.fstat", comments="#")
         rows = rows[rows[:, 0] == step.time.values]
-        pairs, walls = rows[(rows[:, 2] > rows[:, 1])], rows[rows[:, 2] < 0]
+        pairs = rows[(rows[:, 2] > rows[:, 1])]
+        walls = rows[rows[:, 2] < 0]
         valid = step.contact_i.values >= 0
         assert valid.sum() == len(pairs) + len(walls)
         i, j, normal, point, force = (
@@ -248,7 +249,8 @@ def test_a_real_run_is_read():
                 "contact_force",
             )
         )
-        position, radius = step.position.values, step.diameter.values / 2
+        position = step.position.values
+        radius = step.diameter.values / 2
         pair = j >= 0
         branch = position[i[pair]] - position[j[pair]]
         length = np.linalg.norm(branch, axis=1)

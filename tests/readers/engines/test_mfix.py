@@ -34,7 +34,8 @@ def write_vtp(path: Path, points, time=0.5, shape="", shapes=None, **arrays) -> 
     )
     blocks = {"coordinates": np.reshape(points, (-1, 3)), **arrays}
     count = len(blocks["coordinates"])
-    tags, body = [], b""
+    tags = []
+    body = b""
     for name, values in blocks.items():
         data = np.asarray(values, ">f4").tobytes()
         components = np.shape(values)[1] if np.ndim(values) == 2 else 1
@@ -455,7 +456,8 @@ def test_contacts_without_forces_raise(tmp_path):
 
 def test_mirrored_rows_become_one_with_the_mean_force(tmp_path):
     # 1-2 once; 3-4 twice, with sliding forces that differ; 5-2 twice, exact; 6-1 once, higher id first.
-    i, j = [1, 4, 5, 3, 2, 6], [2, 3, 2, 4, 5, 1]
+    i = [1, 4, 5, 3, 2, 6]
+    j = [2, 3, 2, 4, 5, 1]
     normal = np.array([[1, 0, 0], [0, -2, 0], [0, 0, 5], [0, 2, 0], [0, 0, -5], [3, 0, 0]], float)
     sliding = np.array(
         [[0, 1, 0], [-0.5, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0, 0], [0, 0, 1]], float
@@ -497,7 +499,8 @@ def test_several_contacts_of_one_pair_stay(tmp_path):
     """Concave grains: other forces, or the same force at other points, each with its mirrored row."""
     force = np.array([[1, 0, 0], [2, 0, 0], [2, 0, 0]], float)
     point = np.array([[0, 0, 0], [0, 0.5, 0], [0, 1, 0]], float)
-    i, j = np.array([1, 1, 1]), np.array([2, 2, 2])
+    i = np.array([1, 1, 1])
+    j = np.array([2, 2, 2])
     once = read_contacts(write_contacts(tmp_path / "FC_1.vtp", i, j, force, point))
     np.testing.assert_array_equal(once["contact_point"], point)
     shuffle = [4, 0, 5, 2, 3, 1]
@@ -583,7 +586,8 @@ def write_by_vtk(path: Path, mode="Appended", compressor="ZLib", header=32, rows
     from vtkmodules.vtkCommonDataModel import vtkPolyData
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
-    mesh, points = vtkPolyData(), vtkPoints()
+    mesh = vtkPolyData()
+    points = vtkPoints()
     points.SetData(numpy_to_vtk(np.arange(3.0 * rows, dtype="f4").reshape(-1, 3), deep=True))
     mesh.SetPoints(points)
     for name, values in (("Particle_ID", np.arange(rows)), ("Diameter", np.full(rows, 0.1))):

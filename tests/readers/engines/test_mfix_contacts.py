@@ -34,7 +34,8 @@ def open_folder(folder, **options):
 @pytest.fixture(scope="module")
 def unlike_spheres(tmp_path_factory):
     """Spheres of 1 and 4 mm, periodic along x, as MFiX writes them, and the same scene with exact contact points."""
-    rng, length = np.random.default_rng(2), 0.02
+    rng = np.random.default_rng(2)
+    length = 0.02
     radius = np.where(np.arange(2000) < 60, 0.002, 0.0005)
     x = rng.uniform(0, length, (2000, 3)).astype("f4").astype(float)
     i, j = find_pairs(x, radius, {"x": (0.0, length)}, "x").T
@@ -46,10 +47,8 @@ def unlike_spheres(tmp_path_factory):
     shallow = overlap < 0.3 * np.minimum(radius[i], radius[j])
     i, j, branch, distance, overlap = (a[shallow] for a in (i, j, branch, distance, overlap))
     n = branch / distance[:, None]
-    normal, sliding = (
-        1e3 * overlap[:, None] * n,
-        100 * overlap[:, None] * rng.normal(size=branch.shape),
-    )
+    normal = 1e3 * overlap[:, None] * n
+    sliding = 100 * overlap[:, None] * rng.normal(size=branch.shape)
     point = x[i] - (radius[i] - overlap / 2)[:, None] * n
     crossing = np.abs(x[i] - x[j])[:, 0] > length / 2
     assert (radius[i] > radius[j]).sum() > 10 < (radius[i] < radius[j]).sum()
@@ -69,7 +68,8 @@ def unlike_spheres(tmp_path_factory):
     again = np.arange(len(rows)) >= len(
         i
     )  # pairs across the edge stand once more, seen from the other particle
-    first, second = np.where(again, j[rows], i[rows]), np.where(again, i[rows], j[rows])
+    first = np.where(again, j[rows], i[rows])
+    second = np.where(again, i[rows], j[rows])
     sign = np.where(again, -1.0, 1.0)[:, None]
     towards = -sign * n[rows]
     write_contacts(
@@ -97,7 +97,8 @@ def by_pair(ds):
 def test_contact_points_of_unlike_spheres_follow_from_their_radii(unlike_spheres):
     folder, exact = unlike_spheres
     ds = open_folder(folder, periodic="x", box={"x": (0.0, 0.02)})
-    one, two = by_pair(ds), by_pair(exact)
+    one = by_pair(ds)
+    two = by_pair(exact)
     pairs = [np.sort([s.contact_i.values, s.contact_j.values], axis=0) for s in (one, two)]
     np.testing.assert_array_equal(*pairs)
     off = minimum_image(
@@ -112,7 +113,8 @@ def test_partial_pressure_particle_stress_and_chains_of_unlike_spheres(unlike_sp
     with pytest.warns(SceneWarning, match=r"recovered .*x: 0\.02"):
         ds = open_folder(folder, periodic="x")
     # by hand: the virial of both sides of each contact, by species
-    virial, row = np.zeros((3, 3, 3)), exact.species.values[0]
+    virial = np.zeros((3, 3, 3))
+    row = exact.species.values[0]
     names = ("contact_i", "contact_j", "contact_force", "contact_point")
     for i, j, f, c in zip(*(exact[name].values[0] for name in names), strict=True):
         for k, force in ((i - 1, f), (j - 1, -f)):
@@ -151,7 +153,8 @@ def test_a_sphere_whose_partner_is_not_in_the_file(tmp_path):
     """The middle of both centres and the overlap tell its size."""
     write_vtp(tmp_path / "P_1.vtp", [[0, 0, 0], [9, 9, 9]], Particle_ID=[4, 5], Diameter=[2.0, 2.0])
     # spheres of radius 1 and 4 that overlap by 0.5: centres 4.5 apart, the contact 0.75 from the small one
-    middle, overlap = [[0, 0, 2.25]] * 2, [0.5, 0.5]
+    middle = [[0, 0, 2.25]] * 2
+    overlap = [0.5, 0.5]
     write_contacts(
         tmp_path / "FC_1.vtp",
         [4, 8],
@@ -175,7 +178,8 @@ def test_messages_count_rows_of_the_file(tmp_path):
         Particle_ID=[4, 5, 6],
         Diameter=[2.0] * 3,
     )
-    middle, point = [[0.5, 0, 0], [1.5, 0, 0], [0, 0, 2.25]], [[1, 0, 0], [1, 0, 0], [0, 0, 0.5]]
+    middle = [[0.5, 0, 0], [1.5, 0, 0], [0, 0, 2.25]]
+    point = [[1, 0, 0], [1, 0, 0], [0, 0, 0.5]]
     write_contacts(
         tmp_path / "FC_1.vtp", [4, 4, 4], [5, 5, 7], np.eye(3)[[0, 0, 2]], middle, FORCE_CHAIN_CONTACT_POINT=point,
         FORCE_CHAIN_LENGTH=[1.0, 1.0, 4.5],
@@ -224,7 +228,8 @@ def write_superquadrics(folder, step=1, seed=0, shape="SQP_01"):
     )  # fmt: skip
     rows = []
     for k in rng.permutation(len(i)):
-        n, length = -branch[k] / distance[k], distance[k]
+        n = -branch[k] / distance[k]
+        length = distance[k]
         if sphere[
             k
         ]:  # stands once: the middle of the centres, and a point that is off by one overlap
@@ -307,7 +312,8 @@ def test_a_box_that_contradicts_contacts_across_its_edge_warns(tmp_path, length,
 
 def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contacts(tmp_path):
     """Two bodies in a box of two diameters: one pair of ids, two contacts, four rows."""
-    force, touch = np.array([[1.0, 0, 0], [-2, 0, 0]]), np.array([[0.5, 0, 0], [1.0, 0, 0]])
+    force = np.array([[1.0, 0, 0], [-2, 0, 0]])
+    touch = np.array([[0.5, 0, 0], [1.0, 0, 0]])
     centres = np.array([[0.25, 0, 0], [0.75, 0, 0]])
     rows = [(1, 2, -force[0], touch[0], centres[0]), (1, 2, -force[0], touch[0], centres[1]),
             (1, 2, -force[1], touch[1] - [1, 0, 0], centres[0]), (2, 1, force[1], touch[1], centres[1]),

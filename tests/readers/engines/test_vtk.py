@@ -16,7 +16,8 @@ X = np.array([[0.0, 0, 0], [0.9, 0, 0], [5, 5, 5]])
 
 def write_spheres(path, x=X, mode="Appended", **arrays):
     """As YADE's VTKRecorder does: a vertex for each sphere."""
-    points, grid = vtkPoints(), vtkUnstructuredGrid()
+    points = vtkPoints()
+    grid = vtkUnstructuredGrid()
     points.SetData(numpy_to_vtk(x, deep=True))
     grid.SetPoints(points)
     for k in range(len(x)):
@@ -34,7 +35,10 @@ def write_spheres(path, x=X, mode="Appended", **arrays):
 
 def write_lines(path, ends, mode="Appended", verts=0, **arrays):
     """Each contact a line between two centres, with arrays of cells."""
-    points, lines, others, data = vtkPoints(), vtkCellArray(), vtkCellArray(), vtkPolyData()
+    points = vtkPoints()
+    lines = vtkCellArray()
+    others = vtkCellArray()
+    data = vtkPolyData()
     points.SetData(numpy_to_vtk(np.reshape(np.asarray(ends, float), (-1, 3)), deep=True))
     data.SetPoints(points)
     for k in range(len(ends)):

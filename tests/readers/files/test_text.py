@@ -195,7 +195,8 @@ def test_zstd_is_read_as_plain_text_is(tmp_path, opened):
     path.write_bytes(
         b"".join(zstd().compress(text.encode()) for text in ["".join(texts[:5]), *texts[5:]])
     )  # frames
-    scene, expected = open_scene(path), open_scene(plain)
+    scene = open_scene(path)
+    expected = open_scene(plain)
     np.testing.assert_array_equal(scene.position, expected.position)
     opened.clear()
     for ref in lammps.index_particles([str(path)], ReadOptions()):
@@ -224,7 +225,8 @@ def test_zstd_without_its_package_names_the_extra(tmp_path, monkeypatch):
 def test_concatenated_gzip_files_are_read(tmp_path, count):
     """The last bytes of such a file tell the size of its last step only, which is that of one step."""
     rng = np.random.default_rng(0)
-    texts, positions = [], []
+    texts = []
+    positions = []
     for t in range(3):
         positions.append(rng.random((count, 3)))
         lines = [

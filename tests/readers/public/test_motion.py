@@ -313,7 +313,8 @@ def test_displacements_need_no_times(tmp_path, kind):
 
 
 def test_times_given_at_any_place_make_rates(tmp_path):
-    path, expected = still_flow(tmp_path / "p.dump"), 1e-3 / 0.01
+    path = still_flow(tmp_path / "p.dump")
+    expected = 1e-3 / 0.01
     ds = xcg.open_scene(path)
     scenes = [
         xcg.open_scene(path, timestep=1e-5),

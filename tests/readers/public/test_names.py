@@ -376,7 +376,8 @@ def test_other_codes_share_the_table(tmp_path):
     ],
 )
 def test_arrays_of_vtk_are_named_as_columns_are(tmp_path, names):
-    points, poly = vtk.vtkPoints(), vtk.vtkPolyData()
+    points = vtk.vtkPoints()
+    poly = vtk.vtkPolyData()
     points.SetData(numpy_to_vtk(np.array([[0.0, 0, 0], [1, 0, 0]]), deep=True))
     poly.SetPoints(points)
     velocity = [[1.0, 2, 3], [4, 5, 6]]

@@ -31,7 +31,8 @@ WRITERS = {  # of PolyData, and of unstructured grids
 def vertices(kind, x=X, order=None, of_cells=False, time=None, **arrays):
     """Data set of one vertex for each point, in any order, with arrays of the points or of the vertices."""
     order = range(len(x)) if order is None else order
-    data, points = kind(), vtkPoints()
+    data = kind()
+    points = vtkPoints()
     points.SetData(numpy_to_vtk(np.asarray(x, float), deep=True))
     data.SetPoints(points)
     if kind is vtkPolyData:
@@ -230,7 +231,9 @@ def test_masses_of_a_legacy_series_are_those_of_the_fields(tmp_path):
 def test_contacts_as_legacy_lines_are_read(tmp_path, binary, arrays):
     """As YADE's exportInteractions does: a line between two centres, forces as arrays of the lines."""
     (tmp_path / "g_1.vtk").write_text(OF_YADE)
-    data, points, lines = vtkPolyData(), vtkPoints(), vtkCellArray()
+    data = vtkPolyData()
+    points = vtkPoints()
+    lines = vtkCellArray()
     points.SetData(numpy_to_vtk(X[[0, 1, 1, 2]], deep=True))
     data.SetPoints(points)
     lines.InsertNextCell(2, [0, 1])

@@ -70,7 +70,8 @@ def test_anisotropies_of_a_plane(a_c, a_n, a_t, a_b):
     zero = np.zeros_like(theta)
     normal = np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
     tangent = np.stack([-np.sin(angle), np.cos(angle), zero], axis=1)
-    along, across = f0 * (1 + a_n * np.cos(2 * theta)), -f0 * a_t * np.sin(2 * theta)
+    along = f0 * (1 + a_n * np.cos(2 * theta))
+    across = -f0 * a_t * np.sin(2 * theta)
     force = along[:, None] * normal + across[:, None] * tangent
     ds = at_one_point(normal, force, d0 * (1 + a_b * np.cos(2 * theta)), dimension=2)
     f = found_at(ds)
@@ -102,7 +103,10 @@ ICOSAHEDRON = np.array(
 
 def test_anisotropies_of_forces_and_branches_in_space():
     """Guo & Zhao: f_n = f0 (1 + a : n n), f_t = f0 (a . n - (n . a . n) n), and the stress from them."""
-    rng, n, f0, d0 = np.random.default_rng(2), ICOSAHEDRON, 2.0, 1.5
+    rng = np.random.default_rng(2)
+    n = ICOSAHEDRON
+    f0 = 2.0
+    d0 = 1.5
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     a_n, a_t, a_b = (turn @ np.diag([-x / 3, -x / 3, 2 * x / 3]) @ turn.T for x in (0.4, 0.3, 0.2))
     along = f0 * (1 + np.einsum("ij,ni,nj->n", a_n, n, n))
@@ -123,7 +127,8 @@ def test_anisotropies_of_forces_and_branches_in_space():
 @pytest.mark.filterwarnings("ignore:.*do not fit")  # grains lie on each other
 def test_anisotropy_of_contacts_in_space():
     """Contacts by direction as (1 + a (z^2 - 1/3)) / 4 pi, each an equal share: a_1 - a_3 = a."""
-    a, share = 0.6, (np.arange(1500) + 0.5) / 1500
+    a = 0.6
+    share = (np.arange(1500) + 0.5) / 1500
     z = 2 * share - 1
     for _ in range(60):
         z -= ((z + 1) / 2 + a / 6 * (z**3 - z) - share) / (0.5 + a / 6 * (3 * z**2 - 1))
@@ -153,13 +158,17 @@ PLACES = [
 @pytest.mark.parametrize(("scene", "axes"), PLACES)
 def test_sums_over_contacts_equal_brute_force(scene, axes):
     ds = xcg.datasets.random_scene(60, seed=12, **scene)
-    plane, dimension, friction = ds.attrs["plane"], ds.attrs["dimension"], 0.4
+    plane = ds.attrs["plane"]
+    dimension = ds.attrs["dimension"]
+    friction = 0.4
     extent = {a: 4.0 for a in plane if a not in axes and a not in ds.attrs["periodic"]}
     options = {"axes": axes, "width": 0.8, "spacing": 0.9, "extent": extent, "by": "species"}
     f = ds.cg.coarse_grain(ALL, friction=friction, **options)
     free = ds.cg.coarse_grain("redundancy_number", friction=1e9, **options).redundancy_number
     frame = {name: ds[name].to_numpy()[0] for name in ds.data_vars}
-    position, point, force = frame["position"], frame["contact_point"], frame["contact_force"]
+    position = frame["position"]
+    point = frame["contact_point"]
+    force = frame["contact_force"]
     box = frame["box"]
     period = np.array(
         [np.ptp(box[k]) if a in ds.attrs["periodic"] else np.inf for k, a in enumerate("xyz")]
@@ -223,7 +232,9 @@ def test_sums_over_contacts_equal_brute_force(scene, axes):
         g = f.sel(phase=phase)
         one = np.ones(len(species)) if phase == "bulk" else (species == int(phase)).astype(float)
         psi = contacts * np.where(j < 0, one[i], (one[i] + one[j]) / 2)
-        n_c, length, push = psi.sum(1), psi @ (branch * normal).sum(1), psi @ along
+        n_c = psi.sum(1)
+        length = psi @ (branch * normal).sum(1)
+        push = psi @ along
         with np.errstate(all="ignore"):
 
             def over(a, b):

@@ -29,7 +29,9 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         [np.ptp(frame["box"][k]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)]
     )
     plane = ["xyz".index(a) for a in ds.attrs["plane"]]
-    pos, vel, mass = frame["position"], frame["velocity"], frame["mass"]
+    pos = frame["position"]
+    vel = frame["velocity"]
+    mass = frame["mass"]
     turn = frame.get("angular_velocity", np.zeros_like(vel))
     inertia = frame.get("moment_of_inertia", np.zeros(len(mass)))
     far = [math.ceil(2 * kernel.c / p) + 1 if p else 0 for p in period]
@@ -41,11 +43,17 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
             [v - p * round(v / p) if p else v for v, p in zip(vector, period, strict=True)]
         )
 
-    torque, power, sides, contacts = np.zeros((len(mass), 3)), np.zeros(len(mass)), [], []
+    torque = np.zeros((len(mass), 3))
+    power = np.zeros(len(mass))
+    sides = []
+    contacts = []
     for n, (i, j) in enumerate(zip(frame["contact_i"], frame["contact_j"], strict=True)):
         if i < 0:
             continue
-        c, f, speeds, arms = frame["contact_point"][n], frame["contact_force"][n], [], []
+        c = frame["contact_point"][n]
+        f = frame["contact_force"][n]
+        speeds = []
+        arms = []
         for k, sign in ((i, 1.0), (j, -1.0)):
             if k < 0:
                 speeds.append(
@@ -71,14 +79,19 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         out.setdefault(name, []).append(value)
 
     for r in points:
-        own, weights = [], []
+        own = []
+        weights = []
         for shift in shifts:
             q = np.linalg.norm((pos + shift - r)[:, axes], axis=1)
             hit = np.flatnonzero(q < kernel.c)
             own.append(hit)
             weights.append(scale * kernel(q[hit]))
-        k, w = np.concatenate(own), np.concatenate(weights)
-        v, o, m, j = vel[k], turn[k], mass[k] * w, inertia[k] * w
+        k = np.concatenate(own)
+        w = np.concatenate(weights)
+        v = vel[k]
+        o = turn[k]
+        m = mass[k] * w
+        j = inertia[k] * w
         V = m @ v / m.sum() if len(k) else np.zeros(3)
         W = j @ o / j.sum() if j.any() else np.full(3, np.nan)
         put("inertia_density", j.sum())
@@ -100,7 +113,8 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         put("rotational_temperature", temperature)
         put("torque_density", w @ torque[k])
         put("contact_power", w @ power[k])
-        kinetic, whirl = 0.5 * m * (v**2).sum(axis=1), 0.5 * j * (o**2).sum(axis=1)
+        kinetic = 0.5 * m * (v**2).sum(axis=1)
+        whirl = 0.5 * j * (o**2).sum(axis=1)
         put("kinetic_energy", (kinetic + whirl).sum())
         put("rotational_kinetic_energy", whirl.sum())
         put("mean_kinetic_energy", 0.5 * m.sum() * V @ V)
@@ -108,7 +122,9 @@ def by_definition(ds, kernel, points, seen="xyz", scale=1.0):
         put("kinetic_energy_flux", (kinetic + whirl) @ v)
         q = (0.5 * m * ((v - V) ** 2).sum(axis=1) + whirl) @ (v - V)
         put("kinetic_heat_flux", q)
-        couple, flux, heat = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+        couple = np.zeros((3, 3))
+        flux = np.zeros(3)
+        heat = np.zeros(3)
         points_of = dict.fromkeys(("contact_couple_density", "dissipation_rate", "wall_power"), 0.0)
         for shift in shifts:
             for start, b, t, p, f in sides:
@@ -253,10 +269,8 @@ def test_vorticity_and_stress_power():
 def test_phases_add_up(name):
     ds = grains_at_moving_walls(7, 150)
     f = ds.cg.coarse_grain([name], by="species", width=0.8)[name]
-    parts, bulk = (
-        f.isel(phase=slice(1, None)).sum("phase", skipna=False),
-        f.sel(phase="bulk", drop=True),
-    )
+    parts = f.isel(phase=slice(1, None)).sum("phase", skipna=False)
+    bulk = f.sel(phase="bulk", drop=True)
     whole = ds.cg.coarse_grain([name], width=0.8)[name]
     assert float(abs(whole).max()) > 0
     for found in (parts, bulk):
@@ -267,13 +281,15 @@ def test_fluctuations_of_phases_are_about_the_bulk():
     ds = grains_at_moving_walls(8, 400)
     f = ds.cg.coarse_grain(["spin", "spin_fluctuation", "kinetic_heat_flux", "velocity"], by="species", width=1.0,
                            at={"x": 2.0, "y": 2.0, "z": 2.0}, axes="").isel(time=0)  # fmt: skip
-    kernel, x = BruteKernel("lucy", 1.0), ds.position.values[0] - 2.0
+    kernel = BruteKernel("lucy", 1.0)
+    x = ds.position.values[0] - 2.0
     x -= np.array([5.0, 5.0, 0.0]) * np.rint(x / 5.0)
     w = kernel(np.linalg.norm(x, axis=1)) * (ds.species.values[0] == 1)
     inertia, mass, omega, v = (
         ds[n].values[0] for n in ("moment_of_inertia", "mass", "angular_velocity", "velocity")
     )
-    o, v = omega - f.spin.sel(phase="bulk").values, v - f.velocity.sel(phase="bulk").values
+    o = omega - f.spin.sel(phase="bulk").values
+    v = v - f.velocity.sel(phase="bulk").values
     one = f.sel(phase="1")
     np.testing.assert_allclose(
         one.spin_fluctuation, np.einsum("n,ni,nj->ij", w * inertia, o, o), rtol=1e-11
@@ -292,10 +308,8 @@ def test_energy_has_three_parts_and_fluxes_add_up():
     f = f.sel(phase="bulk")
     V = f.velocity.fillna(0.0)
     work = (V * f.stress).sum("component").rename(direction="component")
-    total, found = (
-        f.kinetic_energy_flux + f.contact_energy_flux,
-        f.kinetic_energy * V + work + f.heat_flux,
-    )
+    total = f.kinetic_energy_flux + f.contact_energy_flux
+    found = f.kinetic_energy * V + work + f.heat_flux
     np.testing.assert_allclose(found, total, rtol=0, atol=1e-13 * float(abs(total).max()))
 
 
@@ -452,8 +466,11 @@ def test_grains_held_in_place_are_walls_that_move():
     ]
     f = held.cg.coarse_grain(names, width=0.9, spacing=1.0)
     # the same, with velocities of the walls written out
-    i, j = ds.contact_i.values[0], ds.contact_j.values[0]
-    species, x, c = ds.species.values[0], ds.position.values[0], ds.contact_point.values[0]
+    i = ds.contact_i.values[0]
+    j = ds.contact_j.values[0]
+    species = ds.species.values[0]
+    x = ds.position.values[0]
+    c = ds.contact_point.values[0]
     b = c - x[j]
     b -= 5.0 * np.rint(b / 5.0)
     u_j = ds.velocity.values[0][j] + np.cross(ds.angular_velocity.values[0][j], b)
@@ -545,13 +562,12 @@ def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):
     """Two frames, dt apart, of grains that move and turn under constant forces and torques from the middle."""
     middle = xcg.datasets.random_scene(100, seed=seed, periodic="xyz")
     get = {name: middle[name].values[0] for name in middle.data_vars}
-    i, j, force, point = (
-        get["contact_i"],
-        get["contact_j"],
-        1e3 * get["contact_force"],
-        get["contact_point"],
-    )
-    total, torque = np.zeros((100, 3)), np.zeros((100, 3))
+    i = get["contact_i"]
+    j = get["contact_j"]
+    force = 1e3 * get["contact_force"]
+    point = get["contact_point"]
+    total = np.zeros((100, 3))
+    torque = np.zeros((100, 3))
     for row, sign in ((i, 1), (j, -1)):
         b = point - get["position"][row]
         b -= 5.0 * np.rint(b / 5.0)
@@ -560,7 +576,9 @@ def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):
     a = total / get["mass"][:, None] + np.array(gravity)
     alpha = torque / get["moment_of_inertia"][:, None]
     s = np.array([-dt / 2, dt / 2])
-    x, v, o = get["position"], get["velocity"], get["angular_velocity"]
+    x = get["position"]
+    v = get["velocity"]
+    o = get["angular_velocity"]
     # contact points move with i, and forces stay: branches and torques change by their size times dt^2 in the mean
     return xcg.scene_from_arrays(
         [x + t * v + t**2 / 2 * a for t in s], velocity=[v + t * a for t in s],
@@ -703,7 +721,8 @@ def test_rotation_and_energy_in_plane_shear():
         total.contact_power, total.wall_power - total.dissipation_rate, rtol=1e-6, atol=1e-3
     )
     # all frames: what contacts take up is the power of the walls, and stress times rate, within the errors
-    gamma, walls = total.dissipation_rate.values, np.loadtxt(folder / "means.txt")[:, 3]
+    gamma = total.dissipation_rate.values
+    walls = np.loadtxt(folder / "means.txt")[:, 3]
     error = np.hypot(standard_error(gamma), standard_error(walls))
     assert abs(gamma.mean() - walls.mean()) < 2 * error < 0.4 * walls.mean()
     middle = f.sel(z=slice(2.5, 8.5))

@@ -36,7 +36,9 @@ def test_errors_are_the_scatter_of_draws(case):
 def test_a_steady_part_counts_as_far_as_it_exceeds_its_noise(slope):
     """The kinetic stress s and its steady part t = s - rho Theta, component by component."""
     mixed = np.random.default_rng(2).normal(size=(3, 3))
-    theta, mass, share = mixed @ mixed.T, 1.7, 0.04
+    theta = mixed @ mixed.T
+    mass = 1.7
+    share = 0.04
     steady = slope * np.outer([1.0, 2.0, 0.5], [1.0, 2.0, 0.5])
     whole = mass * theta + steady
     fields = SimpleNamespace(kinetic_stress=whole, _covariance=theta, _share=np.array(share))
@@ -70,10 +72,8 @@ def test_a_cylinder_has_errors_of_velocity_spin_and_means():
 def test_errors_of_linear_fields_by_propagation():
     """G_kl = sum_i v_ik c_il with c_i = w_i A x_i: a sum T:G has the variance sum_i (T c_i) Theta (T c_i)."""
     rng = np.random.default_rng(8)
-    place, mixed = (
-        rng.uniform(-1.5, 1.5, (60, 3)),
-        np.array([[1.0, 0, 0], [0.9, 0.3, 0], [-0.5, 0.6, 0.4]]),
-    )
+    place = rng.uniform(-1.5, 1.5, (60, 3))
+    mixed = np.array([[1.0, 0, 0], [0.9, 0.3, 0], [-0.5, 0.6, 0.4]])
     ds = xcg.scene_from_arrays(
         place,
         velocity=rng.normal(size=(60, 3)) @ mixed.T,
@@ -120,7 +120,8 @@ def test_the_error_of_a_mean_by_brute_force():
     apart[:, 0] -= LENGTH * np.rint(apart[:, 0] / LENGTH)
     w = one.mass.values * xcg.Lucy(1.5, dimension=3).value(np.linalg.norm(apart, axis=1))
     q = one.charge.values
-    mean, share = (w @ q) / w.sum(), (w @ w) / w.sum() ** 2
+    mean = (w @ q) / w.sum()
+    share = (w @ w) / w.sum() ** 2
     variance = (w @ (q - mean) ** 2) / (w.sum() - w @ w / w.sum())
     assert f.charge_error.item() == pytest.approx(np.sqrt(variance * share), rel=1e-10)
     expected = np.sqrt(f.directional_temperature.values.ravel() * share)

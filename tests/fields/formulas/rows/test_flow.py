@@ -78,10 +78,8 @@ def test_kernel_and_finite_difference_temperatures_by_brute_force():
         f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], **options).isel(
             time=0
         )
-        slopes, temperature = (
-            f.velocity_gradient.values.reshape(-1, 3, 3),
-            f.granular_temperature.values.ravel(),
-        )
+        slopes = f.velocity_gradient.values.reshape(-1, 3, 3)
+        temperature = f.granular_temperature.values.ravel()
         for n, (w, x, v) in enumerate(around(ds, f, 0.6)):
             rest = v - (w @ v) / w.sum() - (x - (w @ x) / w.sum()) @ slopes[n].T
             np.testing.assert_allclose(temperature[n], (w @ rest**2).sum() / w.sum() / 3, rtol=1e-9)

@@ -59,7 +59,9 @@ def test_order_of_directors_spread_over_a_plane_is_minus_one_half(normal):
 
 
 def test_brute_force_at_a_node_with_phases():
-    ds, at, width = rods(isotropic, 300), {"x": 2.0, "y": 3.0, "z": 2.5}, 0.8
+    ds = rods(isotropic, 300)
+    at = {"x": 2.0, "y": 3.0, "z": 2.5}
+    width = 0.8
     f = ds.cg.coarse_grain(NAMES, axes="", at=at, width=width, by="species")
     apart = ds.position.values[0] - list(at.values())
     apart -= 6 * np.rint(apart / 6)

@@ -132,7 +132,8 @@ def test_the_lode_angle_has_the_invariants_of_the_deviator():
     stress = f.stress.values
     stress = (stress + np.swapaxes(stress, -1, -2)) / 2
     deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
-    j2, j3 = (deviator**2).sum((-2, -1)) / 2, np.linalg.det(deviator)
+    j2 = (deviator**2).sum((-2, -1)) / 2
+    j3 = np.linalg.det(deviator)
     np.testing.assert_allclose(np.cos(3 * f.lode_angle), 1.5 * np.sqrt(3) * j3 / j2**1.5, rtol=1e-9)
     assert f.lode_angle.min() >= 0
     assert f.lode_angle.max() <= np.pi / 3

@@ -41,7 +41,9 @@ def left_by_fit(ds, kernel, node, axes, gradient):
         a in ds.attrs["periodic"] for a in "xyz"
     ]
     reach = [range(-5, 6) if k in axes else [0] for k in range(3)]
-    mass, species, parts = one["mass"].values, one["species"].values, []
+    mass = one["mass"].values
+    species = one["species"].values
+    parts = []
     for shift in itertools.product(*reach):
         x = (one["position"].values + np.array(shift) * box - node)[:, axes]
         weight = mass * kernel(np.linalg.norm(x, axis=1))
@@ -312,7 +314,8 @@ def test_temperatures_of_a_mixture_in_a_cylinder():
 def test_the_bulk_is_the_mean_by_mass_and_negative_temperatures_are_nan():
     ds, _ = mixture(2)
     f = ds.cg.coarse_grain(["granular_temperature", "fluctuation_stress"], by="species")
-    t, rho = f.granular_temperature, f.density
+    t = f.granular_temperature
+    rho = f.density
     left = f.fluctuation_density_by_pair.isel(other_phase=[0, 1]).rename(other_phase="of")
     residual = sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz") / 3
     c = left.isel(phase=[1, 2]).transpose(..., "phase", "of").values
