@@ -861,7 +861,7 @@ TABLE = [
     ),
     # --- jobs ---
     Mutation(
-        "jobs/config.py", "(number - (start or 0)) % stride", "number % stride",
+        "jobs/pysammos_config.py", "(number - (start or 0)) % stride", "number % stride",
         "test_steps_of_a_configuration_count_from_the_first",
     ),
     Mutation(
@@ -869,7 +869,7 @@ TABLE = [
         "test_resume_never_starts_over",
     ),
     Mutation(
-        "jobs/config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)',
+        "jobs/toml_config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)',
         "test_what_a_job_leaves_out_has_the_documented_default",
     ),
 ]  # fmt: skip

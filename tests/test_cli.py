@@ -22,7 +22,7 @@ from tests.readers.engines.test_mfix import write_contacts, write_particles, wri
 from tests.writers.test_vtkhdf import read
 from xcg.analysis.force_chains import Algorithm
 from xcg.cli import group, statistics_table
-from xcg.jobs import config
+from xcg.jobs import pysammos_config
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import ON_ERROR
@@ -216,8 +216,8 @@ def test_steps_without_contact_files_run(series):
 def test_steps_of_a_configuration_count_from_the_first(tmp_path, steps, expected):
     for number in range(1, 11):
         (tmp_path / f"P_{number:04d}.vtp").touch()
-    found = config._files(
-        tmp_path, "P_", config._Section(tmp_path, "timesteps", steps), required=True
+    found = pysammos_config._files(
+        tmp_path, "P_", pysammos_config._Section(tmp_path, "timesteps", steps), required=True
     )
     assert found == [str(tmp_path / f"P_{number:04d}.vtp") for number in expected]
 

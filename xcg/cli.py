@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from xcg.analysis.force_chains import Algorithm
-    from xcg.jobs.config import Job
+    from xcg.jobs.job import Job
     from xcg.steps.faults import OnError
 
 

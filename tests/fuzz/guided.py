@@ -12,7 +12,7 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["xcg.readers", "xcg.jobs.config"]):
+with atheris.instrument_imports(include=["xcg.readers", "xcg.jobs"]):
     pass
 
 from tests.fuzz import targets

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from xcg.common.checks import extra
-from xcg.jobs.config import PATHS, Job
+from xcg.jobs.job import PATHS, Job
 
 _ANSWERS_WITHIN = 5.0  # seconds
 

@@ -24,7 +24,7 @@ from xcg.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.common.messages import SceneError, unknown
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.jobs.config import PATHS, Job
+from xcg.jobs.job import PATHS, Job
 from xcg.readers.open import open_scene
 from xcg.readers.paths import expand_paths
 from xcg.scene.conform import conform
