@@ -354,8 +354,16 @@ TABLE = [
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums test_fields_equal_the_columns_of_mercury",
     ),
     Mutation(
-        "fields/formulas/averages.py", "(count - 2) / (count - 2 + t**2)", "(count - 2) / (count - 2 + t)",
+        "fields/formulas/doubts.py", "(count - 2) / (count - 2 + t**2)", "(count - 2) / (count - 2 + t)",
         "test_a_trend_warns_where_it_exceeds_three_of_its_errors",
+    ),
+    Mutation(
+        "fields/formulas/doubts.py", "weight.sum(dim) ** 2 / squares", "weight.sum(dim) / squares",
+        "test_means_of_few_steps_warn_of_the_share_within_two_errors test_means_of_many_steps_are_silent",
+    ),
+    Mutation(
+        "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
+        "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),
     Mutation(
         "fields/formulas/averages.py", "biases.append((count - 1) *", "biases.append(count *",

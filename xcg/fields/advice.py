@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import second_moment, squared_integral, takes_stress_of_step
+from xcg.fields.formulas.doubts import UNKNOWN
 from xcg.fields.formulas.field import Support
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of
@@ -240,7 +241,6 @@ def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
 
 _CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
 _CONSIDERABLE = 0.05  # share of the pressure
-_UNKNOWN = 0.16  # of normal values, these are negative where the error is as large as the mean
 
 _TURN = threading.Lock()  # so that the first step of several threads warns of all effects
 # means of squared fluctuations
@@ -342,7 +342,7 @@ class ComputedStep:
             phases = [
                 f"{100 * share:.0f} % of the nodes of phase {group}"
                 for group, share in zip(plan.deposit.groups, shares[1:], strict=True)
-                if share > _UNKNOWN
+                if share > UNKNOWN
             ]
             if phases:
                 effects[f"{name} of phases"] = (

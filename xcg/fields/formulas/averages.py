@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -25,8 +24,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
-from xcg.common.messages import Once, active_call, warn_once
+from xcg.common.messages import active_call, warn_once
 from xcg.fields.formulas import registry
+from xcg.fields.formulas.doubts import NOT_NODES, Steadiness, with_unknown_temperatures
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.fields.sums.kernels import Kernel, kernel_of
@@ -42,9 +42,7 @@ from xcg.steps.labels import format_call, provenance
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
 MIN_BIAS_BLOCKS = 8
-CHANCE = 0.0027  # of more than three standard errors
 _ROUNDING = 1e-6  # of the largest value
-_NOT_NODES = ("component", "direction", "phase", "other_phase")
 _SAMPLE = "_sample"
 _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
 
@@ -91,9 +89,9 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
-        mean = _from_sums((sums * sums["r"]).sum(others, skipna=False) / area, f)
+        mean = _average_of((sums * sums["r"]).sum(others, skipna=False) / area, f, "profile")
         return mean.set_coords(beside)
-    mean = _from_sums(sums.mean(others, skipna=False), f)
+    mean = _average_of(sums.mean(others, skipna=False), f, "profile")
     if not noise or not set(others) <= set(COMPONENTS):
         return mean.set_coords(beside)
     count = _independent(f, others)
@@ -193,15 +191,17 @@ def time_average(
     noisy = {name: samples[_noise_of(name)] for name in noise}
     samples = samples.drop_vars([_noise_of(name) for name in noise])
     samples = _to_sums(samples, "time_average", [_SAMPLE])
-    mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
+    mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, "time_average")
     blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f), independent=of_runs)
     in_a_mean = samples.sizes[_SAMPLE]
+    rows = _rows_of(f)
     names = [name for name in map(str, mean.data_vars) if name not in sums_beside]
-    steadiness = _Steadiness(blocks, names, in_a_mean, active_call())
+    weights = {name: getattr(rows.get(name), "weight", "") for name in names}
+    steadiness = Steadiness(blocks, weights, in_a_mean, _SAMPLE, active_call())
     biased: set[str] = set()
     if in_a_mean >= MIN_BIAS_BLOCKS:
         options = registry.options_of(f.attrs)
-        biased = {name for name, row in _rows_of(f).items() if row and _has_bias(row, options)}
+        biased = {name for name, row in rows.items() if row and _has_bias(row, options)}
     beside = {}
     for name in map(str, mean.data_vars):
         known = mean[name].variable.notnull()
@@ -210,7 +210,7 @@ def time_average(
         error = blocks.errors[name].variable.where(known)
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         if name not in sums_beside:
-            error = steadiness.checked(name, error)
+            error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
         beside[f"{name}_error"] = error
         if name in biased:
             bias = blocks.biases[name].variable.where(known)
@@ -234,7 +234,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     xarray joins different nodes to those of all, where the fields of some runs are NaN. Lazy fields
     are not read: there, averages are NaN.
     """
-    axes = (*COMPONENTS, "r", "theta", *_NOT_NODES)
+    axes = (*COMPONENTS, "r", "theta", *NOT_NODES)
     if dim in axes or dim not in f.dims:
         raise ValueError(
             f"time_average(dim={dim!r}): join the results of runs along a dimension of its own first, "
@@ -319,7 +319,7 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
     inside = {axis: (axis, f"{axis} in block") for axis in blocks}
     f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
     dims = [inner for _, inner in inside.values()]
-    mean = _from_sums(_to_sums(f, "coarsen", dims).mean(dims, skipna=False), f)
+    mean = _average_of(_to_sums(f, "coarsen", dims).mean(dims, skipna=False), f, "coarsen")
     return mean.assign_coords(places).set_coords(beside)
 
 
@@ -540,105 +540,6 @@ def _drift(of_others: xr.Dataset, of_mean: xr.Dataset, dim: str) -> xr.Dataset:
     change = abs(slope) * count * (count - 1)
     is_rounding = change <= _ROUNDING * abs(of_mean).max()
     return xr.where(is_rounding, 0.0, slope / error.where(error > 0, np.finfo(float).tiny))
-
-
-class _Steadiness:
-    """Checks of the errors of one average: no trend over its steps, and a plateau of its error."""
-
-    def __init__(self, blocks: Jackknife, names: Sequence[str], steps: int, call: Once) -> None:
-        self.blocks = blocks
-        self.steps = steps
-        self.call = call
-        tests = 0
-        for name in names:
-            sizes = blocks.errors[name].sizes
-            tests += math.prod(sizes[dim] for dim in _NOT_NODES if dim in sizes)
-        self.chance = CHANCE / max(tests, 1)
-
-    def checked(self, name: str, error: xr.Variable) -> xr.Variable:
-        """Return an error with the shares of nodes that drift or have no plateau; lazy ones warn when computed."""
-        if self.blocks.drifts is None:
-            return error
-        drift, growth = self._shares(name)
-        if error.chunks is None:
-            error.attrs["share_with_drift"] = float(drift)
-            if growth is not None:
-                error.attrs["share_without_plateau"] = float(growth)
-        if growth is None:
-            growth = xr.zeros_like(drift)
-
-        # without the blocks: their graph would be pickled for each name
-        warn = partial(_warned, self.call, name, self.steps, self.blocks.number)
-        attrs = error.attrs
-        error = xr.apply_ufunc(
-            warn, error, drift.variable, growth.variable, dask="parallelized", output_dtypes=[float]
-        )
-        error.attrs = attrs
-        return error
-
-    def _shares(self, name: str) -> tuple[xr.DataArray, xr.DataArray | None]:
-        """Return the shares of nodes with a drift and, without it, with an error that still grows."""
-        from scipy.special import betainc  # slow to import
-
-        assert self.blocks.drifts is not None
-        count = self.blocks.number
-        t = self.blocks.drifts[name]
-        # the two-sided t test
-        unexplained = (count - 2) / (count - 2 + t**2)
-        of_drift = _by_elements(betainc, count / 2 - 1, 0.5, unexplained)
-        drifts = of_drift < self.chance
-        share_of_drifts = self._share(drifts, t.notnull())
-        if self.blocks.growths is None:
-            return share_of_drifts, None
-        # the variance of n long blocks is one of 2 n - 1 squares of their halves, in steady series
-        growth = self.blocks.growths[name]
-        of_long = (growth**2 * (count - 1) / (2 * count - 1)).clip(0.0, 1.0)
-        of_growth = _by_elements(betainc, count / 2, (count - 1) / 2, 1.0 - of_long)
-        grows = (of_growth < self.chance) & ~drifts
-        return share_of_drifts, self._share(grows, growth.notnull())
-
-    def _share(self, mask: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
-        """Return the share of nodes in a mask, of the component and phase with the largest."""
-        nodes = [dim for dim in mask.dims if dim not in _NOT_NODES]
-        count = known.sum(nodes)
-        return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
-
-
-def _warned(
-    call: Once,
-    name: str,
-    steps: int,
-    blocks: int,
-    errors: NDArray,
-    drift: NDArray,
-    growth: NDArray,
-) -> NDArray:
-    """Return the errors of a field; warn if most nodes have a drift or no plateau of the error."""
-    share_of_drift = float(np.max(drift))
-    share_of_growth = float(np.max(growth))
-    if share_of_drift > 0.5:
-        call.warn(
-            "drift",
-            f"time_average: {name} changes over the {steps} steps by more than three errors of this change "
-            f"at {100 * share_of_drift:.0f} % of the nodes, so that mean and error depend on where the series starts: "
-            f"leave its start out, f.isel(time=slice({(steps + 1) // 2}, None)).cg.time_average(), or take moving "
-            f"windows, time_average({max(steps // 4, 1)})",
-        )
-    if share_of_growth > 0.5:
-        length = steps // (2 * blocks)
-        call.warn(
-            "plateau",
-            f"time_average: the error of {name} is too small at {100 * share_of_growth:.0f} % of the nodes: it still "
-            f"grows from blocks of {length} steps to blocks of {2 * length}, as steps are repeated or correlated over "
-            "longer times. Average over a longer series, or leave repeated steps out, f.isel(time=slice(None, "
-            f"None, {2 * length}))",
-        )
-    return errors
-
-
-def _by_elements(function: Callable, *arrays: object) -> xr.DataArray:
-    """Return a function of SciPy by elements, lazily where an array is."""
-    return xr.apply_ufunc(function, *arrays, dask="parallelized", output_dtypes=[float])
 
 
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
@@ -948,6 +849,11 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
     if "phase" not in weight.dims:
         return weight
     return weight.sel(phase="bulk", drop=True)
+
+
+def _average_of(sums: xr.Dataset, f: xr.Dataset, purpose: str) -> xr.Dataset:
+    """Return the fields of `f` from averaged quantities, with the warnings that they are due."""
+    return with_unknown_temperatures(_from_sums(sums, f), registry.options_of(f.attrs), purpose)
 
 
 def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:

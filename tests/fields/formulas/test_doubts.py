@@ -1,0 +1,91 @@
+"""Warnings about averages: of few steps, and of temperatures that are unknown at many nodes."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+import xcg
+from tests import raise_if_dask_computes, truths
+
+
+def told(function, *args, **options):
+    """Return the result of a call, and the texts of its warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = function(*args, **options)
+    return result, [str(warning.message) for warning in caught]
+
+
+def gas_of_few_grains(steps, phi, width, seed=0):
+    """A map of grains at random places with the temperature 1, of which a node sees a few."""
+    rng = np.random.default_rng(seed)
+    side = 24.0
+    count = round(phi * side**2 * 4 / np.pi)
+    flat = [1.0, 1.0, 0.0]
+    ds = xcg.scene_from_arrays(
+        rng.uniform(0, side, (steps, count, 3)) * flat,
+        velocity=rng.normal(size=(steps, count, 3)) * flat,
+        diameter=np.ones((steps, count)),
+        density=1.0,
+        time=np.arange(steps),
+        box={"x": (0.0, side), "y": (0.0, side)},
+        periodic="xy",
+        dimension=2,
+        thickness=1.0,
+        units="reduced",
+    )
+    fields = ["granular_temperature", "directional_temperature", "velocity"]
+    return told(ds.cg.coarse_grain, fields, axes="xy", spacing=3.0, width=width)[0]
+
+
+def test_means_of_few_steps_warn_of_the_share_within_two_errors():
+    f = gas_of_few_grains(16, 0.5, 0.75)
+    mean, (text,) = told(f.cg.time_average)
+    assert "the mean of granular_temperature, directional_temperature, as" in text
+    weight = f.fluctuation_density.where(f.granular_temperature.notnull(), 0.0)
+    number = weight.sum("time") ** 2 / (weight**2).sum("time")
+    few = number.where(number < 5)
+    share = few.notnull().sum() / number.notnull().sum()
+    start = f"time_average: at {100 * float(share):.0f} % of the nodes {float(few.mean()):.1f} of the 16"
+    assert text.startswith(start)
+    temperature, error = mean.granular_temperature, mean.granular_temperature_error
+    within = (np.abs(temperature - 1) < 2 * error).where(error.notnull()).mean()
+    held = float(re.search(r"about (\d+) % of the values", text)[1])
+    assert 100 * float(within) == pytest.approx(held, abs=12)
+
+
+def test_means_of_many_steps_are_silent():
+    assert told(gas_of_few_grains(16, 0.5, 1.25).cg.time_average)[1] == []
+    f = gas_of_few_grains(16, 0.2, 0.75)
+    velocity = f[["velocity"]].drop_vars("fluctuation_density")
+    assert told(velocity.cg.time_average)[1] == []
+
+
+def test_windows_count_their_own_steps():
+    f = gas_of_few_grains(24, 0.5, 1.25)
+    assert told(f.cg.time_average, 12, every=4)[1] == []
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share(lazy):
+    ds = truths.gas(6, sizes=(1.0, 2.0))
+    options = {"by": "species", "spacing": 3.0, "width": "0.75 d43"}
+    f, _ = told(lambda: ds.cg.coarse_grain("granular_temperature", **options).compute())
+    average = f.cg.time_average
+    if lazy:
+        with raise_if_dask_computes():
+            average = f.chunk(time=2).cg.time_average().compute
+    mean, texts = told(average)
+    share = float(mean.granular_temperature.sel(phase="2").isnull().mean())
+    assert share > 0.16
+    (text,) = (text for text in texts if "is NaN" in text)
+    assert f"{100 * share:.0f} % of the nodes of phase 2: the values at the others" in text
+
+
+def test_averaged_temperatures_of_phases_that_are_known_are_silent():
+    ds = truths.gas(8, sizes=(1.0, 2.0))
+    f = ds.cg.coarse_grain("granular_temperature", by="species", spacing=3.0, width="1.5 d43")
+    assert told(f.cg.time_average)[1] == []
+    assert told(f.cg.profile, "z")[1] == []

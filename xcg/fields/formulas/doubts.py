@@ -1,0 +1,205 @@
+"""Warnings about averages: series that are not steady, means of few steps, temperatures and norms of few grains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.messages import Once, active_call
+from xcg.fields.formulas.field import Options
+
+if TYPE_CHECKING:
+    from xcg.fields.formulas.averages import Jackknife
+
+CHANCE = 0.0027  # of more than three standard errors
+NOT_NODES = ("component", "direction", "phase", "other_phase")
+# Of fewer steps two errors hold less than 87 % (Student's t with one degree of freedom less).
+_FEW = 5.0
+# Share of the nodes without a temperature above which the others are too large on average: of
+# normal values so many are negative where the error is as large as the mean.
+UNKNOWN = 0.16
+
+
+class Steadiness:
+    """Checks of the errors of one average: no trend over its steps, a plateau of its error, weight in many steps."""
+
+    def __init__(
+        self, blocks: Jackknife, weights: Mapping[str, str], steps: int, dim: str, call: Once
+    ) -> None:
+        self.blocks = blocks
+        self.weights = weights  # of each field that is checked, "" of sums
+        self.steps = steps
+        self.dim = dim
+        self.call = call
+        tests = 0
+        for name in weights:
+            sizes = blocks.errors[name].sizes
+            tests += math.prod(sizes[dim] for dim in NOT_NODES if dim in sizes)
+        self.chance = CHANCE / max(tests, 1)
+
+    def checked(self, name: str, error: xr.Variable, weight: xr.DataArray | None) -> xr.Variable:
+        """Return an error with the shares of nodes that drift or have no plateau; lazy ones warn when computed.
+
+        `weight` is that of each sample in the mean; None for what is no ratio of two sums.
+        """
+        if self.blocks.drifts is None:
+            return error
+        drift, growth = self._shares(name)
+        if error.chunks is None:
+            error.attrs["share_with_drift"] = float(drift)
+            if growth is not None:
+                error.attrs["share_without_plateau"] = float(growth)
+        zero = xr.zeros_like(drift)
+        few, effective = zero, zero
+        if weight is not None:
+            few, effective = _effective(weight, self.dim)
+        shares = [drift, zero if growth is None else growth, few, effective]
+
+        # without the blocks: their graph would be pickled for each name
+        sharing = [other for other, weight in self.weights.items() if weight == self.weights[name]]
+        warn = partial(_warned, self.call, name, sharing, self.steps, self.blocks.number)
+        attrs = error.attrs
+        variables = [share.variable for share in shares]
+        error = xr.apply_ufunc(warn, error, *variables, dask="parallelized", output_dtypes=[float])
+        error.attrs = attrs
+        return error
+
+    def _shares(self, name: str) -> tuple[xr.DataArray, xr.DataArray | None]:
+        """Return the shares of nodes with a drift and, without it, with an error that still grows."""
+        from scipy.special import betainc  # slow to import
+
+        assert self.blocks.drifts is not None
+        count = self.blocks.number
+        t = self.blocks.drifts[name]
+        # the two-sided t test
+        unexplained = (count - 2) / (count - 2 + t**2)
+        of_drift = _by_elements(betainc, count / 2 - 1, 0.5, unexplained)
+        drifts = of_drift < self.chance
+        share_of_drifts = _share(drifts, t.notnull())
+        if self.blocks.growths is None:
+            return share_of_drifts, None
+        # the variance of n long blocks is one of 2 n - 1 squares of their halves, in steady series
+        growth = self.blocks.growths[name]
+        of_long = (growth**2 * (count - 1) / (2 * count - 1)).clip(0.0, 1.0)
+        of_growth = _by_elements(betainc, count / 2, (count - 1) / 2, 1.0 - of_long)
+        grows = (of_growth < self.chance) & ~drifts
+        return share_of_drifts, _share(grows, growth.notnull())
+
+
+def _share(mask: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
+    """Return the share of nodes in a mask, of the component and phase with the largest."""
+    nodes = [dim for dim in mask.dims if dim not in NOT_NODES]
+    count = known.sum(nodes)
+    return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
+
+
+def _effective(weight: xr.DataArray, dim: str) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return the share of nodes where few steps have the weight of a mean, and the effective number of steps there."""
+    squares = (weight**2).sum(dim)
+    known = squares > 0
+    number = weight.sum(dim) ** 2 / squares.where(known)
+    few = number < _FEW
+    return _share(few, known), number.where(few).mean()
+
+
+def _warned(
+    call: Once,
+    name: str,
+    sharing: Sequence[str],
+    steps: int,
+    blocks: int,
+    errors: NDArray,
+    *shares: NDArray,
+) -> NDArray:
+    """Return the errors of a field; warn if most nodes have a drift, no plateau of the error, or few steps."""
+    drift, growth, few, effective = (float(np.max(share)) for share in shares)
+    if drift > 0.5:
+        call.warn(
+            "drift",
+            f"time_average: {name} changes over the {steps} steps by more than three errors of this change "
+            f"at {100 * drift:.0f} % of the nodes, so that mean and error depend on where the series starts: "
+            f"leave its start out, f.isel(time=slice({(steps + 1) // 2}, None)).cg.time_average(), or take moving "
+            f"windows, time_average({max(steps // 4, 1)})",
+        )
+    if growth > 0.5:
+        length = steps // (2 * blocks)
+        call.warn(
+            "plateau",
+            f"time_average: the error of {name} is too small at {100 * growth:.0f} % of the nodes: it still "
+            f"grows from blocks of {length} steps to blocks of {2 * length}, as steps are repeated or correlated over "
+            "longer times. Average over a longer series, or leave repeated steps out, f.isel(time=slice(None, "
+            f"None, {2 * length}))",
+        )
+    if few > 0.5:
+        names = ", ".join(sharing)
+        held = 100 * _held(effective)
+        call.warn(
+            f"few steps: {names}",
+            f"time_average: at {100 * few:.0f} % of the nodes {effective:.1f} of the {steps} steps have the weight in "
+            f"the mean of {names}, as a node sees too few grains in the others: about {held:.0f} % of the values are "
+            "within two of their errors, in place of 95 %. Average over more steps or along axes (axes=), or increase "
+            "width=",
+        )
+    return errors
+
+
+def _held(steps: float) -> float:
+    """Return the chance that a mean of so many steps is within two of its errors, by Student's distribution."""
+    from scipy.special import betainc
+
+    freedom = max(steps - 1, 1.0)
+    return float(1 - betainc(freedom / 2, 0.5, freedom / (freedom + 4)))
+
+
+def _by_elements(function: Callable, *arrays: object) -> xr.DataArray:
+    """Return a function of SciPy by elements, lazily where an array is."""
+    return xr.apply_ufunc(function, *arrays, dask="parallelized", output_dtypes=[float])
+
+
+def with_unknown_temperatures(mean: xr.Dataset, options: Options, purpose: str) -> xr.Dataset:
+    """Return an average whose temperatures warn where they are NaN at many nodes of a phase; lazy ones when computed.
+
+    Those that are left are then too large on average, as negative ones are NaN.
+    """
+    if options.temperature != "mixture" or "density" not in mean:
+        return mean
+    call = active_call()
+    reached = mean["density"] > 0
+    nodes = [dim for dim in reached.dims if dim not in NOT_NODES]
+    told = {}
+    for name in ("granular_temperature", "mixture_temperature"):
+        if name not in mean or "phase" not in mean[name].dims:
+            continue
+        values = mean[name]
+        lost = (reached & values.isnull()).sum(nodes) / reached.sum(nodes).clip(1)
+        phases = [label for label in values["phase"].to_numpy() if label != "bulk"]
+        shares = [lost.sel(phase=label, drop=True) for label in phases]
+        warn = partial(_warned_of_unknown, call, purpose, name, phases)
+        told[name] = xr.apply_ufunc(
+            warn, values, *shares, dask="parallelized", output_dtypes=[float], keep_attrs=True
+        )
+    return mean.assign(told)
+
+
+def _warned_of_unknown(
+    call: Once, purpose: str, name: str, phases: Sequence[str], values: NDArray, *shares: NDArray
+) -> NDArray:
+    """Return the temperatures of phases; warn if they are NaN at many nodes of one."""
+    texts = [
+        f"{100 * float(np.max(share)):.0f} % of the nodes of phase {phase}"
+        for phase, share in zip(phases, shares, strict=True)
+        if np.max(share) > UNKNOWN
+    ]
+    if texts:
+        call.warn(
+            f"unknown {name}",
+            f"{purpose}: {name} is NaN, as its error is larger, at {' and '.join(texts)}: the values at the others are "
+            "too large on average. Average over more steps or along axes (axes=), or increase width=",
+        )
+    return values
