@@ -326,7 +326,7 @@ TABLE = [
         "test_errors_are_the_scatter_of_draws",
     ),
     Mutation(
-        "fields/formulas/averages.py", "* np.sqrt(of_others.sizes[dim] - 1)", "* np.sqrt(of_others.sizes[dim])",
+        "fields/formulas/block_errors.py", "* np.sqrt(of_others.sizes[dim] - 1)", "* np.sqrt(of_others.sizes[dim])",
         "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
     ),
     Mutation(
@@ -366,7 +366,7 @@ TABLE = [
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),
     Mutation(
-        "fields/formulas/averages.py", "biases.append((count - 1) *", "biases.append(count *",
+        "fields/formulas/block_errors.py", "biases.append((count - 1) *", "biases.append(count *",
         "test_bias_of_kinetic_stress_is_that_of_a_variance",
     ),
     Mutation(
@@ -436,11 +436,11 @@ TABLE = [
         "test_runs_are_independent_samples_of_ratios_of_averaged_sums",
     ),
     Mutation(
-        "fields/formulas/averages.py", "if independent:", "if not independent:",
+        "fields/formulas/block_errors.py", "if independent:", "if not independent:",
         "test_a_drift_from_run_to_run_is_scatter",
     ),
     Mutation(
-        "fields/formulas/averages.py", "~(next_error <= _ROUNDING", "~(next_error <= 0 * _ROUNDING",
+        "fields/formulas/block_errors.py", "~(next_error <= _ROUNDING", "~(next_error <= 0 * _ROUNDING",
         "test_steady_series_are_silent",
     ),
     Mutation(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.analysis.diffusion import chosen_lags
 from xcg.common.messages import SceneWarning, warn_user
-from xcg.fields.formulas.averages import block_errors
+from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import describe

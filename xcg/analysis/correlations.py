@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
-from xcg.fields.formulas.averages import block_errors
+from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import (
     evenly_spaced,

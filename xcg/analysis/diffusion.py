@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.analysis.by_phase import with_bulk
 from xcg.common.checks import floats, is_whole
 from xcg.common.messages import plain
-from xcg.fields.formulas.averages import block_errors
+from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_ids, require_scene, takes_scene
 from xcg.scene.description import describe

@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once, active_call
+from xcg.fields.formulas.block_errors import Jackknife
 from xcg.fields.formulas.field import Options
-
-if TYPE_CHECKING:
-    from xcg.fields.formulas.averages import Jackknife
 
 CHANCE = 0.0027  # of more than three standard errors
 NOT_NODES = ("component", "direction", "phase", "other_phase")
