@@ -11,7 +11,6 @@ OTHERS = {
     "compiled/test_references.py": "points and segments, both against their references in NumPy",
     "compiled/test_uncompiled.py": "all loops, in Python and compiled",
     "fields/formulas/rows/test_temperature.py": "granular temperature, from sums and a fit to averages",
-    "fields/grids/test_points.py": "points, in the module of meshes",
     "readers/test_bounded.py": "limits on what files ask for, in texts, compressed files and the index",
     "scene/test_plausible.py": "warnings about implausible input, of scenes, calls and files",
     "steps/test_distributed.py": "the functions of all rooms under a cluster of processes",

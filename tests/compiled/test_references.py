@@ -15,7 +15,7 @@ from xcg.compiled.points import (
     deposit,
 )
 from xcg.compiled.polynomials import closed_for
-from xcg.compiled.reach import BATCH, batches_of
+from xcg.compiled.reach import BATCH, BlockNodes, Rows, batches_of, lists_for
 from xcg.compiled.segments import (
     SEGMENT,
     Segments,
@@ -23,7 +23,6 @@ from xcg.compiled.segments import (
     deposit_segments,
 )
 from xcg.fields.sums.kernels import kernel_of
-from xcg.fields.sums.nodes import MeshBlock
 
 xcg.register_kernel(
     "reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2
@@ -98,14 +97,17 @@ def reference_deposit_segments(start, branch, force, node, active, value):
 
 
 def mesh(axes):
-    """Block of nodes 0.4 cutoffs apart, the nodes as loops take them, and their places (n, 3)."""
+    """Nodes 0.4 cutoffs apart as loops take them, their places (n, 3), and the axes that count."""
     active = np.array([a in axes for a in "xyz"])
     shape = tuple(np.where(active, (4, 3, 5), 1).tolist())
-    block = MeshBlock((0, 0, 0), shape, shape, np.full(3, 0.4))
+    steps = tuple(np.where(active, 0.4, 1.0).tolist())
+    rows = Rows((0, 0, 0), shape, steps, tuple(1.0 / step for step in steps))
+    end = tuple((count - 1) * step for count, step in zip(shape, steps, strict=True))
+    nodes = BlockNodes((0.0, 0.0, 0.0), end, tuple(active.tolist()), (np.inf,) * 3, rows=rows)
     places = 0.4 * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(
         -1, 3
     )
-    return block, block.nodes(np.zeros(3), 1.0, active, np.full(3, np.inf)), places, active
+    return nodes, places, active
 
 
 def seen_kernel(name, axes):
@@ -119,7 +121,7 @@ def seen_kernel(name, axes):
 @pytest.mark.parametrize("name", KERNELS)
 def test_deposit_of_points_equals_its_reference(name, axes):
     rng = np.random.default_rng(1)
-    block, nodes, places, active = mesh(axes)
+    nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
     position = rng.uniform(-0.5, 2.0, (9, 3)) * active
     velocity = rng.normal(size=(9, 3)) + 1e3
@@ -131,7 +133,7 @@ def test_deposit_of_points_equals_its_reference(name, axes):
     grains = Grains(
         order, batches, position, velocity, mass, constants, phase, (0.0, 0.0, 0.0), 1.0
     )
-    scratch = Scratch(block.lists(nodes, [2.0] * 3), np.empty((BATCH, GRAIN + 4)))
+    scratch = Scratch(lists_for(nodes.rows, nodes.active, [2.0] * 3), np.empty((BATCH, GRAIN + 4)))
     for level in (SQUARED, CUBIC):
         sums = np.zeros((1, len(places), level + 4))
         reference = np.full((len(places), 3), np.nan)
@@ -151,7 +153,7 @@ def test_deposit_of_points_equals_its_reference(name, axes):
 @pytest.mark.parametrize("name", KERNELS)
 def test_deposit_of_segments_equals_its_reference(name, axes):
     rng = np.random.default_rng(2)
-    block, nodes, places, active = mesh(axes)
+    nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
     start = rng.uniform(0.0, 1.5, (5, 3))
     branch = rng.normal(size=(5, 3))
@@ -159,7 +161,8 @@ def test_deposit_of_segments_equals_its_reference(name, axes):
     records = np.column_stack([start, branch, force, np.zeros(5)])
     assert records.shape[1] == SEGMENT
     segments = Segments(records, np.zeros(0), bounds_of_segments(records))
-    lists = block.lists(nodes, (2.0 + np.abs(branch).max(axis=0)).tolist())
+    reach = 2.0 + np.abs(branch).max(axis=0)
+    lists = lists_for(nodes.rows, nodes.active, reach.tolist())
     sums = np.zeros((1, len(places), 9))
     deposit_segments(
         segments, nodes, weights, lists, closed_for(lists.values.shape[1]), False, sums

@@ -169,7 +169,7 @@ def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the
             lazy.cg.coarse_grain(FIELDS, **options).compute(),
             chosen.cg.coarse_grain(FIELDS, **options),
         )
-    assert lazy.cg.explain().deposit.grid.shape == scene.cg.explain().deposit.grid.shape
+    assert lazy.cg.explain().deposit.nodes.shape == scene.cg.explain().deposit.nodes.shape
     assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
     assert np.isfinite(lazy.cg.slice_temperature().velocity).any()
     measured = lazy.cg.measure()

@@ -95,8 +95,8 @@ def test_selections_keep_the_mesh_of_the_series(ds, select):
 def test_in_memory_a_part_of_the_scene_keeps_the_mesh(ds):
     part = ds.isel(particle=slice(5))
     assert (
-        part.cg.explain("density", spacing=0.2).deposit.grid.shape
-        == ds.cg.explain("density", spacing=0.2).deposit.grid.shape
+        part.cg.explain("density", spacing=0.2).deposit.nodes.shape
+        == ds.cg.explain("density", spacing=0.2).deposit.nodes.shape
     )
     assert part.cg.explain("density").kernel.width == ds.cg.explain("density").kernel.width
 
@@ -123,8 +123,8 @@ def test_measures_are_kept_in_files(ds, tmp_path):
     for chunks in ({"time": 1}, None):
         with xr.open_dataset(tmp_path / "ds.nc", chunks=chunks) as again:
             assert (
-                again.cg.explain("density").deposit.grid.shape
-                == ds.cg.explain("density").deposit.grid.shape
+                again.cg.explain("density").deposit.nodes.shape
+                == ds.cg.explain("density").deposit.nodes.shape
             )
 
 

@@ -242,7 +242,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         fields |= dict.fromkeys(OF_PHASES)
     request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
     plan = make_plan(describe(ds, request.by), request)
-    grid = plan.deposit.grid
+    grid = plan.deposit.nodes
     if not grid.axes:
         raise ValueError(
             "balance takes differences between nodes: resolve an axis at least, such as axes='z'"

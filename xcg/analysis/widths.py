@@ -192,7 +192,7 @@ def _with_nodes(
         kernel=asked.kernel,
         extent=asked.extent,
     )
-    grid = make_plan(describe(ds), placing).deposit.grid
+    grid = make_plan(describe(ds), placing).deposit.nodes
     ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
     return replace(asked, spacing=spacing, bounds=ends)
 

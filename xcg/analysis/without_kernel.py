@@ -22,7 +22,7 @@ from xcg.common.messages import SceneError
 from xcg.compiled.geometry import Cells, add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
-from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.nodes import Nodes
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import without_frozen
@@ -158,7 +158,7 @@ class _CellShares(PhaseAnalysis):
     name = "cell_volumes"
     optional = ("velocity", "frozen")
 
-    grid: Grid
+    grid: Nodes
     depth: float | str | None
 
     def reads(self, scene: Description) -> list[str]:

@@ -121,7 +121,7 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     ----------
     grains : Grains
         The grains.
-    nodes : Nodes
+    nodes : BlockNodes
         A block of nodes.
     kernel : KernelCode
         The smoothing function.

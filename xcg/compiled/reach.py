@@ -45,8 +45,8 @@ MOST_CELLS = 1 << 20
 NO_BRANCH = (0.0, 0.0, 0.0)
 
 
-class Nodes(NamedTuple):
-    """A block of nodes that is filled, and what surrounds it: tuples of one entry for each axis.
+class BlockNodes(NamedTuple):
+    """Nodes of a block that is filled, and what surrounds it: tuples of one entry for each axis.
 
     Attributes
     ----------

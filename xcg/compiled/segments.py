@@ -332,7 +332,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     ----------
     segments : Segments
         The segments.
-    nodes : Nodes
+    nodes : BlockNodes
         A block of nodes.
     kernel : KernelCode
         The smoothing function.

@@ -90,7 +90,7 @@ def _mixed_masses(scene: Description, plan: Plan) -> str:
         return ""
     # at most the share that the fit of velocity and gradient takes, if only the slow grains lose it
     support = plan.support
-    if support is not None and (1 + len(plan.deposit.grid.seen)) / support.grains < _BIAS:
+    if support is not None and (1 + len(plan.deposit.nodes.seen)) / support.grains < _BIAS:
         return ""
     return (
         f"{', '.join(fields)} of grains whose masses differ by {masses:.2g} assumes that all have the same variance of "
@@ -173,7 +173,7 @@ def support_of(scene: Description, plan: Plan) -> Support | None:
     None for widths by group, whose weights are not those of one kernel, and where sizes, extent or
     the box are not known. Of the rings of a cylinder it is that of the middle one.
     """
-    grid = plan.deposit.grid
+    grid = plan.deposit.nodes
     count = scene.counts["particle"]
     other_weights = len(plan.deposit.cutoffs) > 1
     size = scene.sizes.get("d43", np.nan)
@@ -356,7 +356,7 @@ class ComputedStep:
         if not fraction.max(initial=0.0) > 1.0:
             return {}
         node = int(fraction.max(axis=1).argmax())
-        grid = self.plan.deposit.grid
+        grid = self.plan.deposit.nodes
         index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
         at_node = []
         for name, coord in grid.coords.items():

@@ -115,7 +115,7 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
     check_size(
         ds,
         scene,
-        plan.deposit.grid,
+        plan.deposit.nodes,
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )

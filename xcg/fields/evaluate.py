@@ -83,7 +83,7 @@ class CoarseGraining(FrameAnalysis):
         plan = self.plan
         threads = self.threads
         rows = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
-        if rows * (plan.reached + _ONCE) + plan.deposit.grid.count * _ONCE <= WORTH_SHARING:
+        if rows * (plan.reached + _ONCE) + plan.deposit.nodes.count * _ONCE <= WORTH_SHARING:
             threads = 1
         fields = {name: np.empty(plan.shapes[name]) for name in plan.fields}
         for_each([a.reshape(-1) for a in fields.values() if a.size > _PAGE], _take_memory, threads)
@@ -124,7 +124,7 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     if any(of_box):
         lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
-            lattice.seen(plan.deposit.grid.active, source)  # which may say more
+            lattice.seen(plan.deposit.nodes.active, source)  # which may say more
             axes = " and ".join(
                 repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
             )
@@ -146,7 +146,7 @@ def _compute_step(
     rows: Mapping[str, NDArray],
 ) -> None:
     """Compute the fields of one step into arrays (nodes, phase, ...)."""
-    grid = plan.deposit.grid
+    grid = plan.deposit.nodes
     check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
     scale = scale_of(plan, lattice, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
@@ -194,7 +194,7 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
 def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
     """Return the coordinates of a result beside time."""
     options = plan.options
-    grid = plan.deposit.grid
+    grid = plan.deposit.nodes
     length = units_in("m", plan.setup.unit_system)
     facts = {name: scene.attrs[name] for name in ABOUT if name in scene.attrs}
     choices = _choices(plan)
@@ -230,7 +230,7 @@ def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
 def _choices(plan: Plan) -> dict[str, Any]:
     """Return the options of a plan as attributes of its result."""
     options = plan.options
-    grid = plan.deposit.grid
+    grid = plan.deposit.nodes
     width: Any = plan.kernel.width
     cutoff: Any = plan.kernel.cutoff
     if len(plan.widths) > 1:

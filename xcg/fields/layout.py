@@ -16,11 +16,12 @@ from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
-from xcg.fields.grids.grid import make_grid, make_points
+from xcg.fields.grids.grid import make_grid
+from xcg.fields.grids.points import make_points
 from xcg.fields.grids.rings import letters_of, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
-from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.nodes import Nodes
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
 
@@ -28,7 +29,7 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 _WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
-def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Grid:
+def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Nodes:
     """Lay the nodes: points, where coordinates are arrays; those of a cylinder; or a mesh."""
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
@@ -125,7 +126,7 @@ def takes_gradient(name: str, options: Options) -> bool:
 
 
 def extents_of(
-    grid: Grid, extent: Mapping[str, float], scene: Description
+    grid: Nodes, extent: Mapping[str, float], scene: Description
 ) -> dict[str, float | None]:
     """Length of each averaged axis (m), None for that of the box of each step."""
     loose = [a for a in extent if a not in grid.averaged]
@@ -200,7 +201,7 @@ def undercut_size(width: float, sizes: Mapping[str, float], *, of_groups: bool) 
     return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
-def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
+def warn_of_cuts(grid: Nodes, scene: Description, reach: float) -> None:
     """Warn of fixed coordinates that lie outside a periodic box."""
     for a in scene.periods:
         low, high = scene.edges[a]
@@ -243,7 +244,7 @@ _MIDDLE = 0.98  # share of the particles that the others are compared with
 
 
 def check_size(
-    ds: xr.Dataset, scene: Description, grid: Grid, numbers: int, *, by_sizes: bool = False
+    ds: xr.Dataset, scene: Description, grid: Nodes, numbers: int, *, by_sizes: bool = False
 ) -> None:
     """Compare an automatic mesh, with so many numbers of fields a step, with the memory at hand and the particles.
 

@@ -107,7 +107,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         deposit = self.deposit
-        grid = self.deposit.grid
+        grid = self.deposit.nodes
         self.phases = 1 + len(deposit.groups)
         self.dims = grid.dims
         places = grid.sizes
@@ -149,7 +149,7 @@ class Plan:
 
     def _lines(self) -> dict[str, str]:
         """Return the text of the plan by headings."""
-        grid = self.deposit.grid
+        grid = self.deposit.nodes
         averaged = [f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged]
         kernel = f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions"
         if len(self.widths) > 1:
@@ -218,7 +218,7 @@ def effective_count(scene: Description, plan: Plan) -> float | None:
         return None
     space = scene.setup.dimension
     number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
-    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.grid.seen))
+    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.nodes.seen))
 
 
 def make_plan(scene: Description, request: Request) -> Plan:
@@ -255,7 +255,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
         groups = scene.groups(by, request.groups)
     deposit = DepositSpec(
         rows=moments,
-        grid=grid,
+        nodes=grid,
         weights=kernels[0].weights(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
         limits=limits,

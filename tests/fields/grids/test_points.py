@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import xcg
 from tests.brute_force import BruteKernel, brute_force
-from xcg.fields.grids import grid as grids
+from xcg.fields.grids import points as module
 
 # what fits through few grains, and ratios with pressures near zero, make of the last bit of their sums
 FITTED = {
@@ -168,8 +168,8 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
     f = scene.cg.coarse_grain(at=many)
     order = np.random.default_rng(1).permutation(f.sizes["point"])
     turned = {a: x.isel(point=order) for a, x in many.items()}
-    with mock.patch.object(grids, "BLOCK_NODES", 700), mock.patch.object(grids, "_FEW", 100):
-        assert len(scene.cg.explain(at=turned).deposit.grid.parts) > 10
+    with mock.patch.object(module, "BLOCK_NODES", 700), mock.patch.object(module, "_FEW", 100):
+        assert len(scene.cg.explain(at=turned).deposit.nodes.parts) > 10
         parts = scene.cg.coarse_grain(at=turned)
     with mock.patch("xcg.steps.analysis.THREADS", 1):
         alone = scene.cg.coarse_grain(at=many)
@@ -180,16 +180,16 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
 
 def test_parts_cover_all_points_once(many, scene):
     for most, few in ((700, 100), (100_000, 4096), (10, 3)):
-        with mock.patch.object(grids, "BLOCK_NODES", most), mock.patch.object(grids, "_FEW", few):
-            grid = grids.make_points(many, plane="xyz", cutoff=1.5)
-        places = np.concatenate([part.places for part in grid.parts])
-        np.testing.assert_array_equal(np.sort(places), np.arange(grid.count))
-        for part in grid.parts:
-            assert part.start[-1] == part.count
+        with mock.patch.object(module, "BLOCK_NODES", most), mock.patch.object(module, "_FEW", few):
+            nodes = module.make_points(many, plane="xyz", cutoff=1.5)
+        places = np.concatenate([part.places for part in nodes.parts])
+        np.testing.assert_array_equal(np.sort(places), np.arange(nodes.count))
+        for part in nodes.parts:
+            assert part.count == len(part.places)
             assert (np.diff(part.places[part.order].astype(int)) > 0).all()
-            assert len(part.start) <= grids._MOST_CELLS + 4 * part.count + 1
+            assert len(part.cells.start) <= module._MOST_CELLS + 4 * part.count + 1
             for k, a in enumerate("xyz"):
-                back = part.position[k, : part.count] * part.unit + grid.origin[k]
+                back = part.cells.points[k][: part.count] * part.unit + nodes.origin[k]
                 np.testing.assert_allclose(
                     back, many[a].values[part.places], rtol=1e-12, atol=1e-12
                 )

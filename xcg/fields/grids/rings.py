@@ -1,165 +1,37 @@
-"""Nodes of a cylinder: radii, angles and heights, or averages over the angle by a rule that meets an error.
-
-Sums at the angles of an average are turned into (r, theta, z), brought together and averaged.
-"""
+"""Nodes of a cylinder: radii, angles and heights, or averages over the angle by a rule that meets an error."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import points as loops
 from xcg.compiled._jit import THREADS
-from xcg.compiled.points import SQUARES
-from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
+from xcg.compiled.rings import Rings
 from xcg.fields.grids.grid import (
     MAX_NODES,
     Bounds,
-    PointBlock,
     check_axes,
     check_places,
     labels_of,
     nodes_along,
 )
-from xcg.fields.sums.deposit import BlockSums
+from xcg.fields.grids.points import PointBlock
 from xcg.fields.sums.kernels import Kernel
-from xcg.fields.sums.moments import MOMENTS
-from xcg.fields.sums.nodes import BLOCK_NODES, Grid
-from xcg.fields.sums.step import Layout, Squared
-
-_TO_TURN = (  # moments in kinematic columns that are vectors and tensors, and the level from which they are there
-    (loops.VELOCITY, "momentum"),
-    (loops.FLUCTUATION, "kinetic"),
-    (loops.LINEAR, "offset"),
-    (loops.LINEAR, "shear"),
-    (loops.LINEAR, "spread"),
-    (loops.SQUARED, "square_offset"),
-    (loops.SQUARED, "square_spread"),
-)
-_VECTORS = [*(name for _, name in _TO_TURN), "cubes"]
-_FLOW = {name: MOMENTS[name].first + MOMENTS[name].columns for name in _VECTORS}
-_SHIFTED = Flow(**{name: _FLOW[name] for name in Flow._fields})
+from xcg.fields.sums.nodes import BLOCK_NODES, Nodes
 
 
-@dataclass(frozen=True, eq=False)
-class RingBlock:
-    """Nodes of a cylinder, each the average over angles at its radius and height, which are evaluated together.
-
-    Attributes
-    ----------
-    places : array (m,)
-        Where the nodes are among all nodes, unsigned.
-    inner : PointBlock
-        All angles of all nodes, one node after the other before they were sorted in space.
-    rings : Rings
-    dimension : int
-        That of the scene.
-    """
-
-    places: NDArray
-    inner: PointBlock
-    rings: Rings
-    dimension: int
-    order = None
-
-    @property
-    def is_mean(self) -> bool:
-        """Return whether any node has several angles."""
-        return len(self.rings.angle) > len(self.places)
-
-    def averages(self, at_angles: BlockSums) -> BlockSums:
-        """Return sums at the nodes: averages of those at all their angles, turned into (r, theta, z) before.
-
-        Numbers relative to a velocity are brought to one velocity first, in these axes the same at
-        all angles of a node.
-        """
-        filled: list[NDArray] = []
-        references: list[NDArray] = []
-        for run, sums, velocities in zip(
-            at_angles.of.passes, at_angles.filled, at_angles.references, strict=True
-        ):
-            layout = run.layout
-            reference, difference = self._reference(velocities, turns=layout.vector)
-            groups, _, columns = sums.shape
-            averaged = np.zeros((groups, len(self.places), columns))
-            record = np.empty(columns)
-            tensor = np.empty(27)
-            ring_means(
-                sums,
-                self.rings,
-                difference,
-                _tensors(layout),
-                layout.level,
-                _SHIFTED,
-                record,
-                tensor,
-                averaged,
-            )
-            if self.is_mean:
-                for squared in run.squared:
-                    self._square(layout, squared, averaged)
-            filled.append(averaged)
-            references.append(reference)
-        velocity, _ = self._reference(at_angles.velocity, turns=True)
-        return BlockSums(at_angles.of, filled, velocity, references)
-
-    def _reference(self, velocities: NDArray, *, turns: bool) -> tuple[NDArray, NDArray]:
-        """Return one velocity (m, 3) for all angles of each node, and the offsets (a, 3) from it.
-
-        NaN where nothing reaches.
-        """
-        mean = np.empty((len(self.places), 3))
-        difference = np.empty_like(velocities)
-        ring_references(velocities, self.rings, turns, mean, difference)
-        return mean, difference
-
-    def _square(self, layout: Layout, squared: Squared, averaged: NDArray) -> None:
-        """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
-        seen_z = bool(squared.grid.active[2])
-        row, position = squared.images
-        cutoff = squared.grains.cutoff
-        low = self.rings.place.min(axis=0)
-        high = self.rings.place.max(axis=0)
-        middle = 0.5 * (low + high)
-        reach = 0.5 * (high - low) + cutoff
-        radius = np.hypot(position[:, 0], position[:, 1])
-        near = np.abs(radius - middle[0]) < reach[0]
-        if seen_z:
-            near &= np.abs(position[:, 2] - middle[1]) < reach[1]
-        row = row[near]
-        grains = position[near], squared.grains.mass[row], squared.grains.phase[row]
-        out = np.zeros((layout.groups, len(self.places), 10))
-        scratch = np.zeros((5, int(np.diff(self.rings.start).max()) + ROOM))
-        ring_squares(
-            grains,
-            squared.weights,
-            cutoff,
-            self.rings,
-            seen_z,
-            self.dimension,
-            scratch,
-            np.zeros((4, 3)),
-            out,
-        )
-        columns = SQUARES[:1]
-        if layout.level >= loops.SQUARED:
-            columns = SQUARES
-        for k, column in enumerate(columns):
-            averaged[squared.groups, :, column] = out[squared.groups, :, k]
-
-
-def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
+def ring_points(nodes: Nodes, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
     """Return the points that the nodes of a cylinder average over.
 
     Parameters
     ----------
-    grid : Grid
+    nodes : Nodes
         Nodes laid by `make_rings`.
     whole : bool
         Return all angles of each node, or the first alone, for what is the same at all of them.
@@ -175,10 +47,10 @@ def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
     """
     points: list[NDArray] = []
     shares: list[NDArray] = []
-    nodes: list[NDArray] = []
-    for part in grid.parts or ():
-        assert isinstance(part, RingBlock)
+    places: list[NDArray] = []
+    for part in nodes.parts or ():
         rings = part.rings
+        assert rings is not None
         counts = np.ones(len(rings.place), int)
         rows = rings.start[:-1]
         share = np.ones(len(rows))
@@ -189,21 +61,10 @@ def ring_points(grid: Grid, *, whole: bool) -> tuple[NDArray, NDArray, NDArray]:
         radius, height = np.repeat(rings.place, counts, axis=0).T
         points.append(np.stack([radius * rings.cosine[rows], radius * rings.sine[rows], height], 1))
         shares.append(share)
-        nodes.append(np.repeat(part.places.astype(int), counts))
-    order = np.argsort(np.concatenate(nodes), kind="stable")
-    _, first = np.unique(np.concatenate(nodes)[order], return_index=True)
+        places.append(np.repeat(part.places.astype(int), counts))
+    order = np.argsort(np.concatenate(places), kind="stable")
+    _, first = np.unique(np.concatenate(places)[order], return_index=True)
     return np.concatenate(points)[order], np.concatenate(shares)[order], first
-
-
-def _tensors(layout: Layout) -> tuple[NDArray, NDArray]:
-    """Rank (t,) and columns (t, 27) of all vectors and tensors of a pass."""
-    parts = [_FLOW[name] for level, name in _TO_TURN if layout.level >= level and layout.vector]
-    if layout.level == loops.CUBIC:
-        parts.append(_FLOW["cubes"])
-    parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
-    ranks = np.array([part.ndim for part in parts], dtype=int)
-    columns = np.array([np.resize(part, 27) for part in parts], dtype=int)
-    return ranks, columns.reshape(-1, 27)
 
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
@@ -225,7 +86,7 @@ def make_rings(
     error: float,
     automatic: Bounds,
     period: Mapping[str, float],
-) -> Grid:
+) -> Nodes:
     """Lay the nodes of a cylinder.
 
     Parameters
@@ -286,15 +147,15 @@ def make_rings(
     widest = float(radii.max())
     lower = np.array([-widest, -widest, heights.min()])
     upper = np.array([widest, widest, heights.max()])
-    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, dimension, count))
+    parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, count))
     # on the axis r and theta have no direction
     on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
     note = ""
-    if any(part.is_mean for part in parts):
+    if any(part.count > len(part.places) for part in parts):
         note = f", averages over {count} places"
     coords, text = labels_of(nodes, fixed, note)
     seen = "".join(a for a in "xyz" if a in {"x", "y", *coords})
-    return Grid(
+    return Nodes(
         tuple(nodes),
         tuple(map(len, nodes.values())),
         coords,
@@ -440,9 +301,8 @@ def _blocks(
     heights: NDArray,
     origin: NDArray,
     cutoff: float,
-    dimension: int,
     count: int,
-) -> Iterator[RingBlock]:
+) -> Iterator[PointBlock]:
     """Divide the nodes into blocks of not too many places: slabs, and shells of these where there are few heights."""
     of_rings = [rule for of_radius in rules for rule in of_radius]
     rings_of_radius = len(rules[0])
@@ -464,9 +324,9 @@ def _blocks(
         r = np.repeat(radius, np.diff(start))
         z = np.repeat(height, np.diff(start))
         points = (np.array([r * np.cos(angle), r * np.sin(angle), z]) - origin[:, None]) / cutoff
-        inner = PointBlock.of(np.arange(len(angle), dtype="uint64"), points, cutoff)
+        block = PointBlock.of(np.arange(len(angle), dtype="uint64"), points, cutoff)
         where = np.empty(len(angle), dtype=int)
-        where[inner.places] = np.arange(len(angle))
+        where[block.places] = np.arange(len(angle))
         place = np.stack([radius, height], axis=1)
         rings = Rings(place, start, angle, np.cos(angle), np.sin(angle), share, where)
-        yield RingBlock(rows.astype("uint64"), inner, rings, dimension)
+        yield replace(block, places=rows.astype("uint64"), order=None, rings=rings)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from xcg.compiled import points as loops
 from xcg.compiled._jit import for_each
 from xcg.compiled.reach import BATCH, batches_of
-from xcg.compiled.smoothing import KernelCode
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
-from xcg.fields.sums.nodes import Mesh, NodeBlock
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of
+from xcg.fields.sums.ring_means import average_over_rings, reference_of_rings
 from xcg.fields.sums.segments import along_branches
 from xcg.fields.sums.step import DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.frame import check_finite
@@ -228,44 +227,40 @@ def _pass(
         grains = loops.Grains(
             rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff
         )
-        mesh = step.meshes[cutoff]
-        weights = step.kernels[cutoff]
+        smoothing = step.smoothings[cutoff]
         translations = None
         if squares:
             translations = step.translations(cutoff)
-        fill.append(partial(_fill, grains, mesh, weights, (level, translations, by_gradient)))
+        fill.append(partial(_fill, grains, smoothing, (level, translations, by_gradient)))
         if squares:
-            squared.append(Squared(grains, beyond, groups, weights, spec.grid))
+            squared.append(Squared(grains, beyond, groups, smoothing))
     return Pass(layout, fill, squared)
 
 
 def _fill(
     grains: loops.Grains,
-    mesh: Mesh,
-    weights: KernelCode,
+    smoothing: Smoothing,
     flags: tuple[int, NDArray | None, bool | None],  # level, translations, by_gradient
-    block: NodeBlock,
+    block: Block,
     sums: NDArray,
     reference: NDArray,
 ) -> None:
-    nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
+    nodes = block.nodes(smoothing)
     records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
-    scratch = loops.Scratch(block.lists(nodes, mesh.reach.tolist()), records)
-    loops.deposit(grains, nodes, weights, *flags, scratch, sums, reference)
+    scratch = loops.Scratch(lists_of(nodes, DIAMETER.tolist()), records)
+    loops.deposit(grains, nodes, smoothing.weights, *flags, scratch, sums, reference)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockSums:
-    """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
+    """Sums at the nodes of one block, each pass (groups, nodes, columns).
 
-    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where
-    nothing reaches.
+    `velocity` (nodes, 3) is what the main pass refers to; NaN where nothing reaches.
     """
 
     of: Sums
     filled: Sequence[NDArray]
     velocity: NDArray
-    references: Sequence[NDArray]
 
     @property
     def moments(self) -> dict[str, NDArray]:
@@ -301,25 +296,25 @@ class Sums:
     spec: DepositSpec
     passes: Sequence[Pass]
 
-    def over(self, block: Any) -> BlockSums:
-        """Compute the sums at the nodes of a `Block`: they are filled, or averages of its `inner` nodes that are."""
-        nodes: NodeBlock = block.inner or block
-        velocity = np.full((nodes.count, 3), np.nan)
+    def over(self, block: Block) -> BlockSums:
+        """Compute the sums at the nodes of a block; of rings, their averages over the angles."""
+        velocity = np.full((block.count, 3), np.nan)
         filled: list[NDArray] = []
         references: list[NDArray] = []
         for run in self.passes:
             reference = velocity
             if run.layout.apart:
                 reference = np.full_like(velocity, np.nan)
-            sums = np.zeros((run.layout.groups, nodes.count, run.layout.columns))
+            sums = np.zeros((run.layout.groups, block.count, run.layout.columns))
             for fill in run.fill:
-                fill(nodes, sums, reference)
+                fill(block, sums, reference)
             filled.append(sums)
             references.append(reference)
-        at_nodes = BlockSums(self, filled, velocity, references)
-        if block.inner:
-            return block.averages(at_nodes)
-        return at_nodes
+        if block.rings is not None:
+            for k, run in enumerate(self.passes):
+                filled[k] = average_over_rings(run, block.rings, filled[k], references[k])
+            velocity, _ = reference_of_rings(block.rings, velocity)
+        return BlockSums(self, filled, velocity)
 
 
 def sums_of_frame(

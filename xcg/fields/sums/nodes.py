@@ -18,8 +18,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
+from xcg.compiled.cells import lists_for_points
+from xcg.compiled.reach import BlockNodes, Lists, Rows, lists_for
+from xcg.compiled.rings import Rings
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
+from xcg.compiled.smoothing import KernelCode
 from xcg.scene.schema import COMPONENTS
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks,
@@ -39,7 +42,7 @@ def triple(values: NDArray | Sequence[Any]) -> tuple[Any, Any, Any]:
 
 
 class Block(Protocol):
-    """Nodes of the result that are computed at one time."""
+    """Nodes that are computed together: a part of a mesh, or neighbouring points."""
 
     @property
     def places(self) -> NDArray:
@@ -50,41 +53,25 @@ class Block(Protocol):
         """Order of the nodes by their places, unsigned (nodes,); None where they are in order."""
 
     @property
-    def inner(self) -> NodeBlock | None:
-        """The nodes that are filled: the block itself, or nodes whose `averages` make the block."""
-
-
-class NodeBlock(Protocol):
-    """Nodes that are filled at one time, as they are neighbours in space."""
+    def rings(self) -> Rings | None:
+        """Rings whose averages are the nodes, where loops fill points at their angles."""
 
     @property
     def count(self) -> int:
-        """Number of nodes."""
+        """Number of nodes that loops fill."""
 
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
-        """Return the nodes as loops take them.
-
-        Parameters
-        ----------
-        origin, unit : array (3,), float
-            What lengths are relative to, and measured in (m).
-        active, period : array (3,)
-            Axes along which distance counts, and periods in the unit.
-        """
-
-    def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
-        """Return scratch lists for the nodes that a support or branch of the extent `reach` (3,) covers."""
+    def nodes(self, smoothing: Smoothing) -> BlockNodes:
+        """Return the nodes as loops take them, in cutoffs."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshBlock:
-    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m)."""
+    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape."""
 
     low: tuple[int, int, int]
     high: tuple[int, int, int]
     shape: tuple[int, int, int]
-    steps: NDArray
-    order = inner = None
+    order = rings = None
 
     @property
     def count(self) -> int:
@@ -102,23 +89,25 @@ class MeshBlock:
         )
         return ((x[:, None, None] * self.shape[1] + y[:, None]) * self.shape[2] + z).ravel()
 
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
-        """Return the nodes as loops take them; the origin is the first node of the mesh."""
-        # the step of one node means nothing
-        steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0).tolist()
+    def nodes(self, smoothing: Smoothing) -> BlockNodes:
+        """Return the nodes as loops take them, in cutoffs from the first node of the mesh on."""
+        steps = smoothing.steps.tolist()
         begin = [low * step for low, step in zip(self.low, steps, strict=True)]
         end = [(high - 1) * step for high, step in zip(self.high, steps, strict=True)]
         rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
-        return Nodes(triple(begin), triple(end), triple(active), triple(period), rows=rows)
+        return BlockNodes(triple(begin), triple(end), *smoothing.surroundings, rows=rows)
 
-    def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
-        """Return scratch to list the nodes that something of this length reaches."""
-        return lists_for(nodes.rows, nodes.active, reach, real)
+
+def lists_of(nodes: BlockNodes, reach: Sequence[float], real: str = "float64") -> Lists:
+    """Make scratch lists for the nodes that a support or branch of the extent `reach` (3,) covers."""
+    if nodes.rows is None:
+        return lists_for_points(nodes.cells, reach, real)
+    return lists_for(nodes.rows, nodes.active, reach, real)
 
 
 @dataclass(eq=False)
-class Grid:
-    """Nodes of a result: a mesh, or separate places such as points and the nodes of a cylinder.
+class Nodes:
+    """Nodes of a result: a mesh, points, or rings of a cylinder.
 
     Attributes
     ----------
@@ -190,7 +179,7 @@ class Grid:
         """Return the number of nodes in a box (m); of scattered ones as if they were spread evenly."""
         if self.parts is None:
             return float(np.clip(extent / self.steps, 1.0, self.shape)[self.active].prod())
-        places = sum(part.inner.count if part.inner else len(part.places) for part in self.parts)
+        places = sum(part.count for part in self.parts)
         share = (extent / (self.upper - self.lower + extent))[self.active].prod()
         return max(1.0, places * float(share))
 
@@ -225,7 +214,7 @@ class Grid:
         ]
         x, y, z = (list(pairwise(ends)) for ends in edges)
         return [
-            MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), self.shape, self.steps)
+            MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), self.shape)
             for i, j, k in product(x, y, z)
         ]
 
@@ -247,52 +236,49 @@ _TOO_LONG = 2.0**15
 # this.
 _SINGLE = 2.0**20
 _BRANCHES = slice(BRANCH, FORCE)
+# How far apart nodes are that see one point (cutoffs).
+DIAMETER = np.full(3, 2.0)
 # How far from the nodes a long branch is cut: beyond 1 nothing of it counts.
 _MARGIN = 2.0
 
 
-class Mesh:
-    """Nodes and their surroundings as the loops see them: lengths in cutoffs, places relative to one of the nodes.
+class Smoothing:
+    """Kernel of one cutoff in one step, with nodes and periods in cutoffs, from the origin of the nodes on.
 
     Parameters
     ----------
-    grid : Grid
+    nodes : Nodes
     period : array (3,)
         Periods of the scene (m).
     cutoff : float
-        The unit of length (m).
+        Radius of the support (m).
+    weights : KernelCode
+        The kernel as loops take it.
 
     Attributes
     ----------
-    origin : array (3,)
-        That node (m): of a mesh the first.
     steps : array (3,)
         Spacing of a mesh, where one node means nothing and is 1; infinity for points.
     lower, upper : array (3,)
         Bounds of the nodes.
-    active : array (3,)
-        Axes along which distance counts.
     period : array (3,)
-        Period, infinity along axes that are not periodic, or not active.
-    nodes : int
-        Number of nodes.
-    reach : array (3,)
-        How far apart nodes are that see one point.
+        Period, infinity along axes that are not periodic, or along which distance does not count.
+    surroundings : tuple
+        Axes along which distance counts, and periods, as loops take them.
     """
 
-    def __init__(self, grid: Grid, period: NDArray, cutoff: float) -> None:
-        self.origin = grid.origin
-        self.active = grid.active
-        self.nodes = grid.count
+    def __init__(self, nodes: Nodes, period: NDArray, cutoff: float, weights: KernelCode) -> None:
+        self.nodes = nodes
         self.cutoff = cutoff
-        self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
-        self.reach = np.full(3, 2.0)
-        self.lower = (grid.lower - grid.origin) / cutoff
-        self.upper = (grid.upper - grid.origin) / cutoff
-        self.period = np.where(grid.active, period, np.inf) / cutoff
+        self.weights = weights
+        self.steps = np.where(np.array(nodes.shape) > 1, nodes.steps / cutoff, 1.0)
+        self.lower = (nodes.lower - nodes.origin) / cutoff
+        self.upper = (nodes.upper - nodes.origin) / cutoff
+        self.period = np.where(nodes.active, period, np.inf) / cutoff
+        self.surroundings = triple(nodes.active), triple(self.period)
         numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
         # extent, spacing and period
-        self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]
+        self._along_active = [(k, numbers[k]) for k in range(3) if nodes.active[k]]
 
     def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
         """Raise SceneError for places (3,) not finite or too far away to be numbered; damaged files hold them.
@@ -328,7 +314,7 @@ class Mesh:
             over_mesh[k] = (float(reach[k]) + extent) / period + 1.0
         of_node = math.prod(images)
         all_nodes = math.prod(over_mesh)
-        if not (of_node <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * of_node):
+        if not (of_node <= most and all_nodes <= _MOST_OVER_MESH + self.nodes.count * of_node):
             k = int(np.argmax(over_mesh))
             raise SceneError(
                 f"{source}: the box is so small that a particle or contact reaches the mesh in "
@@ -368,13 +354,14 @@ class Mesh:
         SceneError
             If a branch is too long within the mesh, or along a periodic axis.
         """
+        active = self.nodes.active
         used = np.flatnonzero(segments[:, GROUP] >= 0.0)
-        long = used[(np.abs(segments[used, _BRANCHES][:, self.active]) > _LONG).any(axis=1)]
+        long = used[(np.abs(segments[used, _BRANCHES][:, active]) > _LONG).any(axis=1)]
         start = segments[long, :BRANCH]
         branch = segments[long, _BRANCHES]
-        open_axes = self.active & np.isinf(self.period)
+        open_axes = active & np.isinf(self.period)
         end = start - branch
-        ends = (ends[:, long] - self.origin) / self.cutoff
+        ends = (ends[:, long] - self.nodes.origin) / self.cutoff
         point_is_nearer = (((ends - end) ** 2 * open_axes).sum(axis=2)).argmin(axis=0) == 0
         end = np.where(open_axes, np.where(point_is_nearer[:, None], *ends), end)
         first, last, part = self._part_near(start, end, open_axes)
@@ -384,7 +371,7 @@ class Mesh:
         sizes = np.abs(segments[used[segments[used, GROUP] >= 0.0], _BRANCHES])
         length = np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))
         longest = np.array([*sizes.max(axis=0, initial=0.0), length])
-        largest = longest[:3][self.active].max()
+        largest = longest[:3][active].max()
         if not largest < _TOO_LONG:
             raise SceneError(
                 f"{source}: a contact is {largest * self.cutoff:.3g} m long within the "

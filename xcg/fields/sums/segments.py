@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.lines import largest_error
 from xcg.compiled.polynomials import RADIUS, closed_for
-from xcg.compiled.reach import Nodes, batches_in_reach, no_bounds
+from xcg.compiled.reach import BlockNodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
     BRANCH,
     FORCE,
@@ -28,11 +28,11 @@ from xcg.compiled.segments import (
     deposit_segments,
     list_segments,
 )
-from xcg.compiled.smoothing import PLAIN, KernelCode
+from xcg.compiled.smoothing import PLAIN
 from xcg.fields.sums.kernel_tables import Profile, table_of
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.nodes import Mesh, NodeBlock
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of
 from xcg.fields.sums.step import Fill, Layout, Pass, StepRows, alike
 from xcg.scene.schema import Frame
 
@@ -119,7 +119,7 @@ class ListedOnce:
 
     segments: Segments
 
-    def near(self, nodes: Nodes) -> Iterator[Segments]:
+    def near(self, nodes: BlockNodes) -> Iterator[Segments]:
         """Yield all segments at once."""
         yield self.segments
 
@@ -133,7 +133,7 @@ class ListedAnew:
     bounds: NDArray
     limits: NDArray
 
-    def near(self, nodes: Nodes) -> Iterator[Segments]:
+    def near(self, nodes: BlockNodes) -> Iterator[Segments]:
         """Segments of the runs that reach a block of nodes, listed again."""
         reaches = np.empty(len(self.bounds), bool)
         batches_in_reach(self.bounds, nodes.begin, nodes.end, nodes.active, nodes.period, reaches)
@@ -181,16 +181,15 @@ def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass
     carried = _carried(step, row, step.frame)
     fill: list[Fill] = []
     for cutoff in spec.distinct:
-        mesh = step.meshes[cutoff]
+        smoothing = step.smoothings[cutoff]
         for second in (False, True):
             segments, longest, more = _segments(
                 step, row, *carried, contacts, second, others, cutoff
             )
-            reach = mesh.reach + longest[:3]
-            mesh.check_reach(reach, step.source)
+            reach = DIAMETER + longest[:3]
+            smoothing.check_reach(reach, step.source)
             for rule in _rules(step, longest[3], cutoff):
-                weights = step.kernels[cutoff]
-                fill.append(partial(_fill_segments, segments, mesh, weights, reach.tolist(), rule))
+                fill.append(partial(_fill_segments, segments, smoothing, reach.tolist(), rule))
             if not more:
                 break
     groups = spec.phases * max(others, 1)
@@ -217,7 +216,7 @@ def _segments(
 ) -> tuple[Branches, NDArray, bool]:
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
-    mesh = step.meshes[cutoff]
+    smoothing = step.smoothings[cutoff]
     tilted = step.lattice.vectors is not None
     limits = step.spec.limits
     rows = ContactRows(
@@ -228,11 +227,11 @@ def _segments(
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
         more = list_segments(listing, contacts, None, bounds, longest)
-        if not mesh.too_long(longest[:3]):
-            mesh.check_far(longest[:3], step.source)
+        if not smoothing.too_long(longest[:3]):
+            smoothing.check_far(longest[:3], step.source)
             return ListedAnew(listing, contacts, bounds, limits), longest, more
     segments, longest, more = list_some(listing, contacts)
-    mesh.check_far(longest[:3], step.source)
+    smoothing.check_far(longest[:3], step.source)
     shift = np.zeros(3)
     if tilted:
         used = np.flatnonzero(segments[:, GROUP] >= 0.0)
@@ -251,12 +250,12 @@ def _segments(
             moved_rows = rows._replace(on_i=on_i, on_j=on_j)
             moving, _, _ = list_some(listing._replace(contacts=moved_rows), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
-    if mesh.too_long(longest[:3]):
+    if smoothing.too_long(longest[:3]):
         partner = np.where(c.i >= 0, c.j, c.i)
         if second:
             partner = c.i
         ends = [c.point[contacts] + shift, step.position[partner[contacts]] + shift]
-        longest = mesh.cut(segments, np.array(ends), step.source)
+        longest = smoothing.cut(segments, np.array(ends), step.source)
     return ListedOnce(Segments(segments, limits, bounds_of_segments(segments))), longest, more
 
 
@@ -281,7 +280,7 @@ class _Rule(NamedTuple):
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[_Rule]:
     """Return the ways to the weights of segments, one after the other."""
     spec = step.spec
-    if not spec.coarse or not step.meshes[cutoff].fits_single(spec.limits.max()):
+    if not spec.coarse or not step.smoothings[cutoff].fits_single(spec.limits.max()):
         return [_Rule("float64", closed=True, rest=False)]
     rules = [_Rule("float32", closed=False, rest=False)]
     if longest > spec.limits.max():
@@ -291,18 +290,17 @@ def _rules(step: StepRows, longest: float, cutoff: float) -> list[_Rule]:
 
 def _fill_segments(
     segments: Branches,
-    mesh: Mesh,
-    weights: KernelCode,
+    smoothing: Smoothing,
     reach: Sequence[float],
     rule: _Rule,
-    block: NodeBlock,
+    block: Block,
     sums: NDArray,
     _: NDArray,
 ) -> None:
-    nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
-    lists = block.lists(nodes, reach, rule.real)
+    nodes = block.nodes(smoothing)
+    lists = lists_of(nodes, reach, rule.real)
     scratch = None
     if rule.closed:
         scratch = closed_for(lists.values.shape[1])
     for some in segments.near(nodes):
-        deposit_segments(some, nodes, weights, lists, scratch, rule.rest, sums)
+        deposit_segments(some, nodes, smoothing.weights, lists, scratch, rule.rest, sums)

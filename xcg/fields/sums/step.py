@@ -16,7 +16,7 @@ from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import KernelCode
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
-from xcg.fields.sums.nodes import Grid, Mesh, NodeBlock, triple
+from xcg.fields.sums.nodes import DIAMETER, Block, Nodes, Smoothing, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
@@ -24,7 +24,7 @@ from xcg.scene.schema import Frame
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the
 # reference velocity
-Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
+Fill: TypeAlias = Callable[[Block, NDArray, NDArray], None]
 
 
 @dataclass(eq=False)
@@ -35,9 +35,9 @@ class DepositSpec:
     ----------
     rows : mapping
         The moments by name.
-    grid : Grid
+    nodes : Nodes
     weights : KernelCode
-        The kernel of the first cutoff as seen in the grid's axes.
+        The kernel of the first cutoff as seen in the nodes' axes.
     cutoffs : tuple of float
         Radius of the support (m) of each group, or one for all.
     limits : array
@@ -56,7 +56,7 @@ class DepositSpec:
     """
 
     rows: Mapping[str, Moment]
-    grid: Grid
+    nodes: Nodes
     weights: KernelCode
     cutoffs: tuple[float, ...]
     limits: NDArray
@@ -69,7 +69,7 @@ class DepositSpec:
         self.others = self.phases + 1  # groups of partners, the last one for walls
         self.by_phase = np.resize(self.cutoffs, self.phases)
         self.distinct = sorted(set(self.cutoffs))
-        self.origin = triple(self.grid.origin)
+        self.origin = triple(self.nodes.origin)
         elsewhere = {
             name for name, row in self.rows.items() if row.at_contacts or row.along_branches
         }
@@ -92,17 +92,14 @@ class Squared:
         Periodic images beyond these places.
     groups : array
         Groups of this cutoff.
-    weights
-        The kernel.
-    grid : Grid
-        The nodes.
+    smoothing : Smoothing
+        The kernel of this cutoff.
     """
 
     grains: Grains
     lattice: Lattice
     groups: NDArray
-    weights: KernelCode
-    grid: Grid
+    smoothing: Smoothing
 
     @cached_property
     def images(self) -> tuple[NDArray, NDArray]:
@@ -111,7 +108,9 @@ class Squared:
         position = self.grains.position[rows]
         if not len(self.lattice.basis):
             return rows, position
-        row, shift, _ = self.lattice.images(position, *self.grid.around(self.grains.cutoff))
+        row, shift, _ = self.lattice.images(
+            position, *self.smoothing.nodes.around(self.grains.cutoff)
+        )
         return rows[row], position[row] + shift
 
 
@@ -202,9 +201,7 @@ class StepRows:
     contacts : Contacts, optional
     lattice : Lattice
         Periodic images, as seen along the axes of the nodes.
-    meshes : dict
-        Nodes and what surrounds them, by cutoff, in cutoffs.
-    kernels : dict
+    smoothings : dict
         The kernel by cutoff, times `scale`, which divides by the extent of averaged axes.
     grains : Images
     flow : tuple of array (m, 3) and (m,)
@@ -239,14 +236,16 @@ class StepRows:
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         # which are a part of the scene
-        self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)
-        self.meshes = {
-            cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct
-        }
+        nodes = spec.nodes
+        self.lattice = replace(lattice.seen(nodes.active, source), edges=None)
         paired = any(name.startswith("square") for name in spec.rows)
-        for mesh in self.meshes.values():
-            mesh.check_reach(mesh.reach, source, paired=paired)
-        self.kernels = {cutoff: self._kernel(cutoff, scale) for cutoff in spec.distinct}
+        self.smoothings: dict[float, Smoothing] = {}
+        for cutoff in spec.distinct:
+            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** len(nodes.seen)
+            weights = spec.weights._replace(norm=norm * scale)
+            smoothing = Smoothing(nodes, self.lattice.period, cutoff, weights)
+            smoothing.check_reach(DIAMETER, source, paired=paired)
+            self.smoothings[cutoff] = smoothing
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
         velocity = self.velocity[self.grains.row]
@@ -254,20 +253,13 @@ class StepRows:
             velocity = velocity + self.grains.drift
         self.flow = (velocity, self.mass[self.grains.row])
 
-    def _kernel(self, cutoff: float, scale: float) -> KernelCode:
-        """Return the kernel of a cutoff, times `scale`."""
-        spec = self.spec
-        seen = int(spec.grid.active.sum())
-        norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-        return spec.weights._replace(norm=norm * scale)
-
     def _without_hidden_shear(self, lattice: Lattice) -> Frame:
         """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
 
         They are those in the middle of the box, for every image of a grain, as images along these
         axes are one.
         """
-        gradient = lattice.gradient_along(~self.spec.grid.active)
+        gradient = lattice.gradient_along(~self.spec.nodes.active)
         if gradient is None:
             return self.frame
         of_velocity = {n for n, row in self.spec.rows.items() if "velocity" in row.variables}
@@ -293,7 +285,7 @@ class StepRows:
 
     def near_mesh(self, position: NDArray, reach: float) -> tuple[NDArray, NDArray, NDArray]:
         """Images of positions no further than `reach` (m) from the nodes, see `Lattice.images`."""
-        return self.lattice.images(position, *self.spec.grid.around(reach), self.source)
+        return self.lattice.images(position, *self.spec.nodes.around(reach), self.source)
 
     def translations(self, cutoff: float) -> NDArray | None:
         """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
@@ -347,9 +339,9 @@ class StepRows:
         upper = [float(np.max(x)) for x in position.T]
         farthest = np.abs(np.array([lower, upper]) - self.spec.origin).max(axis=0)
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
-            self.meshes[cutoff].check_far(farthest / cutoff + 2.0, self.source)
+            self.smoothings[cutoff].check_far(farthest / cutoff + 2.0, self.source)
         return spatial_order(
-            position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist()
+            position, self.spec.distinct[0], lower, upper, self.spec.nodes.active.tolist()
         )
 
 
