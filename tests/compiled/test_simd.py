@@ -48,6 +48,10 @@ ARRAYS = [
          lambda r: [*r.permutation(4)[:2].tolist(), place(r, 17), int(r.integers(-99, 99)), *scalars(r, 3)])
         for dtype in ("float64", "float32")
     ],
+    *[
+        (simd.stream, "float64", (24,), lambda r, n=n: [place(r, 25 - n), tuple(scalars(r, n))])
+        for n in (1, 3, 9)
+    ],
     (simd.prefetch, "float64", (4, 24), lambda r: [int(r.integers(-5, 50))]),
 ]  # fmt: skip
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.matrices import fit_rows
-from xcg.compiled.simd import EIGHT, TILE, transpose8x8
+from xcg.compiled.simd import EIGHT, TILE, stream, transpose8x8
 
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,
 # but for a load and a store, which say what to load or store.
@@ -26,9 +26,6 @@ from xcg.compiled.simd import EIGHT, TILE, transpose8x8
     FIT,
     PART,
 ) = range(13)
-ONE = np.uint64(1)
-TWO = np.uint64(2)
-THREE = np.uint64(3)
 _LINE = 64  # bytes of a line of the cache
 _OF_NUMBER = np.dtype("float64").itemsize
 
@@ -135,18 +132,30 @@ def _store(field, store, rows, place, first, many, scratch):
     begin = store[1]
     width = store[2]
     components = store[3]
-    if components == 1:
-        x = rows[0]
+    if components < width:  # of one phase of several, which leaves gaps
         for k in range(many):
-            field[width * place[first + k] + begin] = scratch[x, k]
+            to = width * place[first + k] + begin
+            for c in range(components):
+                field[to + c] = scratch[rows[c], k]
         return
-    for c in range(np.uint64(0), components, THREE):
-        x, y, z = rows[c], rows[c + ONE], rows[c + TWO]
+    x, y, z = rows[0], rows[1], rows[2]
+    if components == 1:
         for k in range(many):
-            to = width * place[first + k] + begin + c
-            field[to] = scratch[x, k]
-            field[to + ONE] = scratch[y, k]
-            field[to + TWO] = scratch[z, k]
+            stream(field, place[first + k], (scratch[x, k],))
+    elif components == 3:
+        for k in range(many):
+            vector = (scratch[x, k], scratch[y, k], scratch[z, k])
+            stream(field, components * place[first + k], vector)
+    else:
+        yx, yy, yz = rows[3], rows[4], rows[5]
+        zx, zy, zz = rows[6], rows[7], rows[8]
+        for k in range(many):
+            tensor = (
+                scratch[x, k], scratch[y, k], scratch[z, k],
+                scratch[yx, k], scratch[yy, k], scratch[yz, k],
+                scratch[zx, k], scratch[zy, k], scratch[zz, k],
+            )  # fmt: skip
+            stream(field, components * place[first + k], tensor)
 
 
 @inner

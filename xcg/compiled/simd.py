@@ -243,3 +243,29 @@ def transpose8x8(numbers, first, apart, rows, row, at):
     for k in range(EIGHT):
         for c in range(EIGHT):
             rows[row + c, at + k] = numbers[first + k * apart + c]
+
+
+def _stream(typingctx, array, at, values):
+    def generate(context, builder, signature, args):
+        bits = ir.IntType(64)  # of vectors the place would have to be aligned
+        once = builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)])
+        place, _ = typed(context, builder, signature, args)
+        for k, value in enumerate(cgutils.unpack_tuple(builder, args[2])):
+            index = builder.add(place(1), ir.Constant(bits, k))
+            pointer, align = pointer_to(context, builder, signature.args[0], args[0], [index], 1)
+            pointer = builder.bitcast(pointer, bits.as_pointer())
+            store = builder.store(builder.bitcast(value, bits), pointer, align=align)
+            store.set_metadata("nontemporal", once)
+        return context.get_dummy_value()
+
+    return types.void(array, types.uint64, values), generate
+
+
+@compiled_as(_stream)
+def stream(array, at, values):
+    """``array[at : at + len(values)] = values``, past the caches.
+
+    Memory that is written in order, without gaps, is not read before. Other threads see it once a lock
+    has passed to them, which is a locked instruction: these wait for it.
+    """
+    array[at : at + len(values)] = values
