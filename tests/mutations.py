@@ -575,7 +575,7 @@ TABLE = [
         "test_shear_rates_from_velocities_and_as_given",
     ),
     Mutation(
-        "analysis/samples.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
+        "analysis/mixing.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
         "test_the_mean_over_all_arrangements_is_the_random_limit",
     ),
     Mutation(
@@ -583,7 +583,7 @@ TABLE = [
         "test_edges_are_sums_over_contacts",
     ),
     Mutation(
-        "analysis/samples.py", "(position[:, k] < bounds[axis][1])", "(position[:, k] <= bounds[axis][1])",
+        "analysis/regions.py", "(position[:, k] < bounds[axis][1])", "(position[:, k] <= bounds[axis][1])",
         "test_a_region_holds_its_lower_bound_and_not_its_upper_one",
     ),
     Mutation(
@@ -783,7 +783,7 @@ TABLE = [
         "test_expressions_equal_numpy",
     ),
     Mutation(
-        "analysis/samples.py", "if 0 < apart <= random", "if 0 < apart <= 0 * random",
+        "analysis/mixing.py", "if 0 < apart <= random", "if 0 < apart <= 0 * random",
         "test_few_large_grains_by_volume_have_no_index_and_a_warning",
     ),
     Mutation(

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.analysis.radial_distribution import RadialDistribution
-from xcg.analysis.samples import Bounds
+from xcg.analysis.regions import Bounds
 from xcg.common.checks import is_finite
 from xcg.common.messages import plain
 from xcg.scene.conform import takes_scene

@@ -10,7 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.analysis.quantities import QUANTITIES
-from xcg.analysis.samples import Bounds, Measure
+from xcg.analysis.regions import Bounds
+from xcg.analysis.samples import Measure
 from xcg.common.checks import FINITE, check, check_choice, floats, is_positive, whole
 from xcg.common.messages import unknown
 from xcg.scene.conform import require_scene, takes_scene
@@ -240,7 +241,7 @@ def microstructure(
     .. [7] Lacey, P. M. C. (1954). Developments in the theory of particle mixing. J. Appl. Chem. 4.
     .. [8] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
        64.
-    .. [9] From the variance of binomial numbers in the cells, see `xcg.analysis.samples`.
+    .. [9] From the variance of binomial numbers in the cells, see `xcg.analysis.mixing`.
     .. [10] Staron, L., Phillips, J. C. (2014). Segregation time-scale in bi-disperse granular flows. Phys. Fluids 26.
 
     Examples

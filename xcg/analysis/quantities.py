@@ -16,7 +16,7 @@ clusters
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which
-    All grains of the region by phase (`xcg.analysis.samples`), and the group: 0 the bulk, 1, 2, ...
+    All grains of the region by phase (`xcg.analysis.mixing`), and the group: 0 the bulk, 1, 2, ...
     the phases.
 is_endless : (3,)
     Whether the region is a whole period along an axis, so that heights have no meaning.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.analysis.by_phase import PhaseAnalysis
 from xcg.analysis.pairs import cells_of
-from xcg.analysis.samples import Bounds, images_in
+from xcg.analysis.regions import Bounds, images_in
 from xcg.common.checks import POSITIVE, check, rising_pair, whole
 from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
