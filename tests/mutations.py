@@ -562,11 +562,11 @@ TABLE = [
         "test_velocities_across_edges_and_in_a_sheared_box",
     ),
     Mutation(
-        "analysis/widths.py", "noise / frames**0.5", "noise / frames",
+        "analysis/choose_width.py", "noise / frames**0.5", "noise / frames",
         "test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames",
     ),
     Mutation(
-        "analysis/widths.py", "math.sqrt(120)", "math.sqrt(480)",
+        "analysis/choose_width.py", "math.sqrt(120)", "math.sqrt(480)",
         "test_the_spacing_adds_less_error_than_stated",
     ),
     # --- packing ---

@@ -6,6 +6,7 @@ from .analysis.balance import balance
 from .analysis.bond_order import bond_order
 from .analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from .analysis.chain_selection import BoxRegion, Region, Sphere, select_chains
+from .analysis.choose_width import choose_width, plot_width
 from .analysis.compare import compare
 from .analysis.contact_history import contact_history
 from .analysis.contact_value import contact_value
@@ -28,7 +29,7 @@ from .analysis.shallow import depth_average, fit_slope, free_surface
 from .analysis.structure_factor import structure_factor
 from .analysis.surfaces import flow_rate, wall_stress
 from .analysis.voronoi import voronoi
-from .analysis.widths import choose_width, plot_width, width_sweep
+from .analysis.widths import width_sweep
 from .analysis.without_kernel import cell_volumes, slice_temperature
 from .common.messages import SceneError, SceneWarning
 from .fields.coarse_grain import coarse_grain

@@ -156,7 +156,7 @@ class CoarseGrainAccessor:
     mean_squared_displacement = Method("xcg.analysis.diffusion", SCENE)
     velocity_autocorrelation = Method("xcg.analysis.diffusion", SCENE)
     width_sweep = Method("xcg.analysis.widths", SCENE)
-    choose_width = Method("xcg.analysis.widths", SCENE)
+    choose_width = Method("xcg.analysis.choose_width", SCENE)
     balance = Method("xcg.analysis.balance", SCENE)
     slice_temperature = Method("xcg.analysis.without_kernel", SCENE)
     cell_volumes = Method("xcg.analysis.without_kernel", SCENE)
@@ -199,7 +199,7 @@ class CoarseGrainAccessor:
     fit_law = Method("xcg.analysis.fit_law", RESULT)
     fit_slope = Method("xcg.analysis.shallow", RESULT)
     plot = Method("xcg.analysis.plots", SCENE, RESULT)
-    plot_width = Method("xcg.analysis.widths", RESULT)
+    plot_width = Method("xcg.analysis.choose_width", RESULT)
     movie = Method("xcg.analysis.plots", RESULT)
 
     select_chains = Method("xcg.analysis.chain_selection", CHAINS)

@@ -9,6 +9,7 @@ from xcg.analysis.balance import balance
 from xcg.analysis.bond_order import bond_order
 from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from xcg.analysis.chain_selection import select_chains
+from xcg.analysis.choose_width import choose_width, plot_width
 from xcg.analysis.compare import compare
 from xcg.analysis.contact_history import contact_history
 from xcg.analysis.contact_value import contact_value
@@ -30,7 +31,7 @@ from xcg.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.analysis.structure_factor import structure_factor
 from xcg.analysis.surfaces import flow_rate, wall_stress
 from xcg.analysis.voronoi import voronoi
-from xcg.analysis.widths import choose_width, plot_width, width_sweep
+from xcg.analysis.widths import width_sweep
 from xcg.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
