@@ -1,6 +1,7 @@
 """The page in Chromium: controls change the picture, colours are right, closing it ends the server."""
 
 import asyncio
+import dataclasses
 import io
 import json
 import pathlib
@@ -11,6 +12,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -181,6 +183,10 @@ def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, c
     with page.page.expect_download() as table:
         page.page.get_by_text("numbers (CSV)").click()
     assert "velocity" in pathlib.Path(table.value.path()).read_text().partition("\n")[0]
+    with page.page.expect_download() as picture:
+        page.page.get_by_role("button", name="picture (PNG)").click()
+    assert picture.value.suggested_filename == "velocity_map_15.png"
+    assert pathlib.Path(picture.value.path()).read_bytes().startswith(b"\x89PNG")
     width = page.page.evaluate(WIDTH)
     page.page.set_viewport_size({"width": 900, "height": 900})
     page.page.wait_for_function(f"width => ({WIDTH})() < width", arg=width)
@@ -244,6 +250,108 @@ def test_the_picture_has_the_numbers_of_the_nodes():
         assert image.max() == 1.0
         assert shown.range == (0.0, 1.0) or shown.range[1] == 1.0
         assert shown.bar.title == "density"
+
+
+def test_a_map_over_r_and_theta_lies_in_the_plane_of_the_circle():
+    """Its pixels are x = r cos(theta) of the field x, to the distance of nodes."""
+    figures = pytest.importorskip("xcg.explore.figures")
+    r = xr.DataArray(np.linspace(1.0, 2.0, 21), dims="r", attrs={"units": "m"})
+    theta = xr.DataArray(np.linspace(0, 2 * np.pi, 60, endpoint=False), dims="theta")
+    x = (np.cos(theta) * r).assign_coords(r=r, theta=theta)
+    for part in (slice(None), slice(0, 16)):  # the whole circle, and a quarter
+        shown = figures.Map()
+        picture = xr.Dataset({"density": x.isel(theta=part)})
+        shown.draw(picture, Choice("density", "map", ("r", "theta")))
+        (image,) = shown.image.data["image"]
+        low, up = (shown.image.data[name][0] for name in "xy")
+        wide, high = (shown.image.data[name][0] for name in ("dw", "dh"))
+        middle = (np.arange(len(image)) + 0.5) / len(image)
+        across, height = np.meshgrid(low + middle * wide, up + middle * high)
+        away = np.hypot(across, height)
+        angle = np.arctan2(height, across)
+        inside = (away > 1.0) & (away < 2.0)
+        if part.stop:
+            inside &= (angle > 0) & (angle < theta[15].item())
+            assert high < 2.2
+        np.testing.assert_allclose(image[inside], across[inside], atol=0.11)
+        assert np.isnan(image[(away < 0.95) | (away > 2.1)]).all()
+        assert shown.figure.yaxis.axis_label == "r sin θ [m]"
+
+
+def test_arrows_in_the_plane_of_a_circle_turn_with_the_angle():
+    """A rigid rotation has arrows at right angles to the radius."""
+    figures = pytest.importorskip("xcg.explore.figures")
+    r = xr.DataArray(np.linspace(0.1, 1.0, 10), dims="r")
+    theta = xr.DataArray(np.linspace(0, 2 * np.pi, 60, endpoint=False), dims="theta")
+    turning = xr.zeros_like(theta) + r
+    parts = [xr.zeros_like(turning), turning]
+    velocity = xr.concat(parts, xr.Variable("component", ["r", "theta"]))
+    f = xr.Dataset({"velocity": velocity}, {"r": r, "theta": theta})
+    f["velocity"] = f["velocity"].transpose("r", "theta", "component")
+    pictures = pictures_of(f)
+    choice = Choice("velocity", "map", ("r", "theta"))
+    shown = figures.Map()
+    shown.draw(pictures.picture(choice), choice)
+    x0, x1, y0, y1 = (shown.arrows.data[name] for name in ("x0", "x1", "y0", "y1"))
+    along, rise, x, y = x1 - x0, y1 - y0, (x0 + x1) / 2, (y0 + y1) / 2
+    length = np.hypot(along, rise) * np.hypot(x, y)
+    assert len(x) > 100
+    assert abs((along * x + rise * y) / length).max() < np.sin(np.pi / 60) + 1e-6
+    assert (x * rise - y * along > 0).all()
+
+
+def test_bands_are_one_error_wide_and_end_where_it_is_unknown():
+    figures = pytest.importorskip("xcg.explore.figures")
+    x = np.arange(6.0)
+    error = np.array([0.1, 0.2, np.nan, 0.3, 0.1, 0.1])
+    picture = xr.Dataset({"density": ("x", 2 * x), "density_error": ("x", error)}, {"x": x})
+    shown = figures.Profile()
+    shown.draw(picture, Choice("density", "profile", ("x",)))
+    (along,) = shown.bands.data["x"]
+    (across,) = shown.bands.data["y"]
+    np.testing.assert_array_equal(along, [0, 1, 1, 0, np.nan, 3, 4, 5, 5, 4, 3])
+    half = abs(across - 2 * along)
+    np.testing.assert_allclose(half, [0.1, 0.2, 0.2, 0.1, np.nan, 0.3, 0.1, 0.1, 0.1, 0.1, 0.3])
+    assert "one standard error" in shown.figure.title.text
+    shown.draw(picture[["density"]], Choice("density", "profile", ("x",)))
+    assert not len(shown.bands.data["x"])
+
+
+def test_numbers_without_a_logarithm_are_named():
+    figures = pytest.importorskip("xcg.explore.figures")
+    x = np.arange(4.0)
+    numbers = xr.DataArray([[-1.0, 1.0], [0.0, 4.0]], {"z": x[:2], "x": x[:2]}, ["z", "x"])
+    picture = xr.Dataset({"stress": numbers})
+    choice = Choice("stress", "map", ("x", "z"), is_logarithmic=True)
+    shown = figures.Map()
+    with pytest.warns(xcg.SceneWarning, match="50 % of stress is not above 0"):
+        shown.draw(picture, choice)
+    assert shown.range == (1.0, 4.0)
+    (image,) = shown.image.data["image"]
+    assert np.isnan(image[-1, 0])
+    assert np.nanmin(image) > 0
+    with pytest.raises(ValueError, match="stress is nowhere above 0"):
+        shown.draw(-abs(picture), choice)
+    with pytest.raises(ValueError, match="the colours end at -1"):
+        shown.draw(picture, dataclasses.replace(choice, vmin=-1.0))
+
+
+def test_numbers_are_saved_with_their_places_and_errors(tmp_path):
+    app = pytest.importorskip("xcg.explore.app")
+    mean = xcg.datasets.open("plane_shear").cg.coarse_grain("velocity", axes="z")
+    page = app.Explorer(pictures_of(mean.cg.time_average().compute()))
+    table = pd.read_csv(page._numbers_as_csv())
+    assert [*table] == ["z", "component", "velocity", "velocity_error"]
+    assert len(table) == 3 * page.numbers.sizes["z"]
+
+
+def test_texts_need_no_style_of_the_internet():
+    """Panes of Panel load theirs from it in notebooks when their text changes."""
+    panel = pytest.importorskip("panel")
+    app = pytest.importorskip("xcg.explore.app")
+    page = app.Explorer(pictures_of(xcg.datasets.random_scene(50, seed=1)))
+    panes = page.layout.select(panel.pane.base.PaneBase)
+    assert {type(pane) for pane in panes} == {panel.pane.Bokeh}
 
 
 def test_a_script_is_told_how_to_open_the_page(capsys):

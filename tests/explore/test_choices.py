@@ -110,6 +110,22 @@ def test_the_shown_call_of_a_result_gives_the_numbers_of_the_picture(choice):
     pyplot.close("all")
 
 
+def test_components_and_phases_of_a_result_are_offered_by_their_labels():
+    f = xcg.datasets.open("plane_shear").cg.coarse_grain("velocity", axes="xz", by="species")
+    pictures = pictures_of(f)
+    parts = pictures.parts_of(Choice("velocity", "map", ("x", "z")))
+    assert parts == {"magnitude": "", "x": "x", "y": "y", "z": "z"}
+    assert pictures.phases == ["bulk", "1", "2"]
+
+
+def test_an_error_that_is_negative_is_refused():
+    f = xcg.datasets.open("plane_shear").cg.coarse_grain("velocity", axes="z")
+    mean = f.cg.time_average().compute()
+    difference = mean.assign(velocity_error=-mean.velocity_error)
+    with pytest.raises(ValueError, match=r"velocity_error is negative.*xcg\.compare"):
+        pictures_of(difference).numbers(Choice("velocity", "profile", ("z",)))
+
+
 def test_nodes_stay_where_they_are_in_all_steps():
     pictures = pictures_of(xcg.datasets.open("plane_shear"))
     first, last = (
@@ -211,7 +227,7 @@ def test_colours_and_arrows_of_the_page_are_in_the_call():
     mesh, arrows = ax.collections
     assert mesh.get_clim() == (0.5, 9.0)
     assert mesh.get_cmap().name == "plasma"
-    drawn = segments_of(pictures.picture(choice), *axes)
+    drawn = segments_of(pictures.picture(choice), "density")
     np.testing.assert_allclose((drawn["x0"] + drawn["x1"]) / 2, arrows.X)
     np.testing.assert_allclose(drawn["x1"] - drawn["x0"], arrows.U / arrows.scale, atol=1e-12)
     np.testing.assert_allclose(drawn["y1"] - drawn["y0"], arrows.V / arrows.scale, atol=1e-12)

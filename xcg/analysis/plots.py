@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -45,6 +45,9 @@ FRAME = (7.0, 5.0)  # inches of a movie
 _DENSITIES = ("sample_count", "density", "volume_fraction", "number_density")
 _ARROW = "arrow_"
 _AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
+PLACES = ("time", "phase", *_AXES)  # coordinates that titles name
+CIRCLE = ("r", "theta")  # axes of maps in the plane of a circle
+UNROLLED = ("theta", "z")  # of maps of an angle and a length, which have any ratio
 
 
 def plot(
@@ -151,7 +154,7 @@ def plot(
             picture, ax = draw_grains(f, field, index, component, at, ax, ends, options)
         except AttributeError as error:  # of matplotlib, about keywords
             raise TypeError(f"plot: {error}") from None
-        drawing.set_title(ax, _title(picture))
+        drawing.set_title(ax, place_of(picture))
         return ax
     if CURVE in f:
         return draw_fit(f, ax or drawing.new_axes(), **options)
@@ -176,7 +179,7 @@ def _plot_step(
         frames.draw(picture, ax)
     except AttributeError as error:  # of matplotlib, about keywords
         raise TypeError(f"plot: {error}") from None
-    drawing.set_title(ax, _title(picture))
+    drawing.set_title(ax, place_of(picture))
     return ax
 
 
@@ -215,10 +218,10 @@ def _plot_compared(
         frames.draw(before, axes[0])
         frames.draw(after, axes[1])  # with the colour bar of both
         _plot_step(difference, choice.shading, axes[2], dict.fromkeys(ends), {})
-        axes[1].set_title("b")
-    axes[0].set_title("a" if len(axes) == 3 else "a and b")
-    axes[-1].set_title("b \N{MINUS SIGN} a")
-    if title := _title(difference):
+        axes[1].setplace_of("b")
+    axes[0].setplace_of("a" if len(axes) == 3 else "a and b")
+    axes[-1].setplace_of("b \N{MINUS SIGN} a")
+    if title := place_of(difference):
         figure.suptitle(title)
     return axes[-1]
 
@@ -370,7 +373,7 @@ def movie(
                 for picture in frames.pictures:
                     film.clear()
                     frames.draw(picture, film.axes)
-                    drawing.set_title(film.axes, _title(picture))
+                    drawing.set_title(film.axes, place_of(picture))
                     film.draw()
                     writer.grab_frame()
                     bar.update()
@@ -501,7 +504,7 @@ class _Shown:
         self, cut: xr.Dataset, axes: list[str], value: xr.DataArray
     ) -> dict[str, xr.DataArray]:
         """Return the components that arrows show on a map, if there are any."""
-        unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
+        unrolled = tuple(axes) == UNROLLED  # an angle and a length: arrows would have no direction
         arrows = self.arrows
         if arrows == "auto":
             arrows = None
@@ -548,6 +551,7 @@ def picture_of(
     Maps have the dimensions (up, across), and profiles that of their axis first.
     """
     picture = _Shown(field, component, direction, phase, at, arrows, "flat").picture(f, index)
+    _check_errors(picture)
     return picture.transpose(*axes_of(picture)[::-1], ...)
 
 
@@ -726,9 +730,9 @@ class _Frames:
     @property
     def ratio(self) -> float | None:
         """Height over width of a map; None of profiles and unrolled maps, which have any."""
-        if len(self.axes) == 1 or self.axes == ["theta", "z"]:
+        if len(self.axes) == 1 or tuple(self.axes) == UNROLLED:
             return None
-        if self.axes == ["r", "theta"]:
+        if tuple(self.axes) == CIRCLE:
             return 1.0
         return drawing.ratio_of(self.pictures[0][self.name].transpose(*self.axes[::-1]))
 
@@ -737,7 +741,7 @@ class _Frames:
         if len(self.axes) == 1:
             self._draw_profile(picture, ax)
             return
-        if self.axes == ["r", "theta"]:
+        if tuple(self.axes) == CIRCLE:
             mesh = self._draw_circle(picture.sortby(self.axes), ax)
         else:
             mesh = self._draw_map(picture.sortby(self.axes), ax)
@@ -812,23 +816,7 @@ class _Frames:
         up = rim * np.sin(turn[:, None])
         mesh = ax.pcolormesh(across, up, values, **self.keywords)
         if self.fastest > 0:
-            apart = 2 * rim[-1] / ARROWS
-            line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
-            x, y = (a.ravel() for a in np.meshgrid(line, line))
-            away = np.hypot(x, y)
-            angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
-            inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
-            x, y, away, angle = (a[inside] for a in (x, y, away, angle))
-            places = {
-                "r": xr.DataArray(away, dims="arrow"),
-                "theta": xr.DataArray(angle, dims="arrow"),
-            }
-            nearest = picture.sel(places, method="nearest")
-            outward = nearest[f"{_ARROW}r"].to_numpy()
-            around = nearest[f"{_ARROW}theta"].to_numpy()
-            along = outward * np.cos(angle) - around * np.sin(angle)
-            rise = outward * np.sin(angle) + around * np.cos(angle)
-            self._draw_arrows(ax, x, y, along, rise, apart)
+            self._draw_arrows(ax, *_arrows_in_circle(picture, self.name))
         ax.set_aspect("equal")
         unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
         drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
@@ -877,13 +865,38 @@ def _arrows_on(
     return x, y, along, rise, min(apart, default=1.0)
 
 
-def segments_of(picture: xr.Dataset, across: str, up: str) -> dict[str, NDArray]:
-    """Return the ends of the arrows that `plot` draws on a map: x0, y0, x1, y1; empty without arrows."""
+def _arrows_in_circle(
+    picture: xr.Dataset, name: str
+) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
+    """Return places and components of arrows as `_arrows_on`, on a grid of squares in the plane of a circle."""
+    rim, turn, _ = drawing.cells_of(picture[name].transpose("theta", "r"), "flat")
+    apart = 2 * rim[-1] / ARROWS
+    line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
+    x, y = (a.ravel() for a in np.meshgrid(line, line))
+    away = np.hypot(x, y)
+    angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+    inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
+    x, y, away, angle = (a[inside] for a in (x, y, away, angle))
+    places = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
+    nearest = picture.sel(places, method="nearest")
+    outward = nearest[f"{_ARROW}r"].to_numpy()
+    around = nearest[f"{_ARROW}theta"].to_numpy()
+    along = outward * np.cos(angle) - around * np.sin(angle)
+    rise = outward * np.sin(angle) + around * np.cos(angle)
+    return x, y, along, rise, apart
+
+
+def segments_of(picture: xr.Dataset, name: str) -> dict[str, NDArray]:
+    """Return the ends of the arrows that `plot` draws on a map of `picture_of`: x0, y0, x1, y1."""
+    across, up = axes_of(picture)
     picture = picture.sortby([across, up])
     fastest = _fastest(picture)
     if not fastest > 0:
-        return {name: np.zeros(0) for name in ("x0", "y0", "x1", "y1")}
-    x, y, along, rise, apart = _arrows_on(picture, across, up)
+        return {end: np.zeros(0) for end in ("x0", "y0", "x1", "y1")}
+    if (across, up) == CIRCLE:
+        x, y, along, rise, apart = _arrows_in_circle(picture, name)
+    else:
+        x, y, along, rise, apart = _arrows_on(picture, across, up)
     moving = np.hypot(along, rise) >= AT_REST * fastest
     half = 0.5 * apart / fastest
     x, y, along, rise = x[moving], y[moving], half * along[moving], half * rise[moving]
@@ -912,13 +925,14 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
     drawing.add_colour_bar(mesh, ax, drawing.label_of(picture[name], name), values, shrink=shrink)
 
 
-def _title(picture: xr.Dataset) -> str:
-    """Return the time and the position of a slice, as text."""
+def place_of(
+    picture: xr.Dataset | xr.DataArray, write: Callable[[str], str] = drawing.unit_text
+) -> str:
+    """Return the time, the phase and the place of a slice as text, with units as `write` has them."""
     parts = []
-    names = ("time", "phase", *_AXES)
-    for name in [a for a in names if a in picture.coords and not picture[a].ndim]:
+    for name in [a for a in PLACES if a in picture.coords and not picture[a].ndim]:
         value = picture[name].item()
-        unit = drawing.unit_text(str(picture[name].attrs.get("units", "")))
+        unit = write(str(picture[name].attrs.get("units", "")))
         text = str(value)
         if isinstance(value, float):
             text = f"{value:.4g}"

@@ -304,6 +304,22 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     return x, y, np.where(inside, top / np.where(bottom > 0, bottom, 1.0), np.nan)
 
 
+def pixels_of(value: xr.DataArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Return edges (across, up) and numbers of pixels in the plane of a circle: smooth cells of a map (theta, r)."""
+    rim, turn, cells = cells_of(value, "smooth")
+    rim = rim.clip(0)
+    ends = rim[[0, -1]]
+    across = np.linspace(*ends_of(ends * np.cos(turn[:, None])), SMOOTH + 1)
+    up = np.linspace(*ends_of(ends * np.sin(turn[:, None])), SMOOTH + 1)
+    x, y = np.meshgrid(0.5 * (across[1:] + across[:-1]), 0.5 * (up[1:] + up[:-1]))
+    away = np.hypot(x, y)
+    angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+    inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
+    row = np.searchsorted(turn, angle, "right").clip(1, len(cells)) - 1
+    column = np.searchsorted(rim, away, "right").clip(1, len(cells.T)) - 1
+    return across, up, np.where(inside, cells[row, column], np.nan)
+
+
 def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
     """Return the distance (up, across) of each node from the rounded rim of the known ones, in nodes.
 

@@ -16,6 +16,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.analysis.compare import ERROR
+from xcg.analysis.plots import PLACES
 from xcg.common.checks import extra
 from xcg.common.messages import SceneWarning, printable
 from xcg.explore.choices import Choice, Pictures, pictures_of
@@ -26,6 +28,14 @@ from xcg.explore.server import serve
 PAUSE = 0.03  # seconds after a change, in which further ones replace it
 REST = 0.3  # seconds after a picture, before the errors of all widths are computed
 COPY = "navigator.clipboard.writeText(code.tags[0]); button.label = 'copied'"
+# as the button of the figure itself does
+SAVE = """
+const figure = map.visible ? map : profile;
+figure.toolbar.tools.find(tool => tool.type == "SaveTool").do.emit("save");
+"""
+RED = {"background": "#f8d7da", "color": "#58151c"}  # of errors
+YELLOW = {"background": "#fff3cd", "color": "#664d03"}  # of warnings
+GREY = {"background": "#f4f4f4", "color": "#333333"}
 
 
 def explore(ds: xr.Dataset) -> Explorer:
@@ -94,8 +104,6 @@ class Explorer:
         Widgets.
     layout : panel.Row
         The page.
-    numbers : xarray.DataArray or None
-        Numbers of the present picture; None after an error.
     message : str
         Error or warnings of the present picture.
     """
@@ -103,33 +111,50 @@ class Explorer:
     def __init__(self, pictures: Pictures, opened: str = "") -> None:
         self.pictures = pictures
         self.opened = opened
-        self.numbers: xr.DataArray | None = None
+        self._picture: xr.Dataset | None = None
         self.message = ""
         self._latest = object()  # of the last change
         self._errors_of: Choice | None = None  # that are drawn
         pn = self._pn = extra("panel", "explore", "explore")
         self.controls = Controls(pictures, pn.widgets)
-        self._alert = pn.pane.Alert(visible=False, sizing_mode="stretch_width")
-        self._code = pn.pane.HTML(sizing_mode="stretch_width")
-        copy = pn.widgets.Button(name="copy", width=80)
-        copy.js_on_click(args={"code": self._code, "button": copy}, code=COPY)
-        save = pn.widgets.FileDownload(
-            label="numbers (CSV)", filename="numbers.csv", callback=self._table, width=140
-        )
         self.map = Map()
         self.profile = Profile()
         self.errors = Errors()
+        # texts are models of Bokeh: new texts of Panel's panes load their style from the internet
+        models = self._models = extra("bokeh.models", "explore", "explore")
+        text = models.Div
+        self._alert = text(visible=False, sizing_mode="stretch_width")
+        self._code = text(sizing_mode="stretch_width")
+        self._reason = text(visible=False, width=320)
+        copy = pn.widgets.Button(name="copy", width=80)
+        copy.js_on_click(args={"code": self._code, "button": copy}, code=COPY)
+        figures = {"map": self.map.figure, "profile": self.profile.figure}
+        picture = pn.widgets.Button(name="picture (PNG)", width=140)
+        picture.js_on_click(args=figures, code=SAVE)
+        self._table = pn.widgets.FileDownload(
+            label="numbers (CSV)", callback=self._numbers_as_csv, filename="numbers.csv", width=140
+        )
         wide = {"sizing_mode": "stretch_width", "min_width": 0}
-        self._map = pn.pane.Bokeh(self.map.figure, **wide)
-        self._profile = pn.pane.Bokeh(self.profile.figure, **wide)
-        self._errors = pn.pane.Bokeh(self.errors.figure)
-        self._reason = pn.pane.Alert(visible=False, alert_type="light", width=320)
-        controls = pn.Column(self.controls.search, *self.controls.by_name.values(), width=330)
-        code = pn.Column(pn.Row(copy, save), self._code, sizing_mode="stretch_width")
+        self._drawn = [
+            *(
+                pn.pane.Bokeh(model, **wide)
+                for model in (self._alert, *figures.values(), self._code)
+            ),
+            pn.pane.Bokeh(self.errors.figure),
+            pn.pane.Bokeh(self._reason),
+        ]
+        alert, drawn_map, drawn_profile, code, errors, reason = self._drawn
         self.layout = pn.Row(
-            controls,
-            pn.Column(self._alert, self._map, self._profile, code, **wide),
-            pn.Column(self._errors, self._reason, visible=bool(pictures.widths)),
+            pn.Column(self.controls.search, *self.controls.by_name.values(), width=330),
+            pn.Column(
+                alert,
+                drawn_map,
+                drawn_profile,
+                pn.FlexBox(copy, self._table, picture),
+                code,
+                **wide,
+            ),
+            pn.Column(errors, reason, visible=bool(pictures.widths)),
             sizing_mode="stretch_width",
         )
         self.update()
@@ -157,11 +182,22 @@ class Explorer:
         """The Python calls that make the present picture."""
         return self.opened + self.pictures.call(self.controls.choice)
 
-    def _table(self) -> io.StringIO:
-        """Return the numbers of the present picture as CSV."""
+    @property
+    def numbers(self) -> xr.DataArray | None:
+        """Numbers of the present picture; None after an error."""
+        if self._picture is None:
+            return None
+        return self._picture[self._picture.attrs["drawn"]]
+
+    def _numbers_as_csv(self) -> io.StringIO:
+        """Return the numbers of the present picture and their errors, with their places, as CSV."""
         text = io.StringIO()
-        if self.numbers is not None:
-            self.numbers.drop_vars("setup", errors="ignore").to_dataframe().to_csv(text)
+        if self._picture is not None:
+            name = self._picture.attrs["drawn"]
+            table = self._picture[[n for n in (name, f"{name}{ERROR}") if n in self._picture]]
+            places = {*table.dims, *PLACES, "step"}
+            table = table.drop_vars([n for n in table.coords if n not in places])
+            table.to_dataframe().to_csv(text)
         text.seek(0)
         return text
 
@@ -180,43 +216,40 @@ class Explorer:
         self.controls.offer()
         choice = self.controls.choice
         call = self.call
-        wrapped = f'<pre style="white-space: pre-wrap">{html.escape(call)}</pre>'
-        self._code.param.update(object=wrapped, tags=[call])
+        self._code.update(
+            text=f'<pre style="white-space: pre-wrap">{html.escape(call)}</pre>', tags=[call]
+        )
         figure: Map | Profile = self.map
         if choice.view == "profile":
             figure = self.profile
-        self._map.visible = figure is self.map
-        self._profile.visible = figure is self.profile
+        self.map.figure.visible = figure is self.map
+        self.profile.figure.visible = figure is self.profile
+        name = f"{choice.field}_{choice.view}_{choice.time}"
+        figure.figure.select_one(self._models.SaveTool).filename = name
+        self._table.filename = f"{name}.csv"
         refused = ""
-        alert_type = "warning"
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", SceneWarning)
             try:
-                picture = self.pictures.picture(choice)
-                self.numbers = picture[choice.field]
-                figure.draw(picture, choice)
+                self._picture = self.pictures.picture(choice)
+                figure.draw(self._picture, choice)
                 if figure is self.map:
                     self.controls.fix_range(*self.map.range)
                     self._draw_grains(choice)
             except Exception as error:  # any: the page has to go on, and to show it
-                self.numbers = None
+                self._picture = None
                 figure.clear()
                 refused = repr(error)
                 if isinstance(error, ValueError):
                     refused = str(error)
-                alert_type = "danger"
         texts = [str(w.message) for w in caught if issubclass(w.category, SceneWarning)]
         self.message = printable(refused or "\n\n".join(texts))
-        self._alert.param.update(
-            object=html.escape(self.message, quote=False),
-            alert_type=alert_type,
-            visible=bool(self.message),
-        )
+        _show(self._alert, self.message, RED if refused else YELLOW)
         if _of_errors(choice) == self._errors_of:
             self.errors.mark(_number_of(choice.width))
         else:
-            self.errors.clear("errors are computed ...")
-            self._reason.visible = False
+            self.errors.clear("errors are computed ..." if not refused else "")
+            _show(self._reason, "", GREY)
         self._push()
 
     def _draw_grains(self, choice: Choice) -> None:
@@ -235,6 +268,8 @@ class Explorer:
         choice = _of_errors(self.controls.choice)
         if latest is not self._latest or choice == self._errors_of or not pictures.widths:
             return
+        if self._picture is None:  # the reason stands above
+            return
         try:
             errors = await asyncio.to_thread(pictures.errors, choice)
         except Exception as error:  # any, as in `update`
@@ -247,7 +282,7 @@ class Explorer:
         """Draw errors by their names, or show the message of why they are unknown."""
         if isinstance(errors, str):
             self.errors.clear()
-            self._reason.param.update(object=html.escape(errors, quote=False), visible=True)
+            _show(self._reason, errors, GREY)
         else:
             self.errors.draw(errors, _number_of(self.controls.choice.width))
         self._push()
@@ -255,7 +290,13 @@ class Explorer:
     def _push(self) -> None:
         """Send changes of the figures to a notebook; a server sends them by itself."""
         if not self._pn.state.served:
-            self._pn.io.push_notebook(self._map, self._profile, self._errors)
+            self._pn.io.push_notebook(*self._drawn)
+
+
+def _show(div: Any, text: str, colours: dict[str, str]) -> None:
+    """Show a text on a ground of its colours; nothing if it is empty."""
+    styles = {"padding": "8px", "white-space": "pre-wrap", "box-sizing": "border-box", **colours}
+    div.update(text=html.escape(text, quote=False), styles=styles, visible=bool(text))
 
 
 def _of_errors(choice: Choice) -> Choice:

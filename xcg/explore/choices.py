@@ -159,8 +159,8 @@ class Pictures:
         names = [str(name) for name in self.ds.data_vars if {*self.plane} & {*self.ds[name].dims}]
         self.fields = {"fields": dict(zip(names, names, strict=True))}
         self.vectors = [name for name in names if self.rank_of(name) == 1]
-        self.axes = [str(label) for label in self.ds.get("component", [])]
-        self.phases = [str(label) for label in self.ds.get("phase", [])]
+        self.axes = self._labels_of("component")
+        self.phases = self._labels_of("phase")
         self.drawn_phases = self.phases
         self.views: dict[str, list[tuple[str, ...]]] = {}
         if len(self.plane) == 2:
@@ -168,6 +168,11 @@ class Pictures:
         if len(self.plane) == 3:
             self.views["slice"] = list(combinations(self.plane, 2))
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
+
+    def _labels_of(self, dim: str) -> list[str]:
+        if dim not in self.ds.dims:
+            return []
+        return [str(label) for label in self.ds[dim].to_numpy()]
 
     def text_of_step(self, time: int) -> str:
         """Return the time and number of a step, as text."""

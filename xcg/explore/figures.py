@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Mapping
 from itertools import product
 from typing import Any
@@ -11,17 +12,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.plots import may_diverge, segments_of
+from xcg.analysis.compare import ERROR
+from xcg.analysis.plots import CIRCLE, UNROLLED, may_diverge, place_of, segments_of
 from xcg.common import drawing
 from xcg.common.checks import extra
+from xcg.common.messages import SceneWarning
 from xcg.explore.choices import Choice
 from xcg.scene.frame import evenly_spaced, with_rising
-from xcg.scene.schema import COMPONENTS
 
 HIGHEST = 620  # pixels of the height of a map
 NARROWEST = 260  # pixels of its width, with labels; the narrowest maps are not to scale
 SHORTEST = 80  # pixels of its height; very flat maps are not to scale
 BESIDE = 170  # pixels of labels and colour bar
+RATIO = 0.6  # of height to width of a map of an angle and a length
 SIDE = 260  # pixels of the square of errors
 LETTERS = 60  # in a line of a title
 OF_BAR = 50  # letters in a line beside a colour bar
@@ -31,6 +34,7 @@ CLEAR = "rgba(0, 0, 0, 0)"
 TOOLS = "pan,wheel_zoom,box_zoom,reset,save"
 _EMPTY_IMAGE: dict[str, list] = {"image": [], "x": [], "y": [], "dw": [], "dh": []}
 _EMPTY_LINES: dict[str, list] = {"x": [], "y": [], "colour": [], "label": []}
+_EMPTY_BANDS: dict[str, list] = {"x": [], "y": [], "colour": []}
 _EMPTY_ARROWS: dict[str, list] = {"x0": [], "y0": [], "x1": [], "y1": []}
 # colours by their names in matplotlib
 PALETTES = {
@@ -57,21 +61,41 @@ def label_of(value: xr.DataArray, name: str) -> str:
     return drawing.with_unit(text, str(value.attrs.get("units", "")), drawing.unit_in_unicode)
 
 
-def place_of(numbers: xr.DataArray) -> str:
-    """Return the time, the phase and the place of a slice of some numbers, as text."""
-    places = []
-    for name in ("time", "phase", "r", "theta", *COMPONENTS):
-        if name in numbers.coords and not numbers[name].ndim:
-            value = numbers[name].item()
-            text = f"{value:.4g}" if isinstance(value, float) else str(value)
-            unit = drawing.unit_in_unicode(str(numbers[name].attrs.get("units", "")))
-            places.append(f"{name} = {text} {unit}".rstrip())
-    return ", ".join(places)
-
-
 def _title(*lines: str) -> str:
     """Return the text of a title, broken into lines."""
     return "\n".join(textwrap.fill(line, LETTERS) for line in lines if line)
+
+
+def _ends_of_logarithm(values: NDArray, name: str, choice: Choice) -> tuple[float, float]:
+    """Return the ends of logarithmic colours; warn of numbers that have no logarithm.
+
+    Raises
+    ------
+    ValueError
+        If no number or an end of the colours is not above 0.
+    """
+    positive = values[values > 0]
+    if not positive.size:
+        raise ValueError(f"logarithm: {name} is nowhere above 0 in this picture; untick logarithm")
+    for end in (choice.vmin, choice.vmax):
+        if end is not None and end <= 0:
+            raise ValueError(f"logarithm: the colours end at {end:g}; give an end above 0")
+    if positive.size < values.size:
+        share = 100 * (1 - positive.size / values.size)
+        warnings.warn(
+            f"logarithm: {share:.2g} % of {name} is not above 0, and has no colour",
+            SceneWarning,
+            stacklevel=2,
+        )
+    low, high = positive.min(), positive.max()
+    if low == high:
+        low, high = low / 2, 2 * high
+    if choice.vmin is not None:
+        low = choice.vmin
+    if choice.vmax is not None:
+        high = choice.vmax
+    drawing.check_ends(low, high, choice.vmin, choice.vmax)
+    return float(low), float(high)
 
 
 class Map:
@@ -158,17 +182,26 @@ class Map:
         numbers = picture[choice.field]
         up, across = (str(dim) for dim in numbers.dims)
         numbers = with_rising(numbers, (up, across))
-        for axis in (across, up):
-            if numbers.sizes[axis] > 2:
-                evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
-        edges_across, edges_up, values = drawing.cells_of(numbers, "smooth")
-        x = edges_across[0]
-        width = edges_across[-1] - edges_across[0]
-        y = edges_up[0]
-        height = edges_up[-1] - edges_up[0]
+        label_across = label_of(numbers[across], across)
+        label_up = label_of(numbers[up], up)
         label = self._colour(numbers, choice)
+        if (across, up) == CIRCLE:
+            edges_across, edges_up, values = drawing.pixels_of(numbers)
+            unit = str(numbers["r"].attrs.get("units", ""))
+            label_across = drawing.with_unit("r cos θ", unit, drawing.unit_in_unicode)
+            label_up = drawing.with_unit("r sin θ", unit, drawing.unit_in_unicode)
+        else:
+            for axis in (across, up):
+                if numbers.sizes[axis] > 2:
+                    evenly_spaced(numbers[axis].to_numpy(), f"explore: nodes along {axis}")
+            edges_across, edges_up, values = drawing.cells_of(numbers, "smooth")
+        x, y = edges_across[0], edges_up[0]
+        width = edges_across[-1] - x
+        height = edges_up[-1] - y
+        if choice.is_logarithmic:
+            values = np.where(values > 0, values, np.nan)
         self.image.data = {"image": [values], "x": [x], "y": [y], "dw": [width], "dh": [height]}
-        self.arrows.data = segments_of(picture, across, up)
+        self.arrows.data = segments_of(picture, choice.field)
         figure = self.figure
         extent = (across, x, width, up, y, height)
         if extent != self._extent:
@@ -176,11 +209,13 @@ class Map:
             figure.x_range.update(start=x, end=x + width, reset_start=x, reset_end=x + width)
             figure.y_range.update(start=y, end=y + height, reset_start=y, reset_end=y + height)
             ratio = height / width
+            if (across, up) == UNROLLED:
+                ratio = RATIO
             figure.max_width = max(NARROWEST, round(HIGHEST / ratio) + BESIDE)
             figure.tags = [ratio, SHORTEST]
-        figure.xaxis.axis_label = label_of(numbers[across], across)
-        figure.yaxis.axis_label = label_of(numbers[up], up)
-        figure.title.text = _title(label, place_of(numbers))
+        figure.xaxis.axis_label = label_across
+        figure.yaxis.axis_label = label_up
+        figure.title.text = _title(label, place_of(numbers, drawing.unit_in_unicode))
 
     def _colour(self, numbers: xr.DataArray, choice: Choice) -> str:
         """Set colours and their ends as `plot` has them; return the label of the colour bar."""
@@ -191,9 +226,7 @@ class Map:
         cmap = choice.cmap or "viridis"
         if choice.is_logarithmic:
             mapper = self._logarithm
-            low, high = drawing.ends_of(known[known > 0])
-            low = low if choice.vmin is None else choice.vmin
-            high = high if choice.vmax is None else choice.vmax
+            low, high = _ends_of_logarithm(known, str(numbers.name), choice)
         else:
             if choice.vmax is None and may_diverge(numbers):
                 known, note = drawing.without_tail(known)
@@ -203,7 +236,7 @@ class Map:
         palette = getattr(self._palettes, PALETTES[cmap])
         mapper.update(palette=self._palettes.interp_palette(palette, COLOURS), low=low, high=high)
         self._drawn.glyph.color_mapper = mapper
-        self.bar.update(color_mapper=mapper, title=textwrap.fill(label, OF_BAR))
+        self.bar.update(color_mapper=mapper, title=textwrap.fill(label, OF_BAR), visible=True)
         self.range = (low, high)
         return label
 
@@ -218,22 +251,41 @@ class Map:
         self.image.data = _EMPTY_IMAGE
         self.circles.data = _EMPTY_CIRCLES
         self.arrows.data = _EMPTY_ARROWS
+        self.bar.visible = False
         self.figure.title.text = ""
 
 
+def _band(nodes: NDArray, values: NDArray, errors: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the outline of a band of one error on both sides; NaN between parts with known numbers."""
+    known = np.isfinite(values + errors)
+    parts = np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(known)) + 1)
+    outlines = []
+    for part in parts:
+        if known[part[0]]:
+            low = [nodes[part], (values - errors)[part]]
+            high = [nodes[part][::-1], (values + errors)[part][::-1]]
+            outlines.append(np.concatenate([low, high, np.full((2, 1), np.nan)], axis=1))
+    if not outlines:
+        return np.zeros(0), np.zeros(0)
+    along, across = np.concatenate(outlines, axis=1)[:, :-1]
+    return along, across
+
+
 class Profile:
-    """Lines along one axis; z stands upright.
+    """Lines along one axis with bands of one standard error; z stands upright.
 
     Attributes
     ----------
     figure : bokeh.plotting.figure
         To be shown.
-    lines : bokeh.models.ColumnDataSource
+    lines, bands : bokeh.models.ColumnDataSource
         Its numbers.
     """
 
     def __init__(self) -> None:
-        self.lines = extra("bokeh.models", "explore", "explore").ColumnDataSource(_EMPTY_LINES)
+        models = extra("bokeh.models", "explore", "explore")
+        self.lines = models.ColumnDataSource(_EMPTY_LINES)
+        self.bands = models.ColumnDataSource(_EMPTY_BANDS)
         self._palette = extra("bokeh.palettes", "explore", "explore").Category10[10]
         self.figure = extra("bokeh.plotting", "explore", "explore").figure(
             frame_height=HIGHEST * 3 // 4,
@@ -242,6 +294,9 @@ class Profile:
             min_width=NARROWEST,
             tools=TOOLS,
             name="profile",
+        )
+        self.figure.patches(
+            "x", "y", source=self.bands, fill_color="colour", fill_alpha=0.25, line_color=None
         )
         self.figure.multi_line(
             "x", "y", source=self.lines, line_color="colour", line_width=2, legend_field="label"
@@ -254,25 +309,42 @@ class Profile:
         numbers = picture[choice.field]
         axis, *others = (str(dim) for dim in numbers.dims)
         parts = list(product(*(numbers[dim].to_numpy() for dim in others)))
-        values = [numbers.sel(dict(zip(others, part, strict=True))).to_numpy() for part in parts]
-        across = [numbers[axis].to_numpy()] * len(parts), label_of(numbers[axis], axis)
-        up = values, label_of(numbers, str(numbers.name))
+        places = [dict(zip(others, part, strict=True)) for part in parts]
+        nodes = numbers[axis].to_numpy()
+        values = [numbers.sel(place).to_numpy() for place in places]
+        colours = [self._palette[k % len(self._palette)] for k in range(len(parts))]
+        names = ["x", "y"]
+        labels = [label_of(numbers[axis], axis), label_of(numbers, str(numbers.name))]
         if axis == "z":
-            across, up = up, across
+            names.reverse()
+            labels.reverse()
+        along, drawn = names
         self.lines.data = {
-            "x": across[0],
-            "y": up[0],
-            "colour": [self._palette[k % len(self._palette)] for k in range(len(parts))],
+            along: [nodes] * len(parts),
+            drawn: values,
+            "colour": colours,
             "label": [", ".join(map(str, part)) for part in parts],
         }
+        self.bands.data = _EMPTY_BANDS
+        error = picture.get(f"{choice.field}{ERROR}")
+        title = ""
+        if error is not None:
+            errors = [error.sel(place).to_numpy() for place in places]
+            bands = [_band(nodes, *pair) for pair in zip(values, errors, strict=True)]
+            self.bands.data = {
+                along: [band[0] for band in bands],
+                drawn: [band[1] for band in bands],
+                "colour": colours,
+            }
+            title = "band: one standard error"
         self.figure.legend.visible = bool(others)
-        self.figure.xaxis.axis_label = across[1]
-        self.figure.yaxis.axis_label = up[1]
-        self.figure.title.text = _title(place_of(numbers))
+        self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = labels
+        self.figure.title.text = _title(place_of(numbers, drawing.unit_in_unicode), title)
 
     def clear(self) -> None:
         """Draw nothing."""
         self.lines.data = _EMPTY_LINES
+        self.bands.data = _EMPTY_BANDS
         self.figure.title.text = ""
 
 
