@@ -98,7 +98,7 @@ def compare(
     bias = truth.of(f, "_bias")
     unbiased = np.nan
     if bias is not None:
-        values = values - bias
+        values = values - bias.fillna(0.0)
         unbiased = mean_of(values)
     error = truth.of(f, "_error")
     within = np.nan

@@ -362,6 +362,18 @@ TABLE = [
         "test_means_of_few_steps_warn_of_the_share_within_two_errors test_means_of_many_steps_are_silent",
     ),
     Mutation(
+        "fields/formulas/doubts.py", "np.abs(middle) < error", "np.abs(middle) > error",
+        "test_an_unsure_sign_of_the_nematic_order_warns_and_has_no_bias",
+    ),
+    Mutation(
+        "fields/pressures.py", "np.maximum(of_line, _beyond(", "np.minimum(of_line, _beyond(",
+        "test_a_weak_shear_of_few_grains_is_known_by_its_mean_slope",
+    ),
+    Mutation(
+        "fields/advice.py", "shares = by_component / np.maximum(normal, mean)", "shares = by_component / normal",
+        "test_few_grains_without_flow_and_a_component_that_is_small_are_silent",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),
@@ -405,7 +417,7 @@ TABLE = [
         "fields/pressures.py", "* rows / every", "* rows", "test_pressures_of_a_crystal_that_fluctuates",
     ),
     Mutation(
-        "fields/advice.py", "if not added > _CONSIDERABLE * (added + true)", "if not added > _CONSIDERABLE",
+        "fields/advice.py", "share = added / (added + true)", "share = added",
         "test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows",
     ),
     Mutation(

@@ -12,13 +12,13 @@ from tests import raise_if_dask_computes, truths
 NAMES = ["friction_coefficient", "inertial_number"]
 
 
-def said(ds, *args, **options):
+def said(ds, *args, about="a node sees", **options):
     """Return what a call warns of single steps."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         ds.cg.coarse_grain(*args, **options).compute()
     texts = [str(warning.message) for warning in caught]
-    return [text for text in texts if "a node sees" in text]
+    return [text for text in texts if about in text]
 
 
 def mixture(steps):
@@ -144,6 +144,41 @@ def test_the_warning_of_lost_kinetic_stress_names_a_field_that_takes_it():
     nodes = system.nodes("volume")
     with pytest.warns(xcg.SceneWarning, match="fluctuating_kinetic_energy lacks about"):
         system.make().cg.coarse_grain(names, width=1.0, **nodes)
+
+
+def share_of_variation(text):
+    """Share and component in a warning of the variation of the flow."""
+    form = r"about (\d+) % of (the component \w\w|the pressure|it) is no fluctuation"
+    share, component = re.search(form, text).groups()
+    return int(share), component
+
+
+@pytest.mark.parametrize("axes", ["xyz", "z"])
+def test_the_component_of_a_stress_that_holds_the_variation_of_the_flow_is_named(axes):
+    """In shear xx holds rate^2 <z^2> beside T, which is less than 5 % of the pressure."""
+    rate, variance = 0.18, 3.0  # of places at the width 3
+    added = rate**2 * variance
+    ds = truths.gas(1, rate=rate)
+    options = {"axes": axes, "width": 3.0, "about": "no fluctuation"}
+    (text,) = said(ds, "kinetic_stress", **options)
+    share, component = share_of_variation(text)
+    assert component == "the component xx"
+    assert share == pytest.approx(100 * added / (1 + added), abs=2.5)
+    assert said(ds, "pressure", **options) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_few_grains_without_flow_and_a_component_that_is_small_are_silent(seed):
+    rng = np.random.default_rng(seed)
+    ds = truths.gas(1, phi=0.1)
+    at_random = rng.normal(size=ds.velocity.shape)
+    flat = at_random * [1.0, 1.0, 0.0]
+    # V_z varies along z, by less than 1 % of the pressure
+    slow = flat.copy()
+    slow[..., 2] = 0.05 * (ds.position[..., 2] - 6.0)
+    for velocity in (at_random, flat, slow):
+        gas = ds.assign(velocity=(ds.velocity.dims, velocity))
+        assert said(gas, "kinetic_stress", about="", axes="z", width=3.0) == []
 
 
 @pytest.mark.parametrize(

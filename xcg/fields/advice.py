@@ -23,7 +23,7 @@ from xcg.scene.conform import what_is_left_out
 from xcg.scene.description import Description
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame
+from xcg.scene.schema import COMPONENTS, Frame
 
 # --- at the call, from scene and plan; nothing is read -----------------------------------------------
 
@@ -410,9 +410,10 @@ class ComputedStep:
         usual = [name for name in ("kinetic_stress", "stress", "pressure") if name in taking]
         names = ", ".join(usual or taking[:1])
         whole = "the pressure" if has_contacts else "it"
-        true = parts.kinetic + max(parts.contact, 0.0)
+        kinetic = float(parts.kinetic.sum())
+        true = kinetic + max(float(parts.contact.sum()), 0.0)
         self._warn_of_variation(parts, true, names, whole)
-        lost = parts.kinetic / plan.support.grains
+        lost = kinetic / plan.support.grains
         if not lost > _CONSIDERABLE * true:
             return {}
         verb = "lack" if ", " in names else "lacks"
@@ -422,11 +423,27 @@ class ComputedStep:
         }
 
     def _warn_of_variation(self, parts: Pressures, true: float, names: str, whole: str) -> None:
-        """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow."""
-        added = parts.smeared + sum(parts.averaged.values())
-        if not added > _CONSIDERABLE * (added + true):
+        """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow.
+
+        Of tensors it is also the part of a normal stress, or of the mean one, whichever is larger:
+        a stress that is small beside the others is of no weight in their ratios.
+        """
+        by_component = parts.smeared + sum(parts.averaged.values())
+        added = float(by_component.sum())
+        if not added:
             return
-        hidden = "".join(a for a, part in parts.averaged.items() if part > 0.3 * added)
+        share = added / (added + true)
+        if {"kinetic_stress", "stress"} & {*self.plan.asked}:
+            normal = by_component + parts.kinetic + np.maximum(parts.contact, 0.0)
+            mean = (added + true) / self.plan.options.dimension
+            shares = by_component / np.maximum(normal, mean)
+            largest = int(shares.argmax())
+            if shares[largest] > share:
+                share = float(shares[largest])
+                whole = f"the component {2 * COMPONENTS[largest]}"
+        if not share > _CONSIDERABLE:
+            return
+        hidden = "".join(a for a, part in parts.averaged.items() if part.sum() > 0.3 * added)
         where = "within the support of the kernel"
         way_out = (
             f"decrease width= (it is {self.plan.kernel.width:.3g}); the kinetic part without it is density times the "
@@ -437,6 +454,6 @@ class ComputedStep:
             way_out = f"resolve {' and '.join(hidden)} too (axes=), and average after"
         warn_once(
             "variation of the flow",
-            f"{self.source}: {names}: about {100 * added / (added + true):.0f} % of {whole} is no fluctuation but the "
+            f"{self.source}: {names}: about {100 * share:.0f} % of {whole} is no fluctuation but the "
             f"variation of the flow {where}: {way_out}",
         )

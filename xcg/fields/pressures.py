@@ -18,24 +18,24 @@ from xcg.scene.schema import COMPONENTS, Frame
 _SAMPLED = 2_000  # grains and contacts of a step from which its pressures are estimated
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pressures:
-    """Parts of the pressure of the sampled grains, times volume and dimension (J).
+    """Parts of the normal stresses xx, yy, zz of the sampled grains, times the volume (J).
 
     Attributes
     ----------
-    kinetic, contact : float
+    kinetic, contact : array (3,)
         Of fluctuations, and of contacts.
-    smeared : float
+    smeared : array (3,)
         Of the variation of the flow within the support of the kernel.
     averaged : dict
         Of the variation of the flow along each averaged axis.
     """
 
-    kinetic: float
-    contact: float
-    smeared: float
-    averaged: Mapping[str, float]
+    kinetic: NDArray
+    contact: NDArray
+    smeared: NDArray
+    averaged: Mapping[str, NDArray]
 
 
 def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
@@ -50,8 +50,8 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
     sample = {name: frame[name][::every] for name in ("position", "velocity", "mass")}
     mass = sample["mass"]
     flow, smeared, averaged = variation_of_flow(plan, sample, lattice)
-    kinetic = float((mass[:, None] * (sample["velocity"] - flow) ** 2).sum())
-    contact = 0.0
+    kinetic = mass @ (sample["velocity"] - flow) ** 2
+    contact = np.zeros(3)
     if "contact_i" in frame:
         rows = max(1, len(frame["contact_i"]) // _SAMPLED)
         key_i = frame["contact_i"][::rows]
@@ -65,18 +65,19 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
         j = rows_of(frame["particle_id"], key_j)
         contacts = Contacts(i, j, force, point, frame["position"], lattice, key_i, key_j, None)
         sides = (contacts.branch_i - contacts.branch_j) * contacts.force
-        contact = float(sides[:, list(plan.options.plane)].sum()) * rows / every
+        plane = list(plan.options.plane)
+        contact[plane] = sides[:, plane].sum(axis=0) * rows / every
         pairs = (contacts.i >= 0) & (contacts.j >= 0)
         if 2 * rows * np.count_nonzero(pairs) > count:
             relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
-            kinetic = float((relative**2).sum(axis=1).mean() * mass.sum()) / 2
+            kinetic = (relative**2).mean(axis=0) * mass.sum() / 2
     return Pressures(kinetic, contact, smeared, averaged)
 
 
 def variation_of_flow(
     plan: Plan, frame: Frame, lattice: Lattice
-) -> tuple[NDArray, float, dict[str, float]]:
-    """Return the flow at the grains, and ``sum m |V - <V>|^2`` within supports and along averaged axes.
+) -> tuple[NDArray, NDArray, dict[str, NDArray]]:
+    """Return the flow at the grains, and ``sum m (V_k - <V_k>)^2`` within supports and along averaged axes.
 
     The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
     is subtracted, from the squares and the squared derivatives of Legendre polynomials.
@@ -101,26 +102,26 @@ def variation_of_flow(
     # normal equations: an orthogonal fit takes longer than the stress, and the columns are of one size
     terms = np.linalg.lstsq(weighted @ columns.T, weighted @ velocity, rcond=None)[0]
     flow = columns.T @ terms
-    noise = float((mass @ (velocity - flow) ** 2).sum()) / max(len(mass), 1)
-    smeared = 0.0
+    noise = mass @ (velocity - flow) ** 2 / max(len(mass), 1)
+    smeared = np.zeros(3)
     averaged = {}
     variance = second_moment(plan.kernel, len(grid.seen))
     for n, k in enumerate(plan.options.plane):
         first, second, third = terms[1 + 3 * n : 4 + 3 * n]
         u = places[k][:, None]
+        along = first * u + second * (u * u) + third * (u * u * u)
         if COMPONENTS[k] in grid.seen:
             slope = first + 2 * second * u + 3 * third * u * u
+            line = np.mean(u * along, axis=0)  # u has the variance 1
             share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0
-            smeared += share * _beyond(float((mass @ slope**2).sum()), 20 * noise)
+            of_line = _beyond(mass.sum() * line**2, noise)  # the mean slope is less noisy
+            smeared += share * np.maximum(of_line, _beyond(mass @ slope**2, 20 * noise))
         else:
-            along = first * u + second * (u * u) + third * (u * u * u)
             along -= along.mean(axis=0)
-            averaged[COMPONENTS[k]] = _beyond(float((mass @ along**2).sum()), 3 * noise)
+            averaged[COMPONENTS[k]] = _beyond(mass @ along**2, 3 * noise)
     return flow + of_box, smeared, averaged
 
 
-def _beyond(total: float, noise: float) -> float:
-    """Return a sum of squares less its noise; 0 unless it is well beyond the scatter of that noise."""
-    if total < 4 * noise:
-        return 0.0
-    return total - noise
+def _beyond(total: NDArray, noise: NDArray) -> NDArray:
+    """Return sums of squares less their noise; 0 unless they are well beyond the scatter of that noise."""
+    return np.where(total < 9 * noise, 0.0, total - noise)

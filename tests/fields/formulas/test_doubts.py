@@ -18,6 +18,59 @@ def told(function, *args, **options):
     return result, [str(warning.message) for warning in caught]
 
 
+def rods(order, planar):
+    """Grains with a share `order` of directors along z, or anywhere across it, and the others anywhere."""
+    rng = np.random.default_rng(4)
+    n = rng.normal(size=(16, 1320, 3))
+    chosen = rng.uniform(size=n.shape[:2]) < order
+    if planar:
+        n[chosen, 2] = 0.0
+    else:
+        n[chosen] = (0.0, 0.0, 1.0)
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    return xcg.scene_from_arrays(
+        rng.uniform(0, 12.0, n.shape),
+        velocity=np.zeros(n.shape),
+        director=n,
+        diameter=np.ones(n.shape[:2]),
+        density=1.0,
+        time=np.arange(16),
+        box=dict.fromkeys("xyz", (0.0, 12.0)),
+        periodic="xyz",
+        units="reduced",
+    )
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_an_unsure_sign_of_the_nematic_order_warns_and_has_no_bias(lazy):
+    ds = rods(0.5, planar=True)
+    f, _ = told(ds.cg.coarse_grain, "nematic_order", spacing=3.0, for_averages=True)
+    average = f.cg.time_average
+    if lazy:
+        with raise_if_dask_computes():
+            average = f.chunk(time=4).cg.time_average().compute
+    mean, (text,) = told(average)
+    is_wrong = mean.nematic_order > 0
+    assert float(is_wrong.mean()) > 0.1
+    unsure = mean.nematic_order_bias.isnull()
+    assert float((is_wrong & ~unsure).sum()) <= 0.2 * float(is_wrong.sum())
+    assert f"is unsure at {100 * float(unsure.mean()):.0f} % of the nodes" in text
+    # what the jump from one eigenvalue to the other adds is no bias
+    assert float(np.abs(mean.nematic_order_bias).max()) < 0.1
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_sure_sign_of_the_nematic_order_is_silent(planar):
+    ds = rods(0.5, planar)
+    f, _ = told(ds.cg.coarse_grain, "nematic_order", spacing=3.0, width=1.5, for_averages=True)
+    mean, texts = told(f.cg.time_average)
+    assert texts == []
+    truth = -0.25 if planar else 0.5
+    unbiased = mean.nematic_order - mean.nematic_order_bias
+    within = np.abs(unbiased - truth) < 2 * mean.nematic_order_error
+    assert float(within.mean()) > 0.85
+
+
 def gas_of_few_grains(steps, phi, width, seed=0):
     """A map of grains at random places with the temperature 1, of which a node sees a few."""
     rng = np.random.default_rng(seed)

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from xcg.common.checks import check, whole
 from xcg.common.messages import active_call, warn_once
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, jackknife
-from xcg.fields.formulas.doubts import NOT_NODES, Steadiness, with_unknown_temperatures
+from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackknife
+from xcg.fields.formulas.doubts import NOT_NODES, Steadiness, unsure_sign, with_unknown_temperatures
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.fields.sums.kernels import Kernel, kernel_of
@@ -191,30 +191,9 @@ def time_average(
     mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, "time_average")
     blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f), independent=of_runs)
     in_a_mean = samples.sizes[_SAMPLE]
-    rows = _rows_of(f)
-    names = [name for name in map(str, mean.data_vars) if name not in sums_beside]
-    weights = {name: getattr(rows.get(name), "weight", "") for name in names}
-    steadiness = Steadiness(blocks, weights, in_a_mean, _SAMPLE, active_call())
-    biased: set[str] = set()
-    if in_a_mean >= MIN_BIAS_BLOCKS:
-        options = registry.options_of(f.attrs)
-        biased = {name for name, row in rows.items() if row and _has_bias(row, options)}
-    beside = {}
-    for name in map(str, mean.data_vars):
-        known = mean[name].variable.notnull()
-        units = f[name].attrs.get("units", "1")
-        # without coordinates, which are the mean's; an error may be known where the mean is not
-        error = blocks.errors[name].variable.where(known)
-        error.attrs = {"units": units, "long_name": f"standard error of {name}"}
-        if name not in sums_beside:
-            error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
-        beside[f"{name}_error"] = error
-        if name in biased:
-            bias = blocks.biases[name].variable.where(known)
-            bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
-            beside[f"{name}_bias"] = bias
+    mean = mean.assign(_beside(mean, f, blocks, samples, sums_beside))
     averaged = "averaged_runs" if of_runs else "averaged_steps"
-    mean = mean.assign(beside).assign_attrs({averaged: in_a_mean})
+    mean = mean.assign_attrs({averaged: in_a_mean})
     of_steps = {
         name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
@@ -223,6 +202,45 @@ def time_average(
     loose = [f"{name}{end}" for name in sums_beside for end in ENDS]
     mean = mean.drop_vars(loose, errors="ignore")
     return mean.set_coords(sums_beside)
+
+
+def _beside(
+    mean: xr.Dataset,
+    f: xr.Dataset,
+    blocks: Jackknife,
+    samples: xr.Dataset,
+    unchecked: Sequence[str],
+) -> dict[str, xr.Variable]:
+    """Return the errors and biases of the fields of an average; those that are checked warn."""
+    count = samples.sizes[_SAMPLE]
+    options = registry.options_of(f.attrs)
+    rows = _rows_of(f)
+    weights = {}
+    for name in map(str, mean.data_vars):
+        row = rows.get(name)
+        if name not in unchecked:
+            weights[name] = row.weight if row else ""
+    call = active_call()
+    steadiness = Steadiness(blocks, weights, count, _SAMPLE, call)
+    beside = {}
+    for name in map(str, mean.data_vars):
+        row = rows.get(name)
+        known = mean[name].variable.notnull()
+        units = f[name].attrs.get("units", "1")
+        # without coordinates, which are the mean's; an error may be known where the mean is not
+        error = blocks.errors[name].variable.where(known)
+        error.attrs = {"units": units, "long_name": f"standard error of {name}"}
+        if name in weights:
+            error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
+        if row and count >= MIN_BIAS_BLOCKS and _has_bias(row, options):
+            bias = blocks.biases[name].variable.where(known)
+            if name == "nematic_order" and options.dimension == 3:
+                unsure, error = unsure_sign(mean, error, call)
+                bias = bias.where(~unsure)
+            bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
+            beside[f"{name}_bias"] = bias
+        beside[f"{name}_error"] = error
+    return beside
 
 
 def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:

@@ -200,3 +200,51 @@ def _warned_of_unknown(
             "too large on average. Average over more steps or along axes (axes=), or increase width=",
         )
     return values
+
+
+_UNSURE = 0.1  # share of the nodes
+
+
+def unsure_sign(
+    mean: xr.Dataset, error: xr.Variable, call: Once
+) -> tuple[xr.Variable, xr.Variable]:
+    """Return where the sign of an averaged nematic order is unsure, and its error, which warns if nodes are many.
+
+    The sign is that of the extreme eigenvalue of the larger modulus. The eigenvalues add up to zero,
+    so that the moduli differ by that of the middle one: it is compared with their error. In a plane
+    there are two eigenvalues of one modulus, and no sign.
+    """
+    tensor = mean["nematic_tensor"].variable
+    unsure = xr.apply_ufunc(
+        _with_small_middle,
+        tensor,
+        error,
+        input_core_dims=[["component", "direction"], []],
+        dask="parallelized",
+        output_dtypes=[bool],
+    )
+    share = unsure.sum() / error.notnull().sum().clip(1)
+    warn = partial(_warned_of_sign, call)
+    told = xr.apply_ufunc(warn, error, share, dask="parallelized", output_dtypes=[float])
+    told.attrs = error.attrs
+    return unsure, told
+
+
+def _with_small_middle(tensor: NDArray, error: NDArray) -> NDArray:
+    """Return where the middle eigenvalue of a tensor is smaller than an error."""
+    known = np.isfinite(tensor).all(axis=(-2, -1)) & np.isfinite(error)
+    middle = np.linalg.eigvalsh(np.where(known[..., None, None], tensor, 0.0))[..., 1]
+    return known & (np.abs(middle) < error)
+
+
+def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
+    """Return the errors of a nematic order; warn if its sign is unsure at many nodes."""
+    part = float(np.max(share))
+    if part > _UNSURE:
+        call.warn(
+            "sign of the nematic order",
+            f"time_average: the sign of nematic_order is unsure at {100 * part:.0f} % of the nodes, where the largest "
+            "and the smallest eigenvalue of nematic_tensor are equal in modulus within their error: bias and "
+            "nematic_director are not known there. Average over more steps or along axes (axes=), or increase width=",
+        )
+    return errors
