@@ -19,10 +19,11 @@ from .analysis.find_contacts import find_contacts
 from .analysis.fit_law import fit_law
 from .analysis.force_chains import force_chains, track_chains
 from .analysis.microstructure import microstructure
+from .analysis.movie import movie
 from .analysis.network import adjacency, contact_graph
 from .analysis.pairs import find_pairs
 from .analysis.particle_stress import particle_stress
-from .analysis.plots import movie, plot
+from .analysis.plots import plot
 from .analysis.principal import plot_principal, principal
 from .analysis.radial_distribution import radial_distribution
 from .analysis.shallow import depth_average, fit_slope, free_surface

@@ -200,7 +200,7 @@ class CoarseGrainAccessor:
     fit_slope = Method("xcg.analysis.shallow", RESULT)
     plot = Method("xcg.analysis.plots", SCENE, RESULT)
     plot_width = Method("xcg.analysis.choose_width", RESULT)
-    movie = Method("xcg.analysis.plots", RESULT)
+    movie = Method("xcg.analysis.movie", RESULT)
 
     select_chains = Method("xcg.analysis.chain_selection", CHAINS)
     track_chains = Method("xcg.analysis.force_chains", CHAINS)

@@ -22,9 +22,10 @@ from xcg.analysis.find_contacts import find_contacts
 from xcg.analysis.fit_law import fit_law
 from xcg.analysis.force_chains import force_chains, track_chains
 from xcg.analysis.microstructure import microstructure
+from xcg.analysis.movie import movie
 from xcg.analysis.network import adjacency, contact_graph
 from xcg.analysis.particle_stress import particle_stress
-from xcg.analysis.plots import movie, plot
+from xcg.analysis.plots import plot
 from xcg.analysis.principal import plot_principal, principal
 from xcg.analysis.radial_distribution import radial_distribution
 from xcg.analysis.shallow import depth_average, fit_slope, free_surface

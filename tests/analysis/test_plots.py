@@ -16,7 +16,7 @@ from scipy import ndimage
 
 import xcg
 from tests import ROOT
-from xcg.analysis.plots import _without_empty_parts, picture_of
+from xcg.analysis.picture import picture_of, without_empty_parts
 from xcg.common.drawing import unit_text, without_tail
 from xcg.scene.schema import units_of
 
@@ -184,7 +184,7 @@ def test_a_component_that_is_zero_in_some_steps_stays_in_all():
     f = xcg.datasets.random_scene(60, dimension=2).cg.coarse_grain("velocity", axes="y", width=1.0)
     step = f.isel(time=0).assign_attrs(drawn="velocity")
     along_x = step.assign(velocity=step.velocity * [1, 0, 0])
-    for shown in _without_empty_parts([along_x, step], f):
+    for shown in without_empty_parts([along_x, step], f):
         assert shown.component.values.tolist() == ["x", "y"]
 
 

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.analysis.plots import segments_of
+from xcg.analysis.draw_pictures import segments_of
 from xcg.explore.choices import MOST_GRAINS, NODES_OF_ERRORS, Choice, pictures_of
 
 

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.compare import ERROR
-from xcg.analysis.plots import PLACES
+from xcg.analysis.picture import PLACES
 from xcg.common.checks import extra
 from xcg.common.messages import SceneWarning, printable
 from xcg.explore.choices import Choice, Pictures, pictures_of

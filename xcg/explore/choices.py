@@ -16,7 +16,7 @@ from xcg.analysis.choose_width import WIDTHS as SWEPT
 from xcg.analysis.choose_width import choose_width
 from xcg.analysis.compare import BIAS, ERROR
 from xcg.analysis.grain_plots import circles_of
-from xcg.analysis.plots import axes_of, picture_of
+from xcg.analysis.picture import axes_of, picture_of
 from xcg.analysis.widths import width_sweep
 from xcg.common import drawing
 from xcg.fields.coarse_grain import coarse_grain

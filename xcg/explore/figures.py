@@ -13,7 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.compare import ERROR
-from xcg.analysis.plots import CIRCLE, UNROLLED, may_diverge, place_of, segments_of
+from xcg.analysis.draw_pictures import place_of, segments_of
+from xcg.analysis.picture import CIRCLE, UNROLLED, may_diverge
 from xcg.common import drawing
 from xcg.common.checks import extra
 from xcg.common.messages import SceneWarning

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.chain_results import require_chains, steps_of
-from xcg.analysis.plots import without_air
+from xcg.analysis.picture import without_air
 from xcg.common.checks import extra
 from xcg.common.drawing import check_ends
 from xcg.common.messages import unknown
