@@ -204,7 +204,7 @@ TABLE = [
         "test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges",
     ),
     Mutation(
-        "scene/frame.py", "np.searchsorted(up_to, 0.5 * total)", "np.searchsorted(up_to, 0.4 * total)",
+        "scene/sizes.py", "np.searchsorted(up_to, 0.5 * total)", "np.searchsorted(up_to, 0.4 * total)",
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
@@ -799,7 +799,7 @@ TABLE = [
         "test_few_large_grains_by_volume_have_no_index_and_a_warning",
     ),
     Mutation(
-        "scene/conform.py", "is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()", "False",
+        "fields/advice.py", "is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()", "False",
         "test_selections_of_nothing_are_named_with_the_range_of_positions",
     ),
     Mutation(

@@ -49,7 +49,7 @@ from .readers.open import open_scene
 from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
-from .scene.frame import measure, size_statistics
+from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
 from .scene.schema import Variable
 from .scene.selected import select

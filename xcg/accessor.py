@@ -17,7 +17,7 @@ SCENE = "scene"
 RESULT = "result"
 CHAINS = "chains"
 _SUMMARIES = {
-    SCENE: ("xcg.scene.description", "summary_of_scene"),
+    SCENE: ("xcg.scene.summary", "summary_of_scene"),
     RESULT: ("xcg.steps.labels", "summary_of_result"),
     CHAINS: ("xcg.analysis.chain_results", "summary_of_chains"),
 }
@@ -175,8 +175,8 @@ class CoarseGrainAccessor:
     contact_value = Method("xcg.analysis.contact_value", SCENE)
     structure_factor = Method("xcg.analysis.structure_factor", SCENE)
     bond_order = Method("xcg.analysis.bond_order", SCENE)
-    measure = Method("xcg.scene.frame", SCENE)
-    size_statistics = Method("xcg.scene.frame", SCENE)
+    measure = Method("xcg.scene.measure", SCENE)
+    size_statistics = Method("xcg.scene.measure", SCENE)
     group_bodies = Method("xcg.scene.bodies", SCENE)
     find_phases = Method("xcg.scene.phases", SCENE)
     assign_phases = Method("xcg.scene.phases", SCENE)

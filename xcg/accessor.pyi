@@ -39,7 +39,7 @@ from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import coarsen, profile, time_average
 from xcg.scene.bodies import group_bodies
 from xcg.scene.contacts import select_walls
-from xcg.scene.frame import measure, size_statistics
+from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.selected import select
 from xcg.writers.chains import to_csv, to_vtp

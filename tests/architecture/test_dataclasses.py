@@ -10,7 +10,7 @@ from tests.architecture import PACKAGE, nodes_of_package
 from xcg.fields.formulas.program import program_for
 from xcg.fields.plan import _options_of as options_of
 from xcg.fields.request import Request
-from xcg.scene.description import describe
+from xcg.scene.scene import Scene
 
 
 def _with_arrays():
@@ -41,7 +41,7 @@ def test_options_equal_themselves_in_another_process(size):
     ds = xcg.datasets.simple_cubic(3)
     if size == "d43":
         ds = ds.drop_vars("diameter").drop_attrs(deep=False).assign_attrs(periodic="xyz")
-    options = options_of(describe(ds), Request(size=size))
+    options = options_of(Scene(ds), Request(size=size))
     assert (options.diameter is None) == (size == "d43")
     again = pickle.loads(pickle.dumps(options))
     assert again == options

@@ -7,8 +7,8 @@ import xcg
 from xcg.fields.plan import make_plan
 from xcg.fields.pressures import pressures_of, variation_of_flow
 from xcg.fields.request import Request
-from xcg.scene.description import describe
 from xcg.scene.frame import frame_at
+from xcg.scene.scene import Scene
 
 SIDE = 20  # diameters
 
@@ -22,7 +22,7 @@ def of_flow(velocity, axes="xz", noise=0.0):
     v[..., 0] = velocity(z)
     v += noise * np.random.default_rng(1).normal(size=v.shape)
     ds = ds.assign(velocity=(ds.position.dims, v))
-    plan = make_plan(describe(ds), Request("kinetic_stress", axes=axes, width=1.5))
+    plan = make_plan(Scene(ds), Request("kinetic_stress", axes=axes, width=1.5))
     frame, lattice, _ = frame_at(ds, 0, plan.variables)
     flow, smeared, averaged = variation_of_flow(plan, frame, lattice)
     mass = frame["mass"].sum()
@@ -69,7 +69,7 @@ def test_pressures_of_a_crystal_that_fluctuates(sampled, monkeypatch):
     ds = xcg.datasets.simple_cubic(SIDE, force=3.0)
     v = np.random.default_rng(2).normal(size=ds.position.shape)
     ds = ds.assign(velocity=(ds.position.dims, v))
-    plan = make_plan(describe(ds), Request("stress", width=1.5))
+    plan = make_plan(Scene(ds), Request("stress", width=1.5))
     frame, lattice, _ = frame_at(ds, 0, plan.variables)
     parts = pressures_of(plan, frame, lattice)
     share = len(frame["mass"][:: max(1, SIDE**3 // sampled)]) / SIDE**3

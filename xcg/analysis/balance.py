@@ -13,9 +13,9 @@ from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
-from xcg.scene.description import describe
-from xcg.scene.frame import require_times, times_are_known
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, units_in
+from xcg.scene.times import require_times, times_are_known
 from xcg.steps.labels import provenance
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
@@ -177,7 +177,7 @@ class BalanceRequest(SharedOptions):
 
 
 @takes(BalanceRequest)
-def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
+def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
     """Residuals of the balances of force, mass and momentum, and of spin and energy, as fields and as norms.
 
     With div by central differences of fourth order between the nodes,
@@ -234,14 +234,15 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     """
     _check_options(asked)
     call = asked.call("balance")
-    ds, asked = prepare(ds, asked)
+    scene, asked = prepare(scene, asked)
+    ds = scene.ds
     refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
     fields = dict.fromkeys(name for law in laws.values() for name in law.fields)
     if asked.by:
         fields |= dict.fromkeys(OF_PHASES)
     request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
-    plan = make_plan(describe(ds, request.by), request)
+    plan = make_plan(scene, request)
     grid = plan.deposit.nodes
     if not grid.axes:
         raise ValueError(
@@ -254,7 +255,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         )
     if any(law.rate for law in laws.values()):
         require_times(ds, "balance")
-    f = answer(ds, request)
+    f = answer(scene, request)
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:

@@ -15,9 +15,9 @@ from xcg.analysis.pairs import pairs_of
 from xcg.common.checks import POSITIVE, check, floats, is_whole, whole
 from xcg.common.messages import SceneError, plain
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
@@ -28,7 +28,7 @@ DEGREES = {3: (4, 6), 2: (6,)}
 
 @takes_scene
 def bond_order(
-    ds: xr.Dataset,
+    scene: Scene,
     degrees: Sequence[int] | None = None,
     *,
     neighbours: int | None = None,
@@ -94,7 +94,7 @@ def bond_order(
     >>> order.q6[0, 0].round(4).item()
     0.5745
     """
-    return run(ds, BondOrder(degrees, neighbours, r_max), on_error=on_error)
+    return run(scene, BondOrder(degrees, neighbours, r_max), on_error=on_error)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class BondOrder(FrameAnalysis):
     neighbours: int | None = None
     r_max: float | None = None
 
-    def prepare(self, scene: Description) -> Self:
+    def prepare(self, scene: Scene) -> Self:
         """Check the options, and fill in defaults."""
         dimension = self.setup.dimension
         degrees = floats(DEGREES[dimension])
@@ -127,11 +127,11 @@ class BondOrder(FrameAnalysis):
             neighbours=int(self.neighbours or NEAREST[dimension]),
         )
 
-    def reads(self, scene: Description) -> tuple[str, ...]:
+    def reads(self, scene: Scene) -> tuple[str, ...]:
         """Return the positions."""
         return ("position",)
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the order of each degree, of particles and of all of them."""
         rows = {"particle_id": VARIABLES["particle_id"]}
         letter = self._letter

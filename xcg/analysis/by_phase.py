@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.description import Description
 from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame
 from xcg.steps.analysis import FrameAnalysis
 from xcg.steps.labels import phases_of
@@ -34,15 +34,15 @@ class PhaseAnalysis(FrameAnalysis):
     by: str | None = None
     groups: Sequence[int] | None = None
 
-    def prepare(self, scene: Description) -> Self:
+    def prepare(self, scene: Scene) -> Self:
         """Find the groups."""
         return replace(self, groups=scene.groups(self.by, self.groups))
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the positions, and what the groups are known by."""
         return ["position"] if self.by is None else ["position", self.by]
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the phases; dimensions that no result has are left out."""
         phase = phases_of(self.by, self.groups or ())
         return {"phase": phase, "other_phase": xr.Variable("other_phase", phase, phase.attrs)}

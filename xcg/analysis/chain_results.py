@@ -23,14 +23,15 @@ from xcg.common.drawing import (
     with_unit,
 )
 from xcg.common.messages import SceneError
-from xcg.scene.conform import conform, require_scene, with_components
+from xcg.scene.conform import conform, with_components
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import Summary, rows_of_origin
 from xcg.scene.facts import require_facts
 from xcg.scene.frame import frame_at, particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import rows_of
+from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, PADDING, VARIABLES, Frame, Variable
+from xcg.scene.summary import Summary, rows_of_origin
 from xcg.steps.mapping import each_step
 
 if TYPE_CHECKING:
@@ -407,7 +408,7 @@ def plot_rose(
     """
     if "particle_id" in fc and "chain_id" not in fc:
         fc = conform(fc)
-        require_scene(fc, _OF_CONTACTS, "plot_rose")
+        Scene(fc).require(_OF_CONTACTS, "plot_rose")
     else:
         require_chains(fc, "plot_rose")
     if bins < 2 or bins % 2:

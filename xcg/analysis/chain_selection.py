@@ -20,10 +20,10 @@ from xcg.analysis.chain_results import (
 )
 from xcg.common.checks import FINITE, POSITIVE, check, check_choice, vector, whole
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description, describe
-from xcg.scene.frame import require_known_times
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, Frame, Variable
+from xcg.scene.scene import Scene
+from xcg.scene.schema import Frame, Variable
+from xcg.scene.times import require_known_times
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.labels import call_of
 
@@ -213,7 +213,7 @@ _HOW = {"any": np.logical_or, "all": np.logical_and}
 
 @takes_scene
 def select_chains(
-    fc: xr.Dataset,
+    fc: Scene,
     region: Region | None = None,
     *,
     min_stress: float | None = None,
@@ -250,18 +250,16 @@ def select_chains(
         If an argument is wrong.
     """
     call = call_of("select_chains", locals())
-    require_chains(fc, "select_chains", whole=("chain", "length"))
+    require_chains(fc.ds, "select_chains", whole=("chain", "length"))
     check_choice("how", how, How)
     if region is None and min_stress is None:
         raise ValueError(
             "nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both"
         )
-    check_region(region, fc)
+    check_region(region, fc.ds)
     check("min_stress", min_stress, FINITE, "Pa", optional=True)
-    analysis = _Selection(region, min_stress, how, int(fc.attrs.get("min_length", 3)))
-    # a box that changes is not read to describe the scene
-    scene = describe(fc.drop_vars(BOX, errors="ignore"))
-    return run(fc, analysis, call=call, scene=scene)
+    analysis = _Selection(region, min_stress, how, int(fc.ds.attrs.get("min_length", 3)))
+    return run(fc, analysis, call=call)
 
 
 @dataclass(frozen=True)
@@ -276,11 +274,11 @@ class _Selection(FrameAnalysis):
     how: How
     min_length: int
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the chains."""
         return [*MEMBERS, *CHAINS]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return chains, their members, and the statistics of their lengths."""
         return MEMBERS | CHAINS | STATISTICS
 

@@ -22,7 +22,7 @@ from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.request import SharedOptions, takes
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
-from xcg.scene.description import describe
+from xcg.scene.scene import Scene
 from xcg.steps.labels import labelled_table
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class ChoiceRequest(SharedOptions):
 
 
 @takes(ChoiceRequest)
-def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
+def choose_width(scene: Scene, asked: ChoiceRequest) -> xr.Dataset:
     """Choose the width of the kernel with the least error, from bias and noise at several widths.
 
     Computes: reads `sample` frames once. `plot_width` draws the result.
@@ -125,16 +125,15 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     >>> sorted(found.sizes)
     ['width']
     """
-    ds, asked = prepare(ds, asked)
-    refuse_cylindrical(ds, "choose_width")
-    scene = describe(ds)
-    count = ds.sizes.get("time", 1)
+    scene, asked = prepare(scene, asked)
+    refuse_cylindrical(scene.ds, "choose_width")
+    count = scene.ds.sizes.get("time", 1)
     widths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
     if len(widths) < 3:
         raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths")
     rows = np.unique(np.linspace(0, count - 1, min(count, int(asked.sample))).round().astype(int))
-    sampled = ds.isel(time=rows, missing_dims="ignore")
-    mean, names, seen = _averages(sampled, asked, widths, scene.setup.plane)
+    sampled = Scene(scene.ds.isel(time=rows, missing_dims="ignore"))
+    mean, names, seen = _averages(sampled, asked, widths)
     frames = asked.frames or count
     errors: dict[str, NDArray] = {}
     for name in names:
@@ -156,7 +155,7 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
 
 
 def _averages(
-    ds: xr.Dataset, asked: ChoiceRequest, widths: Sequence[float], plane: str
+    scene: Scene, asked: ChoiceRequest, widths: Sequence[float]
 ) -> tuple[xr.Dataset, list[str], int]:
     """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
     wanted: Any = asked.fields
@@ -165,16 +164,16 @@ def _averages(
     at = asked.at or {}
     axes = asked.axes or ""
     if asked.axes is None and asked.at is None:
-        axes = plane
+        axes = scene.setup.plane
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
         asked = replace(asked, axes=axes, spacing=asked.spacing or spacing)
-        asked = with_nodes(ds, asked, widths[:1], at)
-    moving = "velocity" in ds  # a velocity has an error beside fields without one
+        asked = with_nodes(scene, asked, widths[:1], at)
+    moving = "velocity" in scene.columns  # a velocity has an error beside fields without one
     fields = list(dict.fromkeys([*wanted, _COUNT, *["velocity"] * moving]))
     ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
-    f = join_widths(ds, widths, ask).compute()
+    f = join_widths(scene, widths, ask).compute()
     wanted_names = [getattr(field, "name", field) for field in wanted]
     names = [name for name in map(str, f.data_vars) if name in wanted_names]
     lone = [name for name in names if f"{name}_error" not in f]

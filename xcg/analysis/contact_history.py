@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from xcg.analysis.diffusion import chosen_lags
 from xcg.common.messages import SceneWarning, warn_user
 from xcg.fields.formulas.block_errors import block_errors
-from xcg.scene.conform import require_ids, require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import describe
-from xcg.scene.frame import require_times, steps_in
+from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable, units_in
+from xcg.scene.times import require_times
 from xcg.steps.labels import annotated, call_of, label
 from xcg.steps.mapping import each_step
 
@@ -41,7 +42,7 @@ _ROWS = {
 
 
 @takes_scene
-def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> xr.Dataset:
+def contact_history(scene: Scene, lags: int | Sequence[int] | None = None) -> xr.Dataset:
     """Follow contacts from step to step: ages, births, losses, lifetimes and turning (computes, step by step).
 
     A contact goes on where the same two particles, by their ids, or a particle and a wall, touch in
@@ -102,15 +103,15 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     >>> h.losses.values.tolist(), float(h.persistence[0].round(3))
     ([0, 0, 0, 1], 0.667)
     """
-    require_scene(ds, CONTACT_VARIABLES[:-1], "contact_history")
-    require_ids(ds, "contact_history")
+    ds = scene.ds
+    scene.require(CONTACT_VARIABLES[:-1], "contact_history")
+    scene.require_ids("contact_history")
     chosen = chosen_lags(lags, ds.sizes["time"], "contact_history")
     require_times(ds, "contact_history")
     times = ds["time"].to_numpy()
     interval = float(np.median(np.diff(times)))
     _warn_of_gaps(times, interval)
     names = [n for n in ("particle_id", *CONTACT_VARIABLES, *OF_STEP) if n in ds]
-    periodic = describe(ds).setup.periodic
     arrays = {}
     for name, row in _ROWS.items():
         shape = (len(times), *(ds.sizes[dim] for dim in row.dims))
@@ -121,7 +122,7 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     before = None
     for t, step in enumerate(each_step(ds[names])):
         padded = {name: step[name].to_numpy() for name in names}
-        frame, lattice, source = next(steps_in(padded, periodic))
+        frame, lattice, source = next(steps_in(padded, scene.setup.periodic))
         now = _Touching.of(frame, lattice, source, t)
         rate = np.full(len(now.first), np.nan)
         if before is not None:
@@ -148,7 +149,7 @@ def contact_history(ds: xr.Dataset, lags: int | Sequence[int] | None = None) -> 
     call = call_of("contact_history", {"lags": chosen})
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
-    system = str(ds.attrs.get("unit_system", "SI"))
+    system = scene.setup.unit_system
     ages = np.concatenate([np.zeros(0), *lifetimes])
     lost = annotated("lost", ages, units_in("s", system), "lifetime of lost contacts")
     return result.assign(

@@ -13,8 +13,8 @@ from xcg.analysis.regions import Bounds
 from xcg.common.checks import is_finite
 from xcg.common.messages import plain
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame, Variable
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
@@ -24,7 +24,7 @@ BINS = 100  # of a mean diameter
 
 @takes_scene
 def contact_value(
-    ds: xr.Dataset,
+    scene: Scene,
     reach: float = 1.2,
     *,
     bounds: Bounds | None = None,
@@ -85,7 +85,7 @@ def contact_value(
     analysis = ContactValue(
         r_max=bins / BINS, bins=bins, scaled=True, bounds=bounds, by=by, groups=groups, reach=reach
     )
-    return run(ds, analysis, on_error=on_error)
+    return run(scene, analysis, on_error=on_error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ class ContactValue(RadialDistribution):
 
     reach: float
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the contact value and its error."""
         dims = self.dims_of_pairs
         text = "pair correlation at contact"

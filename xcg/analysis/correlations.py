@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 from xcg.common.checks import check, whole
 from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.facts import require_facts, with_facts
-from xcg.scene.frame import (
-    evenly_spaced,
-    require_known_times,
-    require_steps,
-    with_rising,
-    with_time,
-)
+from xcg.scene.frame import require_steps, with_rising, with_time
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import evenly_spaced, require_known_times
 from xcg.steps.labels import (
     annotated,
     format_call,

@@ -16,18 +16,18 @@ from xcg.analysis.derived import derive_velocity
 from xcg.analysis.particle_stress import particle_stress
 from xcg.analysis.voronoi import voronoi
 from xcg.common.messages import unknown
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import rows_of
+from xcg.scene.scene import Scene
 from xcg.scene.schema import CONTACT_VARIABLES, VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.labels import call_of, provenance
 
 
 @takes_scene
-def derive(ds: xr.Dataset, values: str | Sequence[str]) -> xr.Dataset:
+def derive(scene: Scene, values: str | Sequence[str]) -> xr.Dataset:
     """Add values of single grains to the scene as variables; lazy where the scene and the analysis are.
 
     They can be drawn (``plot``, ``view``), selected by, averaged as fields (by their name in
@@ -87,7 +87,7 @@ def derive(ds: xr.Dataset, values: str | Sequence[str]) -> xr.Dataset:
     """
     if isinstance(values, str):
         values = [values]
-    derived = ds
+    derived = scene.ds
     for name in values:
         if name not in VALUES:
             raise ValueError(
@@ -97,9 +97,9 @@ def derive(ds: xr.Dataset, values: str | Sequence[str]) -> xr.Dataset:
     for name in values:
         analysis = VALUES[name]
         if analysis not in results:
-            results[analysis] = analysis(ds)
+            results[analysis] = analysis(scene.ds)
         derived = derived.assign({name: results[analysis][name].variable})
-    return derived.assign_attrs(provenance(ds, call_of("derive", {"values": list(values)})))
+    return derived.assign_attrs(provenance(scene.ds, call_of("derive", {"values": list(values)})))
 
 
 def _stress(ds: xr.Dataset) -> xr.Dataset:
@@ -115,7 +115,7 @@ def _stress(ds: xr.Dataset) -> xr.Dataset:
 def _mean_ages(ds: xr.Dataset) -> xr.Dataset:
     """Return the mean age of the contacts of each particle."""
     ages = contact_history(ds, 1)["contact_age"]
-    return run(ds.assign(contact_age=ages), _MeanAge())
+    return run(Scene(ds.assign(contact_age=ages)), _MeanAge())
 
 
 @dataclass(frozen=True)
@@ -124,11 +124,11 @@ class _Coordination(FrameAnalysis):
 
     name = "derive"
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the places and partners."""
         return ["particle_id", "position", *CONTACT_VARIABLES[:-1]]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the number of partners."""
         return {"coordination_number": VARIABLES["coordination_number"]}
 
@@ -143,11 +143,11 @@ class _MeanAge(FrameAnalysis):
 
     name = "derive"
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the partners and the ages."""
         return ["particle_id", "contact_i", "contact_j", "contact_age"]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the mean age."""
         text = "mean age of the contacts of the particle"
         return {"mean_contact_age": Variable(("particle",), "s", text)}
@@ -164,8 +164,9 @@ class _MeanAge(FrameAnalysis):
 
 
 def _coordination(ds: xr.Dataset) -> xr.Dataset:
-    require_scene(ds, CONTACT_VARIABLES[:-1], "derive")
-    return run(ds, _Coordination())
+    scene = Scene(ds)
+    scene.require(CONTACT_VARIABLES[:-1], "derive")
+    return run(scene, _Coordination())
 
 
 VALUES: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
 from xcg.common.messages import SceneError
 from xcg.scene.box import BoxMotion
-from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.description import Description
-from xcg.scene.frame import require_times
+from xcg.scene.conform import takes_scene
 from xcg.scene.rows import rows_of
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
 from xcg.scene.superquadrics import superquadric_integrals
+from xcg.scene.times import require_times
 from xcg.steps.analysis import FrameAnalysis, Step, run
 
 
 @takes_scene
 def derive_director(
-    ds: xr.Dataset,
+    scene: Scene,
     quaternion: Sequence[str] = ("quat_w", "quat_x", "quat_y", "quat_z"),
     *,
     axis: str | Sequence[float] = "z",
@@ -72,7 +72,8 @@ def derive_director(
         raise ValueError(
             f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z"
         )
-    require_scene(ds, names, "derive_director")
+    scene.require(names, "derive_director")
+    ds = scene.ds
     a = axis_vector("axis", axis)
     w, x, y, z = (ds[name].drop_attrs(deep=False) for name in names)
     size = w * w + x * x + y * y + z * z
@@ -97,7 +98,7 @@ def derive_director(
 
 @takes_scene
 def derive_superquadric(
-    ds: xr.Dataset,
+    scene: Scene,
     half_axes: Sequence[str] = ("half_axis_x", "half_axis_y", "half_axis_z"),
     *,
     exponents: Sequence[str | float] | None = None,
@@ -150,6 +151,7 @@ def derive_superquadric(
     >>> rod.volume.values.round(6), rod.principal_inertia.values.round(6).tolist()
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
+    ds = scene.ds
     axes = list(half_axes)
     if exponents is None:
         defaults = {"exponent_1": 2.0, "exponent_2": 2.0}
@@ -166,7 +168,7 @@ def derive_superquadric(
     required = [*axes, *named]
     if density is None and not keeps_mass:
         required.append("density")
-    require_scene(ds, required, "derive_superquadric")
+    scene.require(required, "derive_superquadric")
     variables = {name: ds[name].drop_attrs(deep=False) for name in required}
     a, b, c = (variables[name] for name in axes)
     n1, n2 = (variables.get(power, power) for power in powers)
@@ -186,7 +188,7 @@ def derive_superquadric(
     squares = square_x * a**2, square_x * b**2, square_z * c**2
     inertia = [per_volume * (squares[(k + 1) % 3] + squares[(k + 2) % 3]) for k in range(3)]
     new["moment_of_inertia"] = (inertia[0] + inertia[1] + inertia[2]) / 3
-    system = str(ds.attrs.get("unit_system", "SI"))
+    system = scene.setup.unit_system
     for name, values in new.items():
         row = VARIABLES[name]
         new[name] = values.assign_attrs(units=units_in(row.units, system), long_name=row.long_name)
@@ -210,15 +212,16 @@ _NAME = "derive('velocity')"
 
 def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     """Add velocities from positions by differences in time; see `xcg.derive`."""
-    require_scene(ds, (), _NAME)
-    require_ids(ds, _NAME)
+    scene = Scene(ds)
+    scene.require((), _NAME)
+    scene.require_ids(_NAME)
     count = ds.sizes["time"]
     if count < 2:
         raise SceneError("derive('velocity') needs two steps or more, and this scene has one")
     require_times(ds, _NAME)
     # displacements are relative to the box of each step, whose rates they do not need
     series = ds.drop_vars("lattice_velocity", errors="ignore")
-    made = run(series, _Velocity())
+    made = run(Scene(series), _Velocity())
     return ds.assign(velocity=made["velocity"].variable).assign_attrs(history=made.attrs["history"])
 
 
@@ -234,11 +237,11 @@ class _Velocity(FrameAnalysis):
         """Return the offsets of the step before and the step after."""
         return (-1, 1)
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return places and times."""
         return ["position", "time"]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the velocity."""
         return {"velocity": VARIABLES["velocity"]}
 

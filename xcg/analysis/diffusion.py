@@ -16,11 +16,12 @@ from xcg.common.checks import floats, is_whole
 from xcg.common.messages import plain
 from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.description import describe
-from xcg.scene.frame import evenly_spaced, phase_of, require_known_times, steps_in, without_frozen
+from xcg.scene.conform import takes_scene
+from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.rows import rows_of
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
+from xcg.scene.times import evenly_spaced, require_known_times
 from xcg.steps.labels import (
     annotated,
     call_of,
@@ -45,7 +46,7 @@ _ABOUT = {
 
 @takes_scene
 def mean_squared_displacement(
-    ds: xr.Dataset,
+    scene: Scene,
     lags: int | Sequence[int] | None = None,
     *,
     by: str | None = None,
@@ -119,15 +120,15 @@ def mean_squared_displacement(
     >>> round(float(m.diffusion_coefficient), 3)  # 0.1^2 / 2
     0.005
     """
-    require_scene(ds, (), "mean_squared_displacement")
-    require_ids(ds, "mean_squared_displacement")
+    ds = scene.ds
+    scene.require((), "mean_squared_displacement")
+    scene.require_ids("mean_squared_displacement")
     steps = ds.sizes["time"]
     chosen = chosen_lags(lags, steps, "mean_squared_displacement")
     require_known_times(ds, "mean_squared_displacement")
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
     at = interval * np.array(chosen)
     used = _range(fit, at)
-    scene = describe(ds, by)
     known = scene.groups(by, groups)
     sums, counts = _sums(ds, chosen, by, known, remove_drift)
     dims = ("first", "lag", "phase")
@@ -163,7 +164,7 @@ def mean_squared_displacement(
         common = samples.isel(first=slice(0, steps - chosen[used[-1]]))
         values = values.merge(slope(samples.sum("first")))
         errors = errors.merge(block_errors(common, "first", slope))
-    system = str(ds.attrs.get("unit_system", "SI"))
+    system = scene.setup.unit_system
     second = units_in("s", system)
     data: dict[str, Any] = dict(with_errors(values, errors, _ABOUT, system))
     pairs = samples["count"].sum("first").astype("int64")
@@ -184,7 +185,7 @@ def mean_squared_displacement(
 
 @takes_scene
 def velocity_autocorrelation(
-    ds: xr.Dataset,
+    scene: Scene,
     lags: int | Sequence[int] | None = None,
     *,
     remove_drift: bool = True,
@@ -234,13 +235,14 @@ def velocity_autocorrelation(
     >>> ds.cg.velocity_autocorrelation(2).velocity_autocorrelation.values.tolist()
     [1.0, 1.0, 1.0]
     """
-    require_scene(ds, ("velocity",), "velocity_autocorrelation")
-    require_ids(ds, "velocity_autocorrelation")
+    ds = scene.ds
+    scene.require(("velocity",), "velocity_autocorrelation")
+    scene.require_ids("velocity_autocorrelation")
     steps = ds.sizes["time"]
     chosen = [0, *chosen_lags(lags, steps, "velocity_autocorrelation")]
     require_known_times(ds, "velocity_autocorrelation")
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
-    axes = list(describe(ds).setup.axes)
+    axes = list(scene.setup.axes)
     sums = np.zeros((steps, len(chosen), 3))  # of products, of squares at the first step, of pairs
     recent: deque[tuple[NDArray, NDArray]] = deque(maxlen=chosen[-1] + 1)
     for t, (ids, velocity) in enumerate(_velocities(ds, axes, remove_drift)):
@@ -270,7 +272,7 @@ def velocity_autocorrelation(
         block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
         for k, lag in enumerate(chosen)
     ]
-    system = str(ds.attrs.get("unit_system", "SI"))
+    system = scene.setup.unit_system
     values = means(samples.sum("first"))
     data: dict[str, Any] = dict(with_errors(values, xr.concat(of_lags, "lag"), _ABOUT, system))
     pairs = samples["count"].sum("first").astype("int64")

@@ -20,16 +20,15 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.conform import require_ids, require_scene
-from xcg.scene.description import Description, describe
-from xcg.scene.frame import (
+from xcg.scene.scene import Scene
+from xcg.scene.schema import MOTION, Variable
+from xcg.scene.sizes import with_measures
+from xcg.scene.times import (
     require_known_times,
     require_rising_times,
     times_are_known,
     unit_of_times,
-    with_measures,
 )
-from xcg.scene.schema import MOTION, Variable
 from xcg.steps.analysis import FrameAnalysis, Step, run
 from xcg.steps.labels import annotated
 
@@ -98,7 +97,7 @@ class DisplacementRequest(SharedOptions):
 
 
 @takes(DisplacementRequest)
-def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
+def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and non-affine motion.
 
     Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges
@@ -159,16 +158,18 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     >>> round(float(f.strain.sel(component="x", direction="x").item()), 6)
     0.01005
     """
-    names = _names(ds, asked)
-    require_scene(ds, ("mass",), "displacement")
-    require_ids(ds, "displacement")
+    names = _names(scene.ds, asked)
+    scene.require(("mass",), "displacement")
+    scene.require_ids("displacement")
     call = asked.call("displacement")
-    ds, asked = prepare(with_measures(ds), replace(asked, lag=int(asked.lag)))
+    measured = Scene(with_measures(scene.ds))
+    scene, asked = prepare(measured, replace(asked, lag=int(asked.lag)))
     if asked.accumulate:
-        refuse_cylindrical(ds, "displacement(accumulate=True)")
-        ds = ds.isel(time=slice(None, None, asked.lag))
+        refuse_cylindrical(scene.ds, "displacement(accumulate=True)")
+        scene = Scene(scene.ds.isel(time=slice(None, None, asked.lag)))
         asked = replace(asked, lag=1)
-    box_changes = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
+    ds = scene.ds
+    box_changes = bool(scene.setup.periodic) and not scene.box_lasts
     if box_changes and "frame" in ds.attrs:
         raise ValueError(
             "displacements in a box that changes are found in the scene's own axes: "
@@ -295,23 +296,23 @@ class _Displacements(FrameAnalysis):
         """Return the offset of the later frame."""
         return (self.lag,)
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return what the fields need of the first frame, and where grains are in both."""
         of_fields = [name for name in self.fields.reads(scene) if name not in _MADE]
         return [*of_fields, "position", "time"]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the fields, the grains that are in one frame only, and the motion of the box."""
         rows = self.fields.rows(scene) | _COUNTS
         if self.box_changes:
             return rows | _MOTION
         return rows
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the coordinates of the fields."""
         return self.fields.coords(scene)
 
-    def attrs(self, scene: Description) -> dict[str, Any]:
+    def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return the options of the fields."""
         return self.fields.attrs(scene)
 
@@ -364,13 +365,12 @@ def _between_frames(
     # contacts belong to one frame; displacements relative to the box are the same in all images
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
     first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore")
-    scene = describe(first, asked.by)
-    made = dict.fromkeys(_MADE, scene.columns["position"])
-    moved = replace(scene, columns={**scene.columns, **made}, lag=asked.lag)
+    made = dict.fromkeys(_MADE, first.variables["position"])
+    scene = Scene(first, made=made, lag=asked.lag)
     request = asked.ask(fields=names, width=asked.width, at=asked.at, for_averages=False)
-    plan = make_plan(moved, request)
+    plan = make_plan(scene, request)
     analysis = _Displacements(CoarseGraining(plan), asked.lag, box_changes)
-    return run(first, analysis, call=call, scene=moved, on_error=asked.on_error)
+    return run(scene, analysis, call=call, on_error=asked.on_error)
 
 
 # --- from displacements relative to the box -------------------------------------------------------

@@ -13,11 +13,11 @@ from xcg.common.checks import POSITIVE, above, check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
 from xcg.scene.complete import REPEAT, contact_points
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import Description, describe
+from xcg.scene.conform import takes_scene
 from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice
 from xcg.scene.rows import unit_vectors
+from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame, Variable, variable
 from xcg.scene.spheres import warn_of_coincident
 from xcg.steps.analysis import FrameAnalysis, run
@@ -99,18 +99,18 @@ class _Search(FrameAnalysis):
     levels: int | None
     max_contacts: int | None
 
-    def reads(self, scene: Description) -> tuple[str, ...]:
+    def reads(self, scene: Scene) -> tuple[str, ...]:
         """Return places and sizes."""
         return READ
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the variables of contacts, forces where a stiffness is given."""
         rows = {name: variable(name) for name in FOUND}
         if self.stiffness.given:
             rows["contact_force"] = variable("contact_force")
         return rows
 
-    def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
+    def sizes(self, scene: Scene, ds: xr.Dataset) -> dict[str, int | None]:
         """Return the number of rows of contacts."""
         return {"contact": self.max_contacts}
 
@@ -193,7 +193,7 @@ class _Search(FrameAnalysis):
 
 @takes_scene
 def find_contacts(
-    ds: xr.Dataset,
+    scene: Scene,
     *,
     method: PairMethod = "hierarchical",
     levels: int | None = None,
@@ -263,14 +263,14 @@ def find_contacts(
     3.0
     """
     call = call_of("find_contacts", locals())
-    require_scene(ds, ("diameter",), "find_contacts")
+    ds = scene.ds
+    scene.require(("diameter",), "find_contacts")
     require_steps(ds, "find_contacts")
     check_search(skin, method, levels)
     check("max_contacts", max_contacts, whole(0), optional=True)
-    scene = describe(ds)
     if max_contacts is not None:
         max_contacts = int(max_contacts)
     elif is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
         max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
     analysis = _Search(Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
-    return run(ds, analysis, call=call, scene=scene)
+    return run(scene, analysis, call=call)

@@ -25,11 +25,12 @@ from xcg.common.checks import FINITE, above, check, check_choice, whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts
-from xcg.scene.conform import require_ids, require_scene, takes_scene
-from xcg.scene.description import Description
-from xcg.scene.frame import require_rising_times, unit_of_times, with_time
+from xcg.scene.conform import takes_scene
+from xcg.scene.frame import with_time
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, Frame, Variable
+from xcg.scene.times import require_rising_times, unit_of_times
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
 from xcg.steps.labels import annotated, call_of, provenance
@@ -45,7 +46,7 @@ _DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "norm
 
 @takes_scene
 def force_chains(
-    ds: xr.Dataset,
+    scene: Scene,
     alpha: float = 45.0,
     min_stress: float | Literal["mean"] | None = None,
     min_length: int = 3,
@@ -143,9 +144,10 @@ def force_chains(
         check("min_stress", min_stress, FINITE, "Pa", optional=True, hint=", or 'mean'")
     check("min_length", min_length, whole(2))
     check_choice("algorithm", algorithm, Algorithm)
-    check_region(region, ds)
-    stress = StressRule.of(ds, "force_chains", volume=volume)
-    require_scene(ds, ("diameter",), "force_chains")
+    check_region(region, scene.ds)
+    stress = StressRule.of(scene, "force_chains", volume=volume)
+    scene.require(("diameter",), "force_chains")
+    sizes = scene.ds.sizes
     analysis = _ForceChains(
         stress=stress,
         alpha=float(alpha),
@@ -154,9 +156,9 @@ def force_chains(
         algorithm=algorithm,
         one_sided=one_sided,
         region=region,
-        lengths=result_sizes(ds.sizes["particle"], ds.sizes["contact"], int(min_length)),
+        lengths=result_sizes(sizes["particle"], sizes["contact"], int(min_length)),
     )
-    return run(ds, analysis, call=call, on_error=on_error)
+    return run(scene, analysis, call=call, on_error=on_error)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -196,24 +198,24 @@ class _ForceChains(FrameAnalysis):
     region: Region | None
     lengths: Mapping[str, int]
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return what stress follows from, and what is copied."""
         return [*self.stress.variables, *COPIED]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the rows of particles, contacts, chains, and statistics."""
         return RESULTS
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the lengths that chains can have."""
         lengths = self.min_length + np.arange(self.lengths["length"])
         return {"length": annotated("length", lengths, "1", "particles of a chain")}
 
-    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int]:
+    def sizes(self, scene: Scene, ds: xr.Dataset) -> Mapping[str, int]:
         """Return upper bounds of the numbers of chains."""
         return self.lengths
 
-    def attrs(self, scene: Description) -> dict[str, Any]:
+    def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return the criteria."""
         return {name: getattr(self, name) for name in ("alpha", "min_length", "algorithm")}
 
@@ -344,7 +346,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         raise ValueError(
             "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
         )
-    require_ids(fc, "track_chains")
+    Scene(fc).require_ids("track_chains")
     require_rising_times(fc, "track_chains")
     steps = fc.sizes["time"]
     track = np.full((steps, fc.sizes["chain"]), -1)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from xcg.common import drawing
 from xcg.common.checks import is_finite
 from xcg.common.messages import plain, unknown
-from xcg.scene.conform import conform, require_scene
+from xcg.scene.conform import conform
 from xcg.scene.frame import frame_at, step_at
 from xcg.scene.lattice import Lattice, minimum_image
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, Frame
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def draw_grains(
         If it has no such variable or component, or `at` is wrong.
     """
     ds = conform(ds)
-    require_scene(ds, ("diameter",), "plot of a scene")
+    Scene(ds).require(("diameter",), "plot of a scene")
     if name is not None:
         _check_variable(ds, name)
     names = {"particle_id", "position", "diameter", name or "position"}

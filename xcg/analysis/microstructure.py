@@ -14,10 +14,10 @@ from xcg.analysis.regions import Bounds
 from xcg.analysis.samples import Measure
 from xcg.common.checks import FINITE, check, check_choice, floats, is_positive, whole
 from xcg.common.messages import unknown
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import describe
-from xcg.scene.frame import require_times, times_are_known
+from xcg.scene.conform import takes_scene
+from xcg.scene.scene import Scene
 from xcg.scene.schema import units_in
+from xcg.scene.times import require_times, times_are_known
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of, labelled
@@ -64,7 +64,7 @@ _OTHER_NAMES = {
 
 @takes_scene
 def microstructure(
-    ds: xr.Dataset,
+    scene: Scene,
     quantities: str | Sequence[str] | None = None,
     *,
     by: str | None = None,
@@ -252,11 +252,11 @@ def microstructure(
     12.0
     """
     call = call_of("microstructure", locals())
-    require_scene(ds, (), "microstructure")
+    ds = scene.ds
+    scene.require((), "microstructure")
     check_choice("rattlers", rattlers, RattlerRule)
     check_choice("strain", strain, StrainMeasure)
     check_choice("mixing_weight", mixing_weight, MixingWeight)
-    scene = describe(ds, by)
     setup = scene.setup
     regions = _regions(bounds, scene.setup.plane)
     check("min_contacts", min_contacts, whole(1))
@@ -264,7 +264,7 @@ def microstructure(
     if cell is not None:
         _check_cell(cell, setup.plane)
     rate = _rate_source(ds, strain_rate)
-    names = _choose(ds, quantities, rate, by)
+    names = _choose(scene, quantities, rate, by)
     up = axis or setup.plane[-1]
     setup.check_axis(up)
     if (
@@ -290,9 +290,9 @@ def microstructure(
         by_volume=mixing_weight == "volume",
         axis=up,
     )
-    require_scene(ds, sorted(measure.needs), f"microstructure ({', '.join(names)})")
-    result = run(ds, measure, call=call, scene=scene, on_error=on_error)
-    return _with_series(ds, result, names, rate, strain, up)
+    scene.require(sorted(measure.needs), f"microstructure ({', '.join(names)})")
+    result = run(scene, measure, call=call, on_error=on_error)
+    return _with_series(scene, result, names, rate, strain, up)
 
 
 def _check_cell(cell: float | Mapping[str, float], plane: str) -> None:
@@ -366,7 +366,7 @@ def _rate_source(ds: xr.Dataset, rate: str | float | xr.DataArray | None) -> str
 
 
 def _choose(
-    ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
+    scene: Scene, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
 ) -> tuple[str, ...]:
     """Names that were asked for, or all that the scene allows."""
     if isinstance(asked, str):
@@ -393,15 +393,15 @@ def _choose(
             raise ValueError(
                 f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'"
             )
-        if set(names) & set(STRAIN) and "box" not in ds:
-            require_scene(ds, ("box",), "strain of the box")
+        if set(names) & set(STRAIN):
+            scene.require(("box",), "strain of the box")
         return tuple(dict.fromkeys(names))
     allowed = []
     for name in NAMES:
         parts = [QUANTITIES[part] for part in _measured([name], rate)]
-        has_all = all(set(part.needs) <= set(ds.data_vars) for part in parts)
+        has_all = all(set(part.needs) <= scene.columns.keys() for part in parts)
         of_phases = any(part.of_phases for part in parts)
-        if has_all and not of_phases and (name not in STRAIN or "box" in ds):
+        if has_all and not of_phases and (name not in STRAIN or "box" in scene.columns):
             allowed.append(name)
     return tuple(allowed)
 
@@ -440,7 +440,7 @@ def _rate_of_lattice(ds: xr.Dataset, plane: str) -> xr.DataArray:
 
 
 def _with_series(
-    ds: xr.Dataset,
+    scene: Scene,
     result: xr.Dataset,
     names: Sequence[str],
     rate: str | xr.DataArray,
@@ -448,7 +448,8 @@ def _with_series(
     axis: str,
 ) -> xr.Dataset:
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
-    setup = describe(ds).setup
+    ds = scene.ds
+    setup = scene.setup
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
         lengths = ds["box"].isel(bound=1) - ds["box"].isel(bound=0)
         lengths = lengths.sel(component=list(setup.plane))

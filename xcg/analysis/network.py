@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from xcg.analysis.quantities import CONTACTS
 from xcg.common.checks import check_choice, extra
 from xcg.compiled.contacts import join_clusters
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
 from xcg.scene.rows import unit_vectors
+from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ _VARIABLES = {"force": "contact_force", "overlap": "overlap"}
 
 
 @takes_scene
-def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = None) -> csr_array:
+def adjacency(scene: Scene, index: int = -1, *, weight: EdgeWeight | None = None) -> csr_array:
     r"""Return the adjacency matrix of the contacts between the grains of one step.
 
     Parameters
@@ -79,8 +80,8 @@ def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = No
     if weight is not None:
         check_choice("weight", weight, EdgeWeight)
     needed = [name for part, name in _VARIABLES.items() if part == weight]
-    require_scene(ds, [*CONTACTS, *needed], "adjacency")
-    frame, contacts = _step_at(ds, index, needed)
+    scene.require([*CONTACTS, *needed], "adjacency")
+    frame, contacts = _step_at(scene.ds, index, needed)
     pairs = _edges(frame, contacts)
     count = len(frame["particle_id"])
     i = pairs["i"]
@@ -95,7 +96,7 @@ def adjacency(ds: xr.Dataset, index: int = -1, *, weight: EdgeWeight | None = No
 
 
 @takes_scene
-def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = False) -> nx.Graph:
+def contact_graph(scene: Scene, index: int = -1, *, include_walls: bool = False) -> nx.Graph:
     """Return the contact network of one step as a graph of networkx.
 
     Nodes are grains by ``particle_id``, frozen ones included, with the scene's variables of the
@@ -154,7 +155,8 @@ def contact_graph(ds: xr.Dataset, index: int = -1, *, include_walls: bool = Fals
     6
     """
     nx = extra("networkx", "network", "contact_graph")
-    require_scene(ds, CONTACTS, "contact_graph")
+    scene.require(CONTACTS, "contact_graph")
+    ds = scene.ds
     of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
     frame, contacts = _step_at(ds, index, [*of_grains, *_VARIABLES.values()])
     pairs = _edges(frame, contacts, walls=include_walls)

@@ -15,10 +15,10 @@ from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.matrices import principal
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import Description, describe
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
@@ -70,19 +70,20 @@ class StressRule:
     variables: tuple[str, ...]
 
     @classmethod
-    def of(cls, ds: xr.Dataset, purpose: str, *, volume: str) -> StressRule:
+    def of(cls, scene: Scene, purpose: str, *, volume: str) -> StressRule:
         """Check that a scene holds what the stress needs, without reading any of it."""
         check_choice("volume", volume, Volumes)
         size = {"particle": "volume", "disc": "diameter"}[volume]
-        require_scene(ds, (*_CONTACTS, size), purpose)
+        scene.require((*_CONTACTS, size), purpose)
         thickness = None
         if volume == "disc":
-            thickness = describe(ds).layer_depth
+            thickness = scene.layer_depth
             if thickness is None:
                 raise SceneError(
                     "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
                 )
-        spheres = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
+        known = scene.columns
+        spheres = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in known)
         if not {"diameter", "overlap"} <= set(spheres):
             spheres = ()
         variables = dict.fromkeys(("particle_id", *_CONTACTS, size, *spheres))
@@ -149,7 +150,7 @@ def _norms(stress: NDArray) -> NDArray:
 
 @takes_scene
 def particle_stress(
-    ds: xr.Dataset,
+    scene: Scene,
     *,
     volume: Volumes = "particle",
     on_error: OnError = "raise",
@@ -205,8 +206,8 @@ def particle_stress(
     1.91
     """
     call = call_of("particle_stress", locals())
-    rule = StressRule.of(ds, "particle_stress", volume=volume)
-    return run(ds, _ParticleStress(rule), call=call, on_error=on_error)
+    rule = StressRule.of(scene, "particle_stress", volume=volume)
+    return run(scene, _ParticleStress(rule), call=call, on_error=on_error)
 
 
 @dataclass(frozen=True)
@@ -217,11 +218,11 @@ class _ParticleStress(FrameAnalysis):
 
     rule: StressRule
 
-    def reads(self, scene: Description) -> tuple[str, ...]:
+    def reads(self, scene: Scene) -> tuple[str, ...]:
         """Return the variables of the rule."""
         return self.rule.variables
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the stress and its principal values."""
         return RESULTS
 

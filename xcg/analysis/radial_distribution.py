@@ -19,9 +19,9 @@ from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts, threads_for
 from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
@@ -32,7 +32,7 @@ HALF_BOX = 1 + 1e-12  # share of half a period that distances may reach
 
 @takes_scene
 def radial_distribution(
-    ds: xr.Dataset,
+    scene: Scene,
     r_max: float,
     *,
     bins: int = 100,
@@ -135,7 +135,7 @@ def radial_distribution(
         by=by,
         groups=groups,
     )
-    return run(ds, analysis, on_error=on_error)
+    return run(scene, analysis, on_error=on_error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ class RadialDistribution(PhaseAnalysis):
     angles: int = 18
     bounds: Bounds | None = None
 
-    def prepare(self, scene: Description) -> Self:
+    def prepare(self, scene: Scene) -> Self:
         """Check the options, and find groups."""
         plane = self.setup.plane
         check("r_max", self.r_max, POSITIVE, "m")
@@ -181,11 +181,11 @@ class RadialDistribution(PhaseAnalysis):
             )
         return replace(super().prepare(scene), bounds=bounds)
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return positions, groups, and sizes if distances are scaled by them."""
         return [*super().reads(scene), *(["diameter"] * self.scaled)]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return g(r) and numbers of pairs."""
         dims = self.dims_of_pairs
         if self.axis is not None:
@@ -199,7 +199,7 @@ class RadialDistribution(PhaseAnalysis):
             ),
         }
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return phases, and the middle of the bins of angle and distance."""
         coords = super().coords(scene)
         theta = np.pi * (np.arange(self.angles) + 0.5) / self.angles

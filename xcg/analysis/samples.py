@@ -16,8 +16,8 @@ from xcg.analysis.network import Clusters
 from xcg.analysis.quantities import CONTACTS, QUANTITIES, ratio
 from xcg.analysis.regions import Bounds, ends_of, images_in
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, Frame, Variable
 from xcg.steps.labels import annotated
 
@@ -62,14 +62,14 @@ class Measure(PhaseAnalysis):
         """Variables of the scene that the quantities need."""
         return {variable for name in self.names for variable in QUANTITIES[name].needs}
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return what the quantities need, what groups follow from, and normals if there are any."""
         read = self.needs | {"position", self.by}
         if self.needs & set(CONTACTS):
             read.add("contact_normal")
         return [name for name in scene.columns if name in read]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the quantities by region and phase, as far as there are several."""
         rows = {}
         for name in self.names:
@@ -88,7 +88,7 @@ class Measure(PhaseAnalysis):
             lengths["phase"] = 1 + self.phase_count
         return lengths
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return regions, phases, and the bins of distributions."""
         bins = self.force_bins
         middle = (bins[1:] + bins[:-1]) / 2

@@ -13,10 +13,10 @@ from xcg.common.checks import POSITIVE, between, check
 from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import describe
+from xcg.scene.conform import takes_scene
 from xcg.scene.facts import SETUP, require_facts, with_facts
 from xcg.scene.frame import with_time
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of, format_call, labelled_table, provenance
@@ -253,7 +253,7 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
 
 @takes_scene
 def depth_average(
-    ds: xr.Dataset,
+    scene: Scene,
     axis: str = "z",
     *,
     axes: str | None = None,
@@ -313,8 +313,8 @@ def depth_average(
     ('time', 'x')
     """
     call = call_of("depth_average", locals())
-    require_scene(ds, ("velocity", "mass"), "depth_average")
-    scene = describe(ds)
+    ds = scene.ds
+    scene.require(("velocity", "mass"), "depth_average")
     plane = scene.setup.plane
     scene.setup.check_axis(axis)
     if axis in scene.setup.periodic:

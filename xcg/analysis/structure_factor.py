@@ -16,9 +16,9 @@ from xcg.common.messages import SceneError, plain
 from xcg.compiled._jit import for_parts
 from xcg.compiled.structure_factor import sum_waves
 from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame, Variable, units_in
 from xcg.steps.analysis import run
 from xcg.steps.faults import OnError
@@ -29,7 +29,7 @@ MOST_NUMBERS = 3e8  # wave vectors that are looked at in a step
 
 @takes_scene
 def structure_factor(
-    ds: xr.Dataset,
+    scene: Scene,
     k_max: float | None = None,
     *,
     bins: int = 100,
@@ -105,7 +105,7 @@ def structure_factor(
     analysis = StructureFactor(
         k_max=k_max, bins=bins, samples=samples, vectors=vectors, by=by, groups=groups
     )
-    return run(ds, analysis, on_error=on_error)
+    return run(scene, analysis, on_error=on_error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ class StructureFactor(PhaseAnalysis):
     samples: int | None = 100
     vectors: ArrayLike | None = None
 
-    def prepare(self, scene: Description) -> Self:
+    def prepare(self, scene: Scene) -> Self:
         """Check the options, and find groups."""
         plane = self.setup.plane
         if (self.k_max is None) == (self.vectors is None):
@@ -147,7 +147,7 @@ class StructureFactor(PhaseAnalysis):
             )
         return replace(super().prepare(scene), vectors=vectors)
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return S(k), and wave vectors or their number."""
         along = "k"
         rows = {
@@ -162,7 +162,7 @@ class StructureFactor(PhaseAnalysis):
         dims = (*self.dims_of_pairs, along)
         return {"structure_factor": Variable(dims, "1", "structure factor", formula=formula)} | rows
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return phases, and the middle of the bins of wavenumbers or the numbers of the waves."""
         coords = super().coords(scene)
         if self.k_max is not None:

@@ -20,12 +20,12 @@ from xcg.fields.grids.frames import Rotated, axis_of
 from xcg.fields.grids.grid import warn_beyond
 from xcg.fields.grids.walls import Cylinder, Plane, Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
-from xcg.scene.description import Description, describe
 from xcg.scene.facts import SETUP
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
@@ -38,7 +38,7 @@ _FINE = 0.25  # widths between the points of a quadrature
 
 @takes_scene
 def flow_rate(
-    ds: xr.Dataset,
+    scene: Scene,
     surface: Wall,
     quantities: Flow | Sequence[Flow] = "mass",
     *,
@@ -116,26 +116,26 @@ def flow_rate(
         if flow not in get_args(Flow):
             raise ValueError(unknown("flow", flow, get_args(Flow)))
     check("spacing", spacing, POSITIVE, "m", optional=True)
-    require_scene(ds, ("velocity",), "flow_rate")
-    scene = describe(ds)
+    scene.require(("velocity",), "flow_rate")
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if "momentum" in quantities:
-        squared = ds["velocity"] * ds["velocity"].rename(component="direction")
+        velocity = scene.ds["velocity"]
+        squared = velocity * velocity.rename(component="direction")
         squared.attrs["units"] = units_in("m^2 s^-2", "SI")
-        ds = ds.assign(velocity_squared=squared)
+        scene = Scene(scene.ds.assign(velocity_squared=squared))
     parts = {flow: _parts_of(flow, scene) for flow in quantities}
     fields = [field for of_flow in parts.values() for field in of_flow]
     shared = {"kernel": smooth, "by": by, "groups": groups, "on_error": on_error}
     if isinstance(surface, Plane) and surface.bounds is None:
-        flux = _through_plane(ds, scene, surface, fields, shared)
+        flux = _through_plane(scene, surface, fields, shared)
     else:
         distance = float(spacing or smooth.width * _FINE)
-        flux = _through_points(ds, scene, surface, fields, shared, distance)
+        flux = _through_points(scene, surface, fields, shared, distance)
     rates = {f"{flow}_flow_rate": _rate(flux, flow, parts[flow], scene) for flow in quantities}
     result = xr.Dataset(rates)
     # the place of the plane, and the options of fields
     result = result.drop_vars([*COMPONENTS, "direction", "width", SETUP], errors="ignore")
-    return result.assign_attrs(provenance(ds, call) | _attrs_of(smooth, surface))
+    return result.assign_attrs(provenance(scene.ds, call) | _attrs_of(smooth, surface))
 
 
 def _attrs_of(kernel: Kernel, surface: Wall) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def _check_surface(surface: object) -> None:
         raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
 
 
-def _parts_of(flow: Flow, scene: Description) -> list[str | Sum]:
+def _parts_of(flow: Flow, scene: Scene) -> list[str | Sum]:
     """Densities of the flux of a quantity, whose last axis is that of the surface's normal."""
     if flow == "momentum":
         carried: str | Sum = Sum("velocity_squared", "mass", "momentum_transport")
@@ -167,9 +167,7 @@ def _parts_of(flow: Flow, scene: Description) -> list[str | Sum]:
     return [carried]
 
 
-def _rate(
-    flux: xr.Dataset, flow: Flow, parts: Sequence[str | Sum], scene: Description
-) -> xr.DataArray:
+def _rate(flux: xr.Dataset, flow: Flow, parts: Sequence[str | Sum], scene: Scene) -> xr.DataArray:
     """Add up the parts of a flow, and label their sum."""
     names = [getattr(part, "name", part) for part in parts]
     rate = sum((flux[name] for name in names[1:]), start=flux[names[0]]).drop_attrs(deep=False)
@@ -199,7 +197,7 @@ def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
     return xr.Dataset(contracted, flux.drop_dims("direction", errors="ignore").coords)
 
 
-def _depth(scene: Description) -> float:
+def _depth(scene: Scene) -> float:
     """Thickness of a scene of one layer (m), 1 in three dimensions: fields are per volume."""
     depth = scene.layer_depth
     if depth is None:
@@ -211,7 +209,7 @@ def _depth(scene: Description) -> float:
 
 
 def _through_plane(
-    ds: xr.Dataset, scene: Description, surface: Plane, fields: list[Any], shared: dict[str, Any]
+    scene: Scene, surface: Plane, fields: list[Any], shared: dict[str, Any]
 ) -> xr.Dataset:
     """Integrate over a whole plane by the marginal of the kernel: averages over extents of 1 m."""
     normal = surface.normals_at(np.zeros((1, 3)))[0]
@@ -220,7 +218,9 @@ def _through_plane(
     if k is not None:
         at = {COMPONENTS[k]: float(surface.point[k])}
         extent = {a: 1.0 for a in plane if a not in at}
-        flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, **shared) * _depth(scene)
+        flux = coarse_grain(scene.ds, fields, axes="", at=at, extent=extent, **shared) * _depth(
+            scene
+        )
         return _across(flux, normal)
     # rotated axes: one is the normal, and the axis across a scene of one layer stays
     along = "z"
@@ -234,7 +234,7 @@ def _through_plane(
     rotation = np.asarray(frame.axes)
     extent = {a: 1.0 for a in plane if a != along}
     at = {along: 0.0}
-    flux = coarse_grain(ds, fields, axes="", at=at, extent=extent, frame=frame, **shared)
+    flux = coarse_grain(scene.ds, fields, axes="", at=at, extent=extent, frame=frame, **shared)
     flux = _across(flux * _depth(scene), rotation @ normal)
     # momentum back to the axes of the scene
     back = xr.DataArray(rotation, dims=("component", "of_scene"))
@@ -247,8 +247,7 @@ def _through_plane(
 
 
 def _through_points(
-    ds: xr.Dataset,
-    scene: Description,
+    scene: Scene,
     surface: Wall,
     fields: list[Any],
     shared: dict[str, Any],
@@ -258,13 +257,13 @@ def _through_points(
     cells = _points(surface, scene, spacing)
     centre = cells.centre
     at = {a: xr.DataArray(centre[:, COMPONENTS.index(a)], dims="place") for a in scene.setup.plane}
-    flux = _across(coarse_grain(ds, fields, at=at, **shared), surface.normals_at(centre))
+    flux = _across(coarse_grain(scene.ds, fields, at=at, **shared), surface.normals_at(centre))
     flux = (flux * xr.Variable("place", cells.area)).sum("place", skipna=False)
     ends = _open_ends(surface, cells, scene)
-    if not ends or is_in_memory(ds["position"].variable):
+    if not ends or is_in_memory(scene.columns["position"]):
         return flux
     analysis = _Ends(surface, ends, shared["kernel"].cutoff)
-    checked = run(ds, analysis, scene=scene, on_error=shared["on_error"])
+    checked = run(scene, analysis, on_error=shared["on_error"])
     return flux + checked["beyond"].reset_coords(drop=True)
 
 
@@ -278,11 +277,11 @@ class _Ends(FrameAnalysis):
     ends: Mapping[str, tuple[float, float]]
     cutoff: float
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the positions."""
         return ["position"]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return a zero for each step, which is added to its flow."""
         return {"beyond": Variable((), "1", "zero, once the step is checked")}
 
@@ -297,9 +296,7 @@ class _Ends(FrameAnalysis):
         return {"beyond": 0.0}
 
 
-def _open_ends(
-    surface: Wall, cells: SurfaceCells, scene: Description
-) -> dict[str, tuple[float, float]]:
+def _open_ends(surface: Wall, cells: SurfaceCells, scene: Scene) -> dict[str, tuple[float, float]]:
     """Return the ends of the cells along dimensions for which neither the surface nor a period has any."""
     has_bounds = getattr(surface, "bounds", None) is not None
     has_ends = None not in (getattr(surface, "low", None), getattr(surface, "high", None))
@@ -315,7 +312,7 @@ def _open_ends(
     return {dim: end for dim, end in ends.items() if dim not in scene.periods}
 
 
-def _points(surface: Wall, scene: Description, spacing: float) -> SurfaceCells:
+def _points(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
     """Return small cells of a surface."""
     if isinstance(surface, Surface):
         return SurfaceCells({}, *_parts_of_triangles(surface, spacing), COMPONENTS)
@@ -366,7 +363,7 @@ _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 @takes_scene
 def wall_stress(
-    ds: xr.Dataset,
+    scene: Scene,
     surface: Wall,
     width: float | str | None = None,
     *,
@@ -445,21 +442,20 @@ def wall_stress(
     call = call_of(
         "wall_stress", {"surface": surface, "width": width, "walls": walls, "within": within}
     )
-    require_scene(ds, _NEEDS, "wall_stress")
+    scene.require(_NEEDS, "wall_stress")
     _check_surface(surface)
     check("spacing", spacing, POSITIVE, "m", optional=True)
     check("within", within, POSITIVE, "m", optional=True)
     if walls is not None:
-        ds = select_walls(ds, walls)
-    scene = describe(ds)
+        scene = Scene(select_walls(scene.ds, walls))
     smooth = kernel_of(kernel, width, scene.sizes, 2)
     low, high = _box_of_grains(scene)
     cells = surface.cells(low, high, float(spacing or smooth.width / 2))
     analysis = _WallStress(surface, cells, smooth, float(within or smooth.width))
-    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
+    return run(scene, analysis, call=call, on_error=on_error)
 
 
-def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
+def _box_of_grains(scene: Scene) -> tuple[NDArray, NDArray]:
     """Lowest and highest corners (3,) of the grains, or of the period or layer along its axes."""
     if scene.corners is None:
         low, high = np.array([scene.edges.get(a, (0.0, 0.0)) for a in COMPONENTS]).T
@@ -488,11 +484,11 @@ class _WallStress(FrameAnalysis):
     kernel: Kernel
     within: float
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the positions and contacts."""
         return ["position", *_NEEDS]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return tractions on the cells, and the sum and number of the forces of a step."""
         nodes = tuple(self.cells.coords)
         return {
@@ -507,11 +503,11 @@ class _WallStress(FrameAnalysis):
             "wall_contacts": Variable((), "1", "number of contacts with the wall", "int64"),
         }
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return places and areas of the cells, and the axes of shear."""
         return _coordinates(self.cells, self.setup.unit_system)
 
-    def attrs(self, scene: Description) -> dict[str, Any]:
+    def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return kernel and surface, and where the cells end if the surface goes on."""
         attrs = _attrs_of(self.kernel, self.surface)
         ends = [

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import extra, rising_pair
 from xcg.common.messages import SceneError, plain, warn_once
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import Description
+from xcg.scene.conform import takes_scene
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
@@ -48,7 +48,7 @@ _FACES = {
 
 @takes_scene
 def voronoi(
-    ds: xr.Dataset,
+    scene: Scene,
     *,
     bounds: Mapping[str, Sequence[float]] | None = None,
     faces: bool = False,
@@ -109,14 +109,14 @@ def voronoi(
     >>> round(float(v.voronoi_fraction[0, 0]), 5), int(v.voronoi_neighbours[0, 0])
     (0.74048, 12)
     """
-    require_scene(ds, ("diameter", "volume"), "voronoi")
+    scene.require(("diameter", "volume"), "voronoi")
     if bounds is not None and not isinstance(bounds, Mapping):
         raise ValueError(
             f"bounds={plain(bounds)}: expected ends of axes, for example {{'z': (0.0, 0.2)}}"
         )
     extra("pyvoro2", "voronoi", "voronoi")
     call = call_of("voronoi", {"bounds": bounds, "faces": faces or None})
-    return run(ds, _Cells(bounds or {}, faces), call=call, on_error=on_error)
+    return run(scene, _Cells(bounds or {}, faces), call=call, on_error=on_error)
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class _Cells(FrameAnalysis):
     bounds: Mapping[str, Any]
     faces: bool
 
-    def prepare(self, scene: Description) -> _Cells:
+    def prepare(self, scene: Scene) -> _Cells:
         """Check the bounds; those across a layer are its edges."""
         is_open = [a for a in self.setup.plane if a not in self.setup.periodic]
         bounds = {}
@@ -148,17 +148,17 @@ class _Cells(FrameAnalysis):
             )
         return replace(self, bounds=bounds)
 
-    def reads(self, scene: Description) -> tuple[str, ...]:
+    def reads(self, scene: Scene) -> tuple[str, ...]:
         """Return positions and sizes."""
         return ("position", "diameter", "volume")
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the rows of cells, and of faces."""
         if self.faces:
             return _ROWS | _FACES
         return _ROWS
 
-    def sizes(self, scene: Description, ds: xr.Dataset) -> dict[str, int | None]:
+    def sizes(self, scene: Scene, ds: xr.Dataset) -> dict[str, int | None]:
         """Return the most faces of a step, a bound if it is lazy."""
         if ds["position"].chunks is None:
             return {"face": None}

@@ -18,8 +18,8 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import resolve_width
-from xcg.scene.description import describe
 from xcg.scene.facts import SETUP, with_setup
+from xcg.scene.scene import Scene
 from xcg.scene.schema import units_in
 from xcg.steps.labels import labelled_table, provenance
 
@@ -61,7 +61,7 @@ class SweepRequest(SharedOptions):
 
 
 @takes(SweepRequest)
-def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
+def width_sweep(scene: Scene, asked: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths: the bias of each width, and the plateau of each field.
 
     The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below
@@ -97,20 +97,19 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     thinner than the width it is large, but no more than a sign that the width is too large there.
     The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
     """
-    measured = describe(ds).sizes
-    lengths = sorted({resolve_width(width, measured) for width in asked.widths})
+    lengths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
     if len(lengths) < 2:
         raise ValueError(f"widths={list(asked.widths)!r}: expected two or more different widths")
     points, along = _points(asked.at)
     call = asked.call("width_sweep")
-    ds, asked = prepare(ds, asked)
-    refuse_cylindrical(ds, "width_sweep")
+    scene, asked = prepare(scene, asked)
+    refuse_cylindrical(scene.ds, "width_sweep")
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
-        asked = with_nodes(ds, asked, lengths, points[0])
+        asked = with_nodes(scene, asked, lengths, points[0])
     swept = [
         join_widths(
-            ds, lengths, partial(asked.ask, fields=asked.fields, at=point, for_averages=False)
+            scene, lengths, partial(asked.ask, fields=asked.fields, at=point, for_averages=False)
         )
         for point in points
     ]
@@ -126,7 +125,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         more |= _bias(field, joined[field], widths, asked.max_bias)
         if len(lengths) > 2:
             more |= _plateau(field, joined[field], widths, asked.max_slope)
-    return joined.assign(more).assign_attrs(provenance(ds, call))
+    return joined.assign(more).assign_attrs(provenance(scene.ds, call))
 
 
 def _points(
@@ -151,11 +150,11 @@ def _points(
     return [dict(zip(columns, row, strict=True)) for row in rows], dims
 
 
-def join_widths(ds: xr.Dataset, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
+def join_widths(scene: Scene, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
     """Coarse-grain a prepared scene with each of the widths (m): fields with the dimension width."""
     along = xr.Variable("width", widths, {"long_name": "width of the kernel"})
     # their setups differ in the width, which becomes a dimension
-    fields = [answer(ds, ask(width=width)).drop_vars(["width", SETUP]) for width in widths]
+    fields = [answer(scene, ask(width=width)).drop_vars(["width", SETUP]) for width in widths]
     joined = xr.concat(fields, along, join="override")
     joined["width"].attrs["units"] = units_in("m", joined.attrs.get("unit_system", "SI"))
     for name in ("width", "cutoff"):
@@ -164,7 +163,7 @@ def join_widths(ds: xr.Dataset, widths: Sequence[float], ask: Callable[..., Requ
 
 
 def with_nodes(
-    ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]
+    scene: Scene, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]
 ) -> Asked:
     """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
     spacing = asked.spacing
@@ -181,7 +180,7 @@ def with_nodes(
         kernel=asked.kernel,
         extent=asked.extent,
     )
-    grid = make_plan(describe(ds), placing).deposit.nodes
+    grid = make_plan(scene, placing).deposit.nodes
     ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
     return replace(asked, spacing=spacing, bounds=ends)
 

@@ -23,10 +23,10 @@ from xcg.compiled.geometry import Cells, add_shares
 from xcg.fields.grids.grid import make_grid, warn_beyond
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Nodes
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import Description, describe
+from xcg.scene.conform import takes_scene
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
@@ -64,7 +64,7 @@ def _along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
 
 @takes_scene
 def cell_volumes(
-    ds: xr.Dataset,
+    scene: Scene,
     spacing: float | Mapping[str, float],
     *,
     axes: str | None = None,
@@ -119,8 +119,7 @@ def cell_volumes(
     >>> round(float(f.volume_fraction.mean()), 6)
     0.523599
     """
-    require_scene(ds, ("diameter", "volume", "mass"), "cell_volumes")
-    scene = describe(ds, by)
+    scene.require(("diameter", "volume", "mass"), "cell_volumes")
     setup = scene.setup
     if scene.tilted:
         raise SceneError(
@@ -148,7 +147,7 @@ def cell_volumes(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
     analysis = _CellShares(grid, scene.layer_depth, by=by, groups=groups)
-    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
+    return run(scene, analysis, call=call, on_error=on_error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +160,11 @@ class _CellShares(PhaseAnalysis):
     grid: Nodes
     depth: float | str | None
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return what is shared, and what the grains are grouped by."""
         return [*super().reads(scene), "diameter", "volume", "mass"]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the fields on the cells, with velocity where the scene has one."""
         dims = self.grid.dims
         if self.by is not None:
@@ -176,7 +175,7 @@ class _CellShares(PhaseAnalysis):
             if "velocity" in scene.columns or not row.dims
         }
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the centres of the cells, and the phases."""
         system = self.setup.unit_system
         nodes = {a: _along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()}
@@ -244,7 +243,7 @@ class _CellShares(PhaseAnalysis):
 
 @takes_scene
 def slice_temperature(
-    ds: xr.Dataset,
+    scene: Scene,
     axis: str = "z",
     *,
     method: SliceMethod = "planes",
@@ -305,8 +304,7 @@ def slice_temperature(
         raise ValueError(
             f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes"
         )
-    require_scene(ds, ("velocity", _WEIGHTS[method]), "slice_temperature")
-    scene = describe(ds)
+    scene.require(("velocity", _WEIGHTS[method]), "slice_temperature")
     setup = scene.setup
     setup.check_axis(axis)
     k = COMPONENTS.index(axis)
@@ -329,7 +327,7 @@ def slice_temperature(
         count = _number((high - low) / step + 1e-9, 2 * planes + 1) + 1
         nodes = low + step * np.arange(count)
     analysis = _Slices(axis, method, float(width), nodes, low, int(planes), fitted)
-    return run(ds, analysis, call=call, scene=scene, on_error=on_error)
+    return run(scene, analysis, call=call, on_error=on_error)
 
 
 def _number(count: float, planes: int = 1) -> int:
@@ -368,11 +366,11 @@ class _Slices(FrameAnalysis):
     planes: int
     fitted: tuple[float, float] | None
 
-    def reads(self, scene: Description) -> list[str]:
+    def reads(self, scene: Scene) -> list[str]:
         """Return the velocity, and what grains weigh by."""
         return ["position", "velocity", _WEIGHTS[self.method]]
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return temperature, velocity and number of grains in each slice."""
         return {
             "granular_temperature": Variable(
@@ -382,15 +380,15 @@ class _Slices(FrameAnalysis):
             "sample_count": Variable((self.axis,), "1", "number of particles in the slice"),
         }
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the centres of the slices."""
         return {self.axis: _along(self.axis, self.nodes, self.setup.unit_system)}
 
-    def attrs(self, scene: Description) -> dict[str, Any]:
+    def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return thickness and method."""
         return {"slice_width": self.width, "method": self.method}
 
-    def periodic_axes(self, scene: Description) -> str:
+    def periodic_axes(self, scene: Scene) -> str:
         """Return the axis across the slices, or all axes of a tilted box, whose images it shifts."""
         if scene.tilted:
             return scene.setup.periodic

@@ -26,8 +26,8 @@ from xcg.fields.formulas.registry import FIELDS, listed
 from xcg.fields.plan import possible_fields, variables_of
 from xcg.fields.request import Request
 from xcg.scene.conform import conform
-from xcg.scene.description import Description, describe
 from xcg.scene.frame import frame_at, with_time
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call
 
@@ -277,7 +277,7 @@ class ScenePictures(Pictures):
     _prepare = staticmethod(conform)
 
     def _describe(self) -> None:
-        self.scene = describe(self.ds)
+        self.scene = Scene(self.ds)
         self.size = self.scene.sizes.get("d43", 0.0)
         self.plane = list(self.scene.setup.plane)
         possible = possible_fields(self.scene, Request())
@@ -300,7 +300,7 @@ class ScenePictures(Pictures):
             self.views["slice"] = pairs
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
         self.by = next((name for name in ("phase", "species") if name in self.ds), None)
-        groups = describe(self.ds, self.by).values.get(str(self.by), ())
+        groups = self.scene.values(self.by) if self.by else []
         self.phases = []
         if len(groups) > 1:
             self.phases = ["bulk", *map(str, groups)]
@@ -436,7 +436,7 @@ class ScenePictures(Pictures):
         return {"width": sweep["width"].to_numpy() / self.size, **values}
 
 
-def missing_for(name: str, scene: Description) -> list[str]:
+def missing_for(name: str, scene: Scene) -> list[str]:
     """Return the variables and the option that a field needs and a scene lacks."""
     row = FIELDS[name]
     missing = sorted(variables_of((name,), {*scene.columns}, Options()) - scene.columns.keys())

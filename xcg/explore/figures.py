@@ -19,7 +19,8 @@ from xcg.common import drawing
 from xcg.common.checks import extra
 from xcg.common.messages import SceneWarning
 from xcg.explore.choices import Choice
-from xcg.scene.frame import evenly_spaced, with_rising
+from xcg.scene.frame import with_rising
+from xcg.scene.times import evenly_spaced
 
 HIGHEST = 620  # pixels of the height of a map
 NARROWEST = 260  # pixels of its width, with labels; the narrowest maps are not to scale

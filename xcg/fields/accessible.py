@@ -28,8 +28,8 @@ from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
-from xcg.scene.description import Description
 from xcg.scene.facts import with_setup
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import is_lazy, shown
 
@@ -70,7 +70,7 @@ def walls_of(request: Request) -> list[Wall]:
 
 
 def with_accessible(
-    f: xr.Dataset, scene: Description, plan: Plan, request: Request, walls: Sequence[Wall]
+    f: xr.Dataset, scene: Scene, plan: Plan, request: Request, walls: Sequence[Wall]
 ) -> xr.Dataset:
     """Add the accessible fraction to a result, and divide by it where that is asked for.
 
@@ -121,7 +121,7 @@ def with_accessible(
     )
 
 
-def accessible_of(scene: Description, plan: Plan, walls: Sequence[Wall]) -> Accessible:
+def accessible_of(scene: Scene, plan: Plan, walls: Sequence[Wall]) -> Accessible:
     """Plan the accessible fraction at the nodes of a plan.
 
     Raises

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.compat import is_in_memory
 from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import second_moment, squared_integral, takes_stress_of_step
@@ -19,22 +20,21 @@ from xcg.fields.formulas.field import Support
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of
 from xcg.fields.sums.kernels import Kernel
-from xcg.scene.conform import what_is_left_out
-from xcg.scene.description import Description
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame
+from xcg.scene.scene import Scene
+from xcg.scene.schema import COMPONENTS, PADDING, Frame
 
 # --- at the call, from scene and plan; nothing is read -----------------------------------------------
 
 
-def advise(ds: xr.Dataset, scene: Description, plan: Plan, *, named: bool | None) -> None:
+def advise(scene: Scene, plan: Plan, *, named: bool | None) -> None:
     """Warn of empty scenes, and of fields that are far from the truth; tell the plan what its steps warn of.
 
     `named` is whether fields were asked for by name; None is for functions that measure the noise
     of single steps, which are not told of it.
     """
-    if nothing := what_is_left_out(ds):
+    if nothing := _what_is_left_out(scene.ds):
         warn_once("nothing left", f"coarse_grain: {nothing}; fields are those of no grain")
     if named is None:
         return
@@ -49,6 +49,25 @@ def advise(ds: xr.Dataset, scene: Description, plan: Plan, *, named: bool | None
             warn_once(about, text)
 
 
+def _what_is_left_out(ds: xr.Dataset) -> str:
+    """Return that a selection left no step or no particle, with the range of positions before, else ""."""
+    if not {"particle", "time"} <= set(ds.sizes) or "particle_id" not in ds:
+        return ""
+    if ds.sizes["particle"] and not ds.sizes["time"]:
+        return "no step is left, as of a selection of times that holds for none"
+    ids = ds.variables["particle_id"]
+    padded = is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()
+    # a scene that never had particles has no range
+    if not {"particle_lower", "particle_upper"} <= set(ds.attrs) or not (padded or not ids.size):
+        return ""
+    edges = zip(COMPONENTS, ds.attrs["particle_lower"], ds.attrs["particle_upper"], strict=True)
+    ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in edges)
+    return (
+        "no particle is left, as of a selection whose condition holds for none: before, positions were "
+        f"{ranges}"
+    )
+
+
 def _depends_on_support(plan: Plan) -> bool:
     """Return whether a requested field of single steps depends on how many grains a node sees."""
     options = plan.options
@@ -58,7 +77,7 @@ def _depends_on_support(plan: Plan) -> bool:
     return any(takes_stress_of_step(row, options) for row in rows)
 
 
-def _without_friction(scene: Description, plan: Plan) -> str:
+def _without_friction(scene: Scene, plan: Plan) -> str:
     """Return a warning if a redundancy counts sliding contacts as sticking; "" if it does not."""
     if "redundancy_number" not in plan.asked or plan.options.sliding:
         return ""
@@ -75,7 +94,7 @@ _ALIKE = 2.0
 _BIAS = 0.05
 
 
-def _mixed_masses(scene: Description, plan: Plan) -> str:
+def _mixed_masses(scene: Scene, plan: Plan) -> str:
     """Return a warning if a temperature was asked for of grains of different masses together; "" if not.
 
     Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
@@ -102,7 +121,7 @@ def _mixed_masses(scene: Description, plan: Plan) -> str:
 _LONG = 50.0  # extents of the scene by which extent= is in another unit, most likely
 
 
-def _long_extent(scene: Description, plan: Plan) -> str:
+def _long_extent(scene: Scene, plan: Plan) -> str:
     """Return a warning if the length of an average is many times that of the scene; "" if it is not."""
     if scene.cylindrical:
         return ""
@@ -128,7 +147,7 @@ _ADVICE = {
 }
 
 
-def text_of_floors(scene: Description, plan: Plan) -> str | None:
+def text_of_floors(scene: Scene, plan: Plan) -> str | None:
     """Return the floors of the requested fields in words, None where no field has one."""
     support = support_of(scene, plan)
     if support is None:
@@ -167,14 +186,14 @@ def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
     return floors
 
 
-def support_of(scene: Description, plan: Plan) -> Support | None:
+def support_of(scene: Scene, plan: Plan) -> Support | None:
     """Return the effective numbers of a node, of grains that fill their extent evenly.
 
     None for widths by group, whose weights are not those of one kernel, and where sizes, extent or
     the box are not known. Of the rings of a cylinder it is that of the middle one.
     """
     grid = plan.deposit.nodes
-    count = scene.counts["particle"]
+    count = scene.ds.sizes.get("particle", 0)
     other_weights = len(plan.deposit.cutoffs) > 1
     size = scene.sizes.get("d43", np.nan)
     filled = _extent(scene, size)
@@ -190,7 +209,7 @@ def support_of(scene: Description, plan: Plan) -> Support | None:
         lengths.append(2 * math.pi * float(np.median(grid.coords["r"])))
     # in a unit of the space that the kernel sees
     number = count / filled * math.prod(lengths)
-    partners = 2 * scene.counts["contact"] / count
+    partners = 2 * scene.ds.sizes.get("contact", 0) / count
     grains = max(1.0, number / squared_integral(plan.kernel, seen))
     share = {2: math.pi / 4, 3: math.pi / 6}[d] * size**d * count / filled
     return Support(
@@ -203,7 +222,7 @@ def support_of(scene: Description, plan: Plan) -> Support | None:
     )
 
 
-def _extent(scene: Description, size: float) -> float:
+def _extent(scene: Scene, size: float) -> float:
     """Return the volume (in a layer the area) of the box around the grains; NaN where it is not known."""
     box = math.prod(_length(scene, a, size) for a in scene.setup.plane)
     if scene.cylindrical and not {"x", "y"} & scene.periods.keys():
@@ -211,7 +230,7 @@ def _extent(scene: Description, size: float) -> float:
     return box
 
 
-def _length(scene: Description, axis: str, size: float) -> float:
+def _length(scene: Scene, axis: str, size: float) -> float:
     """Return the period along an axis, or the extent of the grains; NaN where it is not known."""
     if axis in scene.periods:
         return scene.periods[axis]

@@ -12,7 +12,7 @@ import xarray as xr
 from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
 from xcg.fields.evaluate import CoarseGraining
-from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame, is_cylindrical
+from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import about_strays, check_size
 from xcg.fields.like import request_like, with_nodes_of
@@ -20,15 +20,15 @@ from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
-from xcg.scene.description import Description, describe
-from xcg.scene.frame import with_measures
+from xcg.scene.scene import Scene
+from xcg.scene.sizes import with_measures
 from xcg.steps.analysis import run
 from xcg.steps.labels import format_call
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer
 # into theirs
 PRESETS: dict[
-    Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]
+    Preset, Callable[[Scene, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]
 ] = {
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
@@ -37,7 +37,7 @@ Asked = TypeVar("Asked", bound=SharedOptions)
 
 
 @takes(Request)
-def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
+def coarse_grain(scene: Scene, request: Request) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
     Fields of a lazy scene are lazy: data are read and fields computed when values are needed, with
@@ -80,47 +80,45 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    return _compute(ds, request, advise=True)
+    return _compute(scene, request, advise=True)
 
 
-def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    """Coarse-grain a conformed scene for functions built on it, without advice on fields of single steps."""
-    return _compute(ds, request, advise=False)
+def answer(scene: Scene, request: Request) -> xr.Dataset:
+    """Coarse-grain a scene for functions built on it, without advice on fields of single steps."""
+    return _compute(scene, request, advise=False)
 
 
-def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
+def _compute(scene: Scene, request: Request, *, advise: bool) -> xr.Dataset:
     check_walls(request)
     named = request.fields is not None
     like = request.like
     request = request_like(request)
     walls = walls_of(request)
     frame = request.frame
-    ds, request = prepare(ds, request)
+    scene, request = prepare(scene, request)
     given = request.given()
     if frame is not None:
         given["frame"] = frame
     if request.on_error == "raise":
         del given["on_error"]
     call = format_call("coarse_grain", given)
-    scene = describe(ds, request.by)
     request, rename = _in_own_names(scene, request)
     by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
-        way_out = about_strays(ds, scene)
+        way_out = about_strays(scene)
         if by_sizes:
             way_out = f"check that sizes and positions have one unit; {way_out}"
         raise ValueError(f"{error}; {way_out}") from None
     check_size(
-        ds,
         scene,
         plan.deposit.nodes,
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )
-    advice.advise(ds, scene, plan, named=named if advise else None)
-    result = run(ds, CoarseGraining(plan), call=call, scene=scene, on_error=request.on_error)
+    advice.advise(scene, plan, named=named if advise else None)
+    result = run(scene, CoarseGraining(plan), call=call, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:
@@ -131,7 +129,7 @@ def _compute(ds: xr.Dataset, request: Request, *, advise: bool) -> xr.Dataset:
 
 
 @takes(Request)
-def explain(ds: xr.Dataset, request: Request) -> Plan:
+def explain(scene: Scene, request: Request) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
 
     With ``by_body``, spheres in memory are grouped first, as the plan is that of the bodies; with
@@ -165,8 +163,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     check_walls(request)
     request = request_like(request)
     walls = walls_of(request)
-    ds, request = prepare(ds, request)
-    scene = describe(ds, request.by)
+    scene, request = prepare(scene, request)
     request, _ = _in_own_names(scene, request)
     plan = make_plan(scene, request)
     cost = None
@@ -181,32 +178,32 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     )
 
 
-def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
+def prepare(scene: Scene, asked: Asked) -> tuple[Scene, Asked]:
     """Group spheres where bodies are asked for, and turn the scene into the frame that is asked for.
 
     What is asked for then holds of the bodies, in the axes of the frame.
     """
     if asked.by_body is not None:
-        ds = group_bodies(ds, asked.by_body)
+        scene = Scene(group_bodies(scene.ds, asked.by_body))
         asked = replace(asked, by_body=None)
     if asked.frame is not None:
-        if not is_cylindrical(ds):
-            ds = with_measures(ds)
+        if not scene.cylindrical:
+            ds = with_measures(scene.ds)
             if isinstance(asked.frame, Cylindrical):
                 check_axis(ds, asked.frame)
-            ds = in_frame(ds, asked.frame)
-        if not is_cylindrical(ds):
-            return ds, replace(asked, frame=None)
+            scene = Scene(in_frame(ds, asked.frame))
+        if not scene.cylindrical:
+            return scene, replace(asked, frame=None)
         letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
         dims = {name: getattr(asked, name) for name in ("pressure_dims", "shear_dims")}
         asked = replace(
             asked, **{name: axes and axes.translate(letters) for name, axes in dims.items()}
         )
-    return ds, asked
+    return scene, asked
 
 
 def _in_own_names(
-    scene: Description, request: Request
+    scene: Scene, request: Request
 ) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset] | None]:
     """Return the request in names of xcg, and the function that turns its answer into that of the preset."""
     if request.preset is None:

@@ -21,9 +21,9 @@ from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
-from xcg.scene.description import Description
 from xcg.scene.facts import SETUP, extent_text, setup_of
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
 from xcg.steps.labels import ABOUT, annotated, phases_of
@@ -54,11 +54,11 @@ class CoarseGraining(FrameAnalysis):
 
     plan: Plan
 
-    def reads(self, scene: Description) -> tuple[str, ...]:
+    def reads(self, scene: Scene) -> tuple[str, ...]:
         """Return the variables of the plan."""
         return self.plan.variables
 
-    def rows(self, scene: Description) -> dict[str, Variable]:
+    def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return dimensions and units of the fields."""
         rows = {}
         for name in self.plan.fields:
@@ -70,11 +70,11 @@ class CoarseGraining(FrameAnalysis):
             rows[name] = Variable(tuple(dims), field.units, field.long_name)
         return rows
 
-    def coords(self, scene: Description) -> dict[str, xr.Variable]:
+    def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the nodes, phases and axes, and the options that averages depend on."""
         return _coordinates(scene, self.plan)
 
-    def attrs(self, scene: Description) -> dict[str, Any]:
+    def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return the options of the plan."""
         return _choices(self.plan)
 
@@ -191,12 +191,13 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
 }
 
 
-def _coordinates(scene: Description, plan: Plan) -> dict[str, xr.Variable]:
+def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
     """Return the coordinates of a result beside time."""
     options = plan.options
     grid = plan.deposit.nodes
     length = units_in("m", plan.setup.unit_system)
-    facts = {name: scene.attrs[name] for name in ABOUT if name in scene.attrs}
+    of_scene = scene.ds.attrs
+    facts = {name: of_scene[name] for name in ABOUT if name in of_scene}
     choices = _choices(plan)
     coords: dict[str, xr.Variable] = {}
     # titles of plots name coordinates in this order, and xarray cuts them after 50 characters

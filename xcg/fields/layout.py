@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import xarray as xr
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_once, warn_user
@@ -22,14 +21,14 @@ from xcg.fields.grids.rings import letters_of, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.fields.sums.nodes import Nodes
-from xcg.scene.description import Description
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 _WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
-def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Nodes:
+def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes:
     """Lay the nodes: points, where coordinates are arrays; those of a cylinder; or a mesh."""
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
@@ -70,7 +69,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
 
 
 def _spacing_of(
-    scene: Description, request: Request, kernels: Sequence[Kernel]
+    scene: Scene, request: Request, kernels: Sequence[Kernel]
 ) -> float | dict[str, float]:
     """Return the distance of nodes (m), for all axes or by axis: as asked for, or the smallest width."""
     given: Any = request.spacing
@@ -104,7 +103,7 @@ def _check_pointwise(request: Request) -> None:
         )
 
 
-def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float, float]]:
+def automatic_bounds(scene: Scene, cutoff: float) -> dict[str, tuple[float, float]]:
     """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     periodic = scene.setup.periodic
     # a box does not follow positions that were changed
@@ -125,9 +124,7 @@ def takes_gradient(name: str, options: Options) -> bool:
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 
 
-def extents_of(
-    grid: Nodes, extent: Mapping[str, float], scene: Description
-) -> dict[str, float | None]:
+def extents_of(grid: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[str, float | None]:
     """Length of each averaged axis (m), None for that of the box of each step."""
     loose = [a for a in extent if a not in grid.averaged]
     if loose:
@@ -146,7 +143,7 @@ def extents_of(
     return lengths
 
 
-def kernels_of(scene: Description, request: Request) -> list[Kernel]:
+def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
     """Return the kernel of all grains, or of each group where `width` maps groups to widths."""
     kernel = request.kernel
     width = request.width
@@ -201,7 +198,7 @@ def undercut_size(width: float, sizes: Mapping[str, float], *, of_groups: bool) 
     return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
-def warn_of_cuts(grid: Nodes, scene: Description, reach: float) -> None:
+def warn_of_cuts(grid: Nodes, scene: Scene, reach: float) -> None:
     """Warn of fixed coordinates that lie outside a periodic box."""
     for a in scene.periods:
         low, high = scene.edges[a]
@@ -243,9 +240,7 @@ _LARGEST = 100_000_000  # nodes, of such a mesh, whose width and spacing follow 
 _MIDDLE = 0.98  # share of the particles that the others are compared with
 
 
-def check_size(
-    ds: xr.Dataset, scene: Description, grid: Nodes, numbers: int, *, by_sizes: bool = False
-) -> None:
+def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = False) -> None:
     """Compare an automatic mesh, with so many numbers of fields a step, with the memory at hand and the particles.
 
     Parameters
@@ -263,10 +258,11 @@ def check_size(
         raise ValueError(
             f"the automatic mesh would have {' x '.join(map(str, grid.sizes))} nodes, more than {_LARGEST:g}, as its "
             f"spacing is 0.75 mean diameters (d43 = {scene.sizes.get('d43', np.nan):.4g}): check that sizes and "
-            f"positions have one unit, or give width= or spacing=; {about_strays(ds, scene)}"
+            f"positions have one unit, or give width= or spacing=; {about_strays(scene)}"
         )
     if not grid.fitted or grid.count < _LARGE:
         return
+    ds = scene.ds
     # all steps, or those of the longest chunk of a lazy scene
     steps = max(ds["position"].chunksizes.get("time", (ds.sizes["time"], 1)))
     needed = 8 * numbers * steps
@@ -275,13 +271,13 @@ def check_size(
     if free is not None and needed > free:
         raise ValueError(
             f"the automatic mesh has {shown} nodes, and its fields take {needed / 1e9:.3g} GB at once where "
-            f"{free / 1e9:.3g} GB are free: {about_strays(ds, scene)}"
+            f"{free / 1e9:.3g} GB are free: {about_strays(scene)}"
         )
     particles = max(1, ds.sizes["particle"])
     if grid.count > _MANY * particles:
         warn_user(
             f"the automatic mesh has {shown} nodes, {grid.count / particles:.3g} for each particle: "
-            f"{about_strays(ds, scene)}"
+            f"{about_strays(scene)}"
         )
 
 
@@ -298,9 +294,10 @@ def memory_at_hand() -> int | None:
         return None
 
 
-def about_strays(ds: xr.Dataset, scene: Description) -> str:
+def about_strays(scene: Scene) -> str:
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
     way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.cg.select"
+    ds = scene.ds
     position = ds["position"].transpose("time", "particle", "component").variable
     if not is_in_memory(position):
         if scene.corners is None:

@@ -35,9 +35,9 @@ from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
-from xcg.scene.conform import require_scene
-from xcg.scene.description import Description, Summary
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
+from xcg.scene.summary import Summary
 
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
@@ -205,7 +205,7 @@ class Plan:
         return f"{rules} (rtol = {self.rtol:g})"
 
 
-def effective_count(scene: Description, plan: Plan) -> float | None:
+def effective_count(scene: Scene, plan: Plan) -> float | None:
     """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
 
     None for rings and widths by group, whose weights are not those of one kernel.
@@ -221,7 +221,7 @@ def effective_count(scene: Description, plan: Plan) -> float | None:
     return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.nodes.seen))
 
 
-def make_plan(scene: Description, request: Request) -> Plan:
+def make_plan(scene: Scene, request: Request) -> Plan:
     """Plan what a request takes, of grains and fields of xcg.
 
     Raises
@@ -231,7 +231,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     ValueError
         If an argument is wrong.
     """
-    require_scene(scene.columns, (), "coarse_grain")
+    scene.require((), "coarse_grain")
     rtol = request.rtol
     by = request.by
     names, asked, options = _fields_and_options(scene, request)
@@ -286,7 +286,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     )
 
 
-def _required(scene: Description, names: Sequence[str], options: Options) -> set[str]:
+def _required(scene: Scene, names: Sequence[str], options: Options) -> set[str]:
     """Return the variables that some fields need; raise SceneError unless the scene has them."""
     here = scene.columns.keys()
     variables = variables_of(names, here, options)
@@ -299,11 +299,11 @@ def _required(scene: Description, names: Sequence[str], options: Options) -> set
     ):
         instead = "; or ask for contact_stress, which needs no velocity"
     purpose = f"coarse_grain of {', '.join(lacking)}"
-    require_scene(scene.columns, sorted(variables), purpose, instead)
+    scene.require(sorted(variables), purpose, instead)
     return variables
 
 
-def _extent_of(scene: Description) -> float:
+def _extent_of(scene: Scene) -> float:
     """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
     if scene.corners is None:
         return math.inf
@@ -315,7 +315,7 @@ def _extent_of(scene: Description) -> float:
 
 
 def _fields_and_options(
-    scene: Description, request: Request
+    scene: Scene, request: Request
 ) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
     """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
@@ -367,19 +367,19 @@ def _fields_and_options(
     return names, asked, options
 
 
-def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
+def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
     """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
     return _possible(scene, _options_of(scene, request))
 
 
-def _possible(scene: Description, options: Options) -> tuple[str, ...]:
+def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
     here = scene.columns.keys()
     rows = registry.FIELDS
     lacking = _without_option(options)
     usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
     possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
     if not possible:
-        require_scene(scene.columns, ("mass",), "coarse_grain")
+        scene.require(("mass",), "coarse_grain")
     return possible
 
 
@@ -391,7 +391,7 @@ def _without_option(options: Options) -> set[str]:
 
 def _choose_fields(
     asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
-    scene: Description,
+    scene: Scene,
     options: Options,
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
@@ -424,7 +424,7 @@ def _choose_fields(
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
-def _unknown_field(name: Any, scene: Description) -> str:
+def _unknown_field(name: Any, scene: Scene) -> str:
     """Return the message about a field that does not exist."""
     listed = registry.listed()
     word = str(name).lower()
@@ -442,7 +442,7 @@ def _unknown_field(name: Any, scene: Description) -> str:
 def _with_errors(
     names: tuple[str, ...],
     own: tuple[OwnField | registry.OwnRow, ...],
-    scene: Description,
+    scene: Scene,
     absent: Set[str],
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Add the errors of one step of the fields that have them, unless absent."""
@@ -472,7 +472,7 @@ def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set
     return needed
 
 
-def _options_of(scene: Description, request: Request) -> Options:
+def _options_of(scene: Scene, request: Request) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
     setup = scene.setup
     size = request.size

@@ -26,12 +26,12 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.checks import NOT_NEGATIVE, POSITIVE, check, check_choice
-from xcg.common.messages import active_call
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
 from xcg.fields.grids.walls import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
-from xcg.scene.conform import as_selected, conformed
+from xcg.scene.conform import takes_scene
+from xcg.scene.scene import Scene
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call
 
@@ -323,48 +323,43 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
 
 def takes(
     request: Callable[P, A],
-) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
+) -> Callable[[Callable[[Scene, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
     It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations
     come from the arguments, and ``{arguments}`` in the docstring is replaced by their descriptions.
     """
 
-    def decorate(function: Callable[[xr.Dataset, A], R]) -> Callable[Concatenate[xr.Dataset, P], R]:
+    def decorate(function: Callable[[Scene, A], R]) -> Callable[Concatenate[xr.Dataset, P], R]:
         @wraps(function)
-        def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-            scene = conformed(function.__name__, signature, ds, args, options)
-            asked = request(*args, **(OF_PRESETS.get(str(options.get("preset")), {}) | options))
-            with active_call().active():
-                result = function(scene, asked)
-            if scene is not ds:
-                result = as_selected(result, ds)
-            return result
+        def call(scene: Scene, *args: P.args, **options: P.kwargs) -> R:
+            arguments = OF_PRESETS.get(str(options.get("preset")), {}) | options
+            return function(scene, request(*args, **arguments))
 
         of_call = inspect.Parameter
         kinds = {False: of_call.POSITIONAL_OR_KEYWORD, True: of_call.KEYWORD_ONLY}
-        parameters = [of_call("ds", kinds[False], annotation="xr.Dataset")]
+        parameters = [of_call("scene", kinds[False])]
         for field in arguments(request):
             kind = kinds[bool(field.kw_only)]
             default = field.default
             if default is MISSING:
                 default = of_call.empty
             parameters.append(of_call(field.name, kind, default=default, annotation=field.type))
+        cast(Any, call).__signature__ = inspect.Signature(
+            parameters, return_annotation=function.__annotations__["return"]
+        )
+        if function.__doc__:  # there is none under python -OO
+            meanings = _meanings(request)
+            descriptions = "\n".join(meanings[field.name] for field in arguments(request))
+            call.__doc__ = inspect.cleandoc(function.__doc__).replace("{arguments}", descriptions)
+        of_scene = takes_scene(call)
         hints = {
             "ds": xr.Dataset,
             **get_type_hints(request),
             "return": get_type_hints(function)["return"],
         }
-        shown = cast(Any, call)
-        signature = shown.__signature__ = inspect.Signature(
-            parameters, return_annotation=function.__annotations__["return"]
-        )
-        shown.__annotations__ = {name: hints[name] for name in (*signature.parameters, "return")}
-        if function.__doc__:  # there is none under python -OO
-            meanings = _meanings(request)
-            descriptions = "\n".join(meanings[field.name] for field in arguments(request))
-            call.__doc__ = inspect.cleandoc(function.__doc__).replace("{arguments}", descriptions)
-        return call
+        of_scene.__annotations__ = {name: hints[name] for name in of_scene.__annotations__}
+        return of_scene
 
     return decorate
 

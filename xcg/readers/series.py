@@ -26,10 +26,10 @@ from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
-from xcg.scene.frame import measure_frames, measured_variables
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, periodic_axes
+from xcg.scene.sizes import measure_frames, measured_variables
 from xcg.scene.times import times_given
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS

@@ -9,12 +9,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.scene.conform import in_whole_rows, require_scene, takes_scene
-from xcg.scene.description import describe
+from xcg.scene.conform import in_whole_rows, takes_scene
 from xcg.scene.facts import SETUP
-from xcg.scene.frame import measure, steps_in
+from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.measure import measure
 from xcg.scene.rows import rows_of
+from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, OF_STEP, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
@@ -41,7 +42,7 @@ _MISSING = -(2**31)
 
 
 @takes_scene
-def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
+def group_bodies(scene: Scene, by_body: str = "body_id") -> xr.Dataset:
     """Group component spheres into bodies, lazily where the scene is.
 
     A body has the mass and volume of its spheres together, their centre of mass (components joined
@@ -71,7 +72,8 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
         If the scene lacks masses or the variable, the variable is not an integer, or the spheres of
         a body differ in ``species`` or ``frozen``.
     """
-    require_scene(ds, ("mass", by_body), "group_bodies")
+    scene.require(("mass", by_body), "group_bodies")
+    ds = scene.ds
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:
         raise SceneError(
             f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of particles"
@@ -85,7 +87,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     given["body"] = ds[by_body]
     core = {name: [d for d in array.dims if d != "time"] for name, array in given.items()}
     whole = [in_whole_rows(array) for array in given.values()]
-    setup = describe(ds).setup
+    setup = scene.setup
     arrays = xr.apply_ufunc(
         partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic),
         *whole,

@@ -15,7 +15,7 @@ from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
 from xcg.scene.facts import SETUP, setup_of
-from xcg.scene.frame import check_times, measure_frames, stack
+from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import (
@@ -33,7 +33,8 @@ from xcg.scene.schema import (
     units_in,
     variable,
 )
-from xcg.scene.times import times_given
+from xcg.scene.sizes import measure_frames
+from xcg.scene.times import check_times, times_given
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ where frames are made (`xcg.scene.frame.frame_of`).
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import Once, SceneError, active_call, did_you_mean
 from xcg.scene.facts import require_facts, with_facts
+from xcg.scene.scene import Scene
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -40,39 +41,46 @@ _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the row
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Task = Callable[Concatenate[xr.Dataset, P], R]
 
 
-def takes_scene(task: Task[P, R]) -> Task[P, R]:
-    """Decorate a function of a scene: it takes any selection of one, and its result has the selection's dimensions."""
-    signature = inspect.signature(task)
+def takes_scene(
+    task: Callable[Concatenate[Scene, P], R],
+) -> Callable[Concatenate[xr.Dataset, P], R]:
+    """Decorate a function of a `Scene`: it takes any selection of a Dataset, and its result has the same dimensions.
+
+    The decorated function raises TypeError for anything but a Dataset, and for an argument that is
+    unknown, missing or one too many; SceneError as `conform`.
+    """
+    of_task = inspect.signature(task)
+    first, *others = of_task.parameters.values()
+    ds_parameter = first.replace(name=first.name.replace("scene", "ds"), annotation="xr.Dataset")
+    signature = of_task.replace(parameters=[ds_parameter, *others])
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-        scene = conformed(task.__name__, signature, ds, args, options)
+        _check_arguments(task.__name__, signature, ds, args, options)
+        scene = conform(ds)
         with active_call().active():
-            result = task(scene, *args, **options)
+            result = task(Scene(scene), *args, **options)
         return result if scene is ds else as_selected(result, ds)
 
-    return cast("Task[P, R]", call)
+    shown = cast(Any, call)
+    shown.__signature__ = signature
+    shown.__annotations__ = {
+        parameter.name: parameter.annotation for parameter in signature.parameters.values()
+    }
+    shown.__annotations__["return"] = signature.return_annotation
+    return call
 
 
-def conformed(
+def _check_arguments(
     name: str,
     signature: inspect.Signature,
-    ds: xr.Dataset,
+    ds: object,
     args: Sequence[Any],
     options: Mapping[str, Any],
-) -> xr.Dataset:
-    """Check the arguments of a call, and bring its scene to the form that tasks read.
-
-    Raises
-    ------
-    TypeError
-        If `ds` is not a Dataset, or an argument is unknown, missing or one too many.
-    SceneError
-        As `conform`.
-    """
+) -> None:
+    """Raise TypeError unless these are the arguments of a function of a scene."""
     if not isinstance(ds, xr.Dataset):
         raise TypeError(
             f"{name}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
@@ -89,7 +97,6 @@ def conformed(
         signature.bind(ds, *args, **options)
     except TypeError as error:
         raise TypeError(f"{name}(): {error}") from None
-    return conform(ds)
 
 
 # Arguments by the words that others use for them.
@@ -154,68 +161,8 @@ def _likely_argument(word: str, known: Mapping[str, object]) -> str:
     return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
 
 
-def require_scene(
-    ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = ""
-) -> None:
-    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing.
-
-    `instead` ends the advice with what can be asked for without them.
-    """
-    if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
-        shown = ", ".join(map(str, getattr(ds, "data_vars", ds))) or "nothing"
-        raise SceneError(
-            f"{purpose} needs {sorted(missing)}: {_way_to(missing, map(str, ds))}{instead} "
-            f"(this Dataset holds {shown})"
-        )
-
-
 # attributes of `particle_id` where files hold no ids
 ROW_NUMBERS = {"rows": 1, "long_name": "number of the row, as the files hold no ids"}
-
-
-def require_ids(ds: xr.Dataset, purpose: str) -> None:
-    """Raise SceneError for a scene whose rows may be other particles in every step."""
-    if "rows" in ds["particle_id"].attrs:
-        raise SceneError(
-            f"{purpose} follows particles by their ids, and the files hold none: rows may be other "
-            "particles in every step. Map the column of ids in xcg.open_scene, "
-            "names={'...': 'particle_id'}; if rows are the same particles in all steps, say so by "
-            "del ds.particle_id.attrs['rows']"
-        )
-
-
-def _way_to(missing: Set[str], present: Iterable[str]) -> str:
-    """Return what to do where these variables are missing, as the middle of a message."""
-    if {"position", "particle_id"} <= missing:
-        return "call it on a scene, from xcg.open_scene or xcg.scene_from_arrays, not on a result or another Dataset"
-    if missing == {"contact_force"}:
-        return "ds.cg.find_contacts(k_n=...) estimates forces, and contacts= of xcg.open_scene reads them"
-    ways = []
-    if any(name.startswith("contact_") for name in missing):
-        stiffness = "k_n=..." if "contact_force" in missing else ""
-        ways.append(
-            "contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays), or call "
-            f"ds.cg.find_contacts({stiffness}) first"
-        )
-    no_sizes = not {"diameter", "volume"} & set(present)
-    if no_sizes and missing & {"mass", "volume", "diameter", "moment_of_inertia"}:
-        return (
-            "the files hold no sizes of the grains. Map their column in xcg.open_scene, names={'...': 'radius'} or "
-            "'diameter', with density=; for grains of one size d, d = xr.full_like(ds.position[..., 0], 0.001) gives "
-            "ds.assign(diameter=d, volume=np.pi / 6 * d**3, mass=2500 * np.pi / 6 * d**3)"
-        )
-    if missing & {"mass", "density", "moment_of_inertia"}:
-        ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
-    if others := sorted(
-        missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}
-    ):
-        way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
-        ways.append(
-            way + ", or call ds.cg.derive('velocity') on several steps" * ("velocity" in missing)
-        )
-    if "director" in missing:
-        ways.append("quaternions to ds.cg.derive_director()")
-    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
 
 
 def _require_one_time(ds: xr.Dataset) -> None:
@@ -278,25 +225,6 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     if not changed:
         return scene
     return scene.assign(changed)
-
-
-def what_is_left_out(ds: xr.Dataset) -> str:
-    """Return that a selection left no step or no particle, with the range of positions before, else ""."""
-    if not {"particle", "time"} <= set(ds.sizes) or "particle_id" not in ds:
-        return ""
-    if ds.sizes["particle"] and not ds.sizes["time"]:
-        return "no step is left, as of a selection of times that holds for none"
-    ids = ds.variables["particle_id"]
-    padded = is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()
-    # a scene that never had particles has no range
-    if not {"particle_lower", "particle_upper"} <= set(ds.attrs) or not (padded or not ids.size):
-        return ""
-    edges = zip(COMPONENTS, ds.attrs["particle_lower"], ds.attrs["particle_upper"], strict=True)
-    ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in edges)
-    return (
-        "no particle is left, as of a selection whose condition holds for none: before, positions were "
-        f"{ranges}"
-    )
 
 
 # --- dimensions ------------------------------------------------------------------------------------------

@@ -17,11 +17,12 @@ from xcg.common.messages import SceneError, plain, unknown
 from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import repeated_pairs
 from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.sanity_contacts import check_contacts
+from xcg.scene.scene import Scene
 from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the
@@ -368,7 +369,7 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
 
 
 @takes_scene
-def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
+def select_walls(scene: Scene, walls: Walls) -> xr.Dataset:
     """Keep the contacts with some walls, and no others; lazy where the scene is.
 
     Fields of contacts are then the part that these walls have in them: ``boundary_force_density`` of several
@@ -401,7 +402,8 @@ def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
     >>> int((select_walls(ds, -1).contact_i >= 0).sum()) == int((ds.contact_j == -1).sum() - (ds.contact_i < 0).sum())
     True
     """
-    require_scene(ds, ("contact_i", "contact_j"), "select_walls")
+    scene.require(("contact_i", "contact_j"), "select_walls")
+    ds = scene.ds
     kept = ds["contact_j"].isin(numbers_of_walls(ds, walls))
     return ds.assign(
         contact_i=ds["contact_i"].where(kept, PADDING).assign_attrs(ds["contact_i"].attrs)

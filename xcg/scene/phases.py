@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from xcg.common.checks import check, extra, floats, is_whole, whole
 from xcg.common.drawing import label_of, layout, set_label
 from xcg.common.messages import SceneError, plain, warn_user
-from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.conform import takes_scene
 from xcg.scene.frame import step_at
+from xcg.scene.scene import Scene
 from xcg.scene.schema import PADDING, mark_measured
 
 if TYPE_CHECKING:
@@ -37,9 +38,7 @@ MAX_SILHOUETTES = 3_000
 
 
 @takes_scene
-def find_phases(
-    ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: int = 0
-) -> xr.Dataset:
+def find_phases(scene: Scene, max_phases: int = 8, *, steps: int = 5, seed: int = 0) -> xr.Dataset:
     """Find phases as clusters of (diameter, density) (computes some steps).
 
     k-means for 2 to `max_phases` clusters on standardised diameters and densities; the number with
@@ -73,7 +72,8 @@ def find_phases(
     ValueError
         If `max_phases` or `steps` is less than 1.
     """
-    require_scene(ds, ("diameter", "density"), "find_phases")
+    scene.require(("diameter", "density"), "find_phases")
+    ds = scene.ds
     check("max_phases", max_phases, whole(1))
     check("steps", steps, whole(1))
     count = ds.sizes["time"]
@@ -120,7 +120,7 @@ def _warn_of_empty(edges: NDArray, attrs: Mapping[Any, Any]) -> None:
 
 @takes_scene
 def assign_phases(
-    ds: xr.Dataset,
+    scene: Scene,
     *,
     edges: Sequence[float] | None = None,
     mapping: Mapping[int, int] | None = None,
@@ -153,6 +153,7 @@ def assign_phases(
     ValueError
         Unless one of `edges` and `mapping` is given, or if edges do not rise.
     """
+    ds = scene.ds
     if (edges is None) == (mapping is None):
         raise ValueError(
             "assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}"
@@ -162,7 +163,7 @@ def assign_phases(
             raise ValueError(
                 f"by={by!r}: edges= are between diameters, and by= goes with mapping=; leave it out"
             )
-        require_scene(ds, ("diameter",), "assign_phases")
+        scene.require(("diameter",), "assign_phases")
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
             raise ValueError(
@@ -173,7 +174,7 @@ def assign_phases(
         return _by_properties(
             ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2)
         )
-    require_scene(ds, (by,), "assign_phases")
+    scene.require((by,), "assign_phases")
     given = mapping or {}
     are_whole = [
         is_whole(value, -(2**63), 2**63 - 1) and is_whole(phase, 0, 2**63 - 1)
@@ -191,7 +192,7 @@ def assign_phases(
 
 
 @takes_scene
-def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
+def plot_phases(scene: Scene, index: int = -1) -> Figure:
     """Draw the clusters of one step and the scores of `find_phases` (computes).
 
     Returns
@@ -205,7 +206,8 @@ def plot_phases(ds: xr.Dataset, index: int = -1) -> Figure:
     ValueError
         If the step does not exist.
     """
-    require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
+    scene.require(("diameter", "density", "phase"), "plot_phases")
+    ds = scene.ds
     frame = step_at(ds[["diameter", "density", "phase"]], index).compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
     plt = extra("matplotlib.pyplot", "plot", "drawing")

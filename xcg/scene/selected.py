@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import check_choice
 from xcg.common.messages import plain, unknown
-from xcg.scene.conform import in_whole_rows, require_scene, takes_scene
+from xcg.scene.conform import in_whole_rows, takes_scene
 from xcg.scene.expressions import evaluate
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MEASURED, PADDING, variable
 
 Outside: TypeAlias = Literal["keep", "drop"]
@@ -34,9 +35,7 @@ _OTHER_DIMS = {"particle_id": "particle", "step": "time"}
 
 
 @takes_scene
-def select(
-    ds: xr.Dataset, condition: xr.DataArray | str, *, outside: Outside = "keep"
-) -> xr.Dataset:
+def select(scene: Scene, condition: xr.DataArray | str, *, outside: Outside = "keep") -> xr.Dataset:
     """Select particles of each step, with their contacts; lazy where the scene is.
 
     Contacts without a selected particle are dropped. A contact of a selected particle with another
@@ -81,7 +80,8 @@ def select(
     >>> bool((upper.position.sel(component="z") > 2.5).all())
     True
     """
-    require_scene(ds, (), "select")
+    scene.require((), "select")
+    ds = scene.ds
     check_choice("outside", outside, Outside)
     chosen = _mask(ds, condition) & (ds["particle_id"] != PADDING)
     chosen = chosen.transpose("time", "particle")

@@ -1,4 +1,4 @@
-"""Times of any type as seconds: numbers, durations, dates, and texts of these; rounding noise of times."""
+"""Times of steps: of any type as seconds, without noise of rounding; whether they are known, and rise."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError, plain
+from xcg.scene.schema import NUMBERED, units_in
 
 _NOISE = 1e-9  # of the largest interval; times that are nearer to each other are one
 _LAST_BITS = 8  # units in the last place of the largest time, by which one time may differ
@@ -129,3 +131,85 @@ def without_noise(times: NDArray) -> NDArray:
     is_new = np.append(True, gaps > max(_NOISE * gaps.max(), last_bits))
     lowest = distinct[is_new]
     return lowest[np.cumsum(is_new) - 1][place].reshape(np.shape(times))
+
+
+# --- of the steps of a scene or result ---------------------------------------------------------------
+
+
+def _require_numbers(times: NDArray, purpose: str) -> None:
+    """Raise SceneError for dates and durations of NumPy, whose numbers are nanoseconds or the like."""
+    if times.dtype.kind not in "fiu":
+        raise SceneError(
+            f"{purpose}: expected times as numbers (s), and these are {times.dtype}; ds.assign_coords(time=seconds)"
+        )
+
+
+def check_times(time: NDArray, purpose: str, way_out: str) -> None:
+    """Raise SceneError for times (t,) that are not finite or do not rise; name the step."""
+    _require_numbers(time, purpose)
+    late = np.flatnonzero(~(time[1:] > time[:-1]))
+    if not np.isfinite(time).all() or late.size:
+        times = f"{time}"
+        if late.size:
+            times = f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}"
+        raise SceneError(
+            f"{purpose} needs finite times that rise from step to step, and {times}; {way_out}"
+        )
+
+
+def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a series whose times do not rise, as after a selection or joining: rates would be wrong."""
+    check_times(
+        ds["time"].to_numpy(),
+        purpose,
+        "order the steps with ds.sortby('time').drop_duplicates('time')",
+    )
+
+
+def times_are_known(ds: xr.Dataset) -> bool:
+    """Return whether the coordinate time holds times, and not the numbers of the steps in their place.
+
+    Arithmetic keeps attributes, so that assigned times may still be labelled as numbers; they
+    differ from the steps, and where these are lazy, they are not whole.
+    """
+    if ds["time"].attrs.get("long_name") != NUMBERED:
+        return True
+    if "step" not in ds.coords:
+        return False
+    times = ds["time"].to_numpy()
+    if ds["step"].chunks is not None:
+        return bool((times % 1 != 0).any())
+    return not np.array_equal(times, ds["step"])
+
+
+def unit_of_times(ds: xr.Dataset) -> str:
+    """Return the unit of differences of times: "1" where the times are not known."""
+    if not times_are_known(ds):
+        return "1"
+    return units_in("s", str(ds.attrs.get("unit_system", "SI")))
+
+
+def require_known_times(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a series whose times are numbers of steps: rates would have a wrong unit."""
+    if not times_are_known(ds):
+        raise SceneError(
+            f"{purpose}: the times of the steps are not known, and 'time' holds the numbers of the steps; give "
+            "timestep= or times= in open_scene, time= in scene_from_arrays, or ds.assign_coords(time=seconds)"
+        )
+
+
+def require_times(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for a series whose times are not known, or do not rise."""
+    require_known_times(ds, purpose)
+    require_rising_times(ds, purpose)
+
+
+def evenly_spaced(values: NDArray, what: str) -> float:
+    """Return the distance of numbers that rise by equal steps; refuse others, as `what`."""
+    _require_numbers(values, what)
+    steps = np.diff(values)
+    if not (steps > 0).all() or not np.allclose(steps, steps[0], rtol=1e-4, atol=0.0):
+        raise SceneError(
+            f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
+        )
+    return float((values[-1] - values[0]) / len(steps))

@@ -11,10 +11,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled._jit import THREADS
-from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.description import Description, describe
+from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.scene import Scene
 from xcg.scene.schema import OF_STEP, PADDING, Frame, Setup, Variable
 from xcg.steps.faults import OnError
 from xcg.steps.labels import AXES, call_of, label
@@ -74,16 +74,16 @@ class FrameAnalysis:
 
     # --- what a subclass defines -------------------------------------------------------------------
 
-    def prepare(self, scene: Description) -> Self:
+    def prepare(self, scene: Scene) -> Self:
         """Check the options against a scene, and return the analysis with defaults filled in.
 
-        By default itself. A scene is described by `columns` (variables by name), `setup` (periodic
-        axes, dimension, units), `sizes` (diameters), `edges` of the box and `corners` of the
-        particles' extent; none of its arrays are read.
+        By default itself. A scene answers without reading: `columns` (variables by name), `setup`
+        (periodic axes, dimension, units), `sizes` (diameters), `edges` of the box and `corners` of
+        the particles' extent.
         """
         return self
 
-    def reads(self, scene: Description) -> Iterable[str]:
+    def reads(self, scene: Scene) -> Iterable[str]:
         """Return the variables of the scene that a step is computed from.
 
         All are required. The class attribute `optional` lists further variables, which are read
@@ -91,15 +91,15 @@ class FrameAnalysis:
         """
         raise NotImplementedError(f"{type(self).__name__}.reads is missing")
 
-    def rows(self, scene: Description) -> Mapping[str, Variable]:
+    def rows(self, scene: Scene) -> Mapping[str, Variable]:
         """Return dimensions, units (SI), and name in words of each result."""
         raise NotImplementedError(f"{type(self).__name__}.rows is missing")
 
-    def coords(self, scene: Description) -> Mapping[str, xr.Variable]:
+    def coords(self, scene: Scene) -> Mapping[str, xr.Variable]:
         """Return the coordinates of the result beside time; they give dimensions their lengths."""
         return {}
 
-    def sizes(self, scene: Description, ds: xr.Dataset) -> Mapping[str, int | None]:
+    def sizes(self, scene: Scene, ds: xr.Dataset) -> Mapping[str, int | None]:
         """Return the lengths of dimensions that have no coordinate.
 
         By default as in the scene. None is the largest number of rows that a step turns out to
@@ -107,11 +107,11 @@ class FrameAnalysis:
         """
         return {}
 
-    def attrs(self, scene: Description) -> Mapping[str, Any]:
+    def attrs(self, scene: Scene) -> Mapping[str, Any]:
         """Return attributes of the result."""
         return {}
 
-    def periodic_axes(self, scene: Description) -> str:
+    def periodic_axes(self, scene: Scene) -> str:
         """Return the axes whose periodic images a step needs; all of the scene's by default.
 
         Along these the box of each step has to be finite.
@@ -191,35 +191,24 @@ class FrameAnalysis:
 
 
 @takes_scene
-def _run_selection(ds: xr.Dataset, analysis: FrameAnalysis, *, on_error: OnError) -> xr.Dataset:
-    return run(ds, analysis, on_error=on_error)
+def _run_selection(scene: Scene, analysis: FrameAnalysis, *, on_error: OnError) -> xr.Dataset:
+    return run(scene, analysis, on_error=on_error)
 
 
 def run(
-    ds: xr.Dataset,
-    analysis: FrameAnalysis,
-    *,
-    call: str = "",
-    scene: Description | None = None,
-    on_error: OnError = "raise",
+    scene: Scene, analysis: FrameAnalysis, *, call: str = "", on_error: OnError = "raise"
 ) -> xr.Dataset:
-    """Run an analysis of a scene that was brought to its form by `xcg.scene.conform`.
-
-    `call` replaces the call in the history, and `scene` is the description of `ds` where there is
-    one.
-    """
+    """Run an analysis of a scene; `call` replaces the call in the history."""
     call = call or analysis.call()
     name = analysis.name or type(analysis).__name__
-    require_scene(ds, (), name)
-    if scene is None:
-        # an option of analyses of groups of particles
-        scene = describe(ds, getattr(analysis, "by", None))
+    scene.require((), name)
+    ds = scene.ds
     analysis = replace(analysis, setup=scene.setup).prepare(scene)
     required = list(analysis.reads(scene))
-    require_scene(ds, [n for n in required if n not in ds.coords], name)
+    scene.require(required, name)
     rows = analysis.rows(scene)
     coords = analysis.coords(scene)
-    sizes = _lengths(analysis, scene, ds, coords)
+    sizes = _lengths(analysis, scene, coords)
     read = _names(ds, [*required, *(n for n in analysis.optional if n in ds)])
     task = _Task(
         replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
@@ -241,16 +230,16 @@ def run(
 
 
 def _lengths(
-    analysis: FrameAnalysis, scene: Description, ds: xr.Dataset, coords: Mapping[str, xr.Variable]
+    analysis: FrameAnalysis, scene: Scene, coords: Mapping[str, xr.Variable]
 ) -> dict[str, int | None]:
     """Return the length of each dimension of a step."""
-    of_scene = {str(dim): length for dim, length in ds.sizes.items()}
+    of_scene = {str(dim): length for dim, length in scene.ds.sizes.items()}
     of_coords = {
         str(dim): length
         for coord in coords.values()
         for dim, length in zip(coord.dims, coord.shape, strict=True)
     }
-    return {**of_scene, **dict.fromkeys(AXES, 3), **of_coords, **analysis.sizes(scene, ds)}
+    return {**of_scene, **dict.fromkeys(AXES, 3), **of_coords, **analysis.sizes(scene, scene.ds)}
 
 
 def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:

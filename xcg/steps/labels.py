@@ -15,9 +15,9 @@ from xarray.indexes import PandasIndex
 
 from xcg.common.messages import printable
 from xcg.scene.conform import storable
-from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, Variable, units_in
+from xcg.scene.summary import Summary, rows_of_origin
 from xcg.steps.faults import SKIPPED
 
 # attributes of a scene that hold for its results, too
@@ -144,14 +144,14 @@ def _is_array(value: Any) -> bool:
 
 def call_of(function: str, arguments: Mapping[str, Any]) -> str:
     """Write a call, without the data, `on_error`, and arguments that have no value."""
-    left_out = ("ds", "f", "fc", "on_error")
+    left_out = ("scene", "ds", "f", "fc", "on_error")
     return format_call(
         function,
         {n: value for n, value in arguments.items() if n not in left_out and value is not None},
     )
 
 
-def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
+def provenance(ds: xr.Dataset, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {version('xcg')}: {call}"

@@ -21,8 +21,9 @@ from xcg.fields.request import OF_PRESETS, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.facts import OF_RESULTS, OF_SCENES, extent_of
-from xcg.scene.frame import check_times
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import check_times
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, locked, whole_file
@@ -213,8 +214,8 @@ class Recorder:
 
 
 @takes_scene
-def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    return answer(ds, request)
+def _fields(scene: Scene, request: Request) -> xr.Dataset:
+    return answer(scene, request)
 
 
 def _with_time(fields: xr.Dataset) -> xr.Dataset:

@@ -26,8 +26,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.conform import in_order, labels_along
-from xcg.scene.frame import check_times, with_time
+from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import check_times
 from xcg.writers.formats import Hdf5Store, StoredArray, hdf5_file
 from xcg.writers.store import Format, StoreLayout
 

@@ -9,7 +9,7 @@ from xcg.fields.formulas import floors
 from xcg.fields.formulas.field import Support
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.scene.description import describe
+from xcg.scene.scene import Scene
 
 DRAWS = 4000
 
@@ -80,7 +80,7 @@ def test_a_single_grain_has_the_largest_friction(dimension):
 
 def of_scene(ds, **options):
     """Support of a node of a scene, and the options."""
-    scene = describe(ds)
+    scene = Scene(ds)
     plan = make_plan(scene, Request("volume_fraction", **options))
     return support_of(scene, plan)
 

@@ -40,7 +40,7 @@ from xcg.fields.formulas.field import (
 )
 from xcg.fields.sums.moments import Moment, of_sides
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import Column, Description
+from xcg.scene.scene import Scene
 from xcg.scene.schema import (
     Frame,
     factors_of_unit,
@@ -258,7 +258,7 @@ def row_of_result(field: xr.DataArray) -> Field | None:
 
 
 def own_fields(
-    requested: Iterable[str | Quantity | registry.OwnRow], scene: Description
+    requested: Iterable[str | Quantity | registry.OwnRow], scene: Scene
 ) -> dict[int, OwnField | registry.OwnRow]:
     """Return the requested fields that are quantities of a variable, or rows, by their index in the list.
 
@@ -294,7 +294,7 @@ def own_fields(
     return own
 
 
-def own_field(quantity: Quantity, scene: Description) -> OwnField:
+def own_field(quantity: Quantity, scene: Scene) -> OwnField:
     """Return a quantity as a field of the scene, checked against its variable; reads attributes only.
 
     Raises
@@ -310,9 +310,9 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
         raise SceneError(f"{quantity}: {unknown('variable', name, scene.rows)}")
     column = scene.columns[name]
     dtypes = {"i": "int64", "u": "int64"}
-    row = variable(name, dtypes.get(column.kind, "float64"), max(len(column.dims) - 1, 1))
+    row = variable(name, dtypes.get(column.dtype.kind, "float64"), max(len(column.dims) - 1, 1))
     rank = len(row.dims) - 1
-    if set(column.dims) != {"time", *row.dims} or column.kind not in "fiub":
+    if set(column.dims) != {"time", *row.dims} or column.dtype.kind not in "fiub":
         raise SceneError(_wrong_dims(name, column, row.dims))
     at_contacts = row.dims[0] == "contact"
     weight = quantity.weight or quantity.usual
@@ -342,14 +342,16 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
             f"{quantity}: the result cannot be called {result!r}, which is something else "
             "in a result; pass name="
         )
+    unit = column.attrs.get("units")
+    long_name = column.attrs.get("long_name") or name.replace("_", " ")
     return OwnField(
         quantity,
         result,
         weight,
         rank,
         at_contacts,
-        units=_units(quantity, weight, column.units, scene.setup.unit_system),
-        what=column.long_name or name.replace("_", " "),
+        units=_units(quantity, weight, unit and str(unit), scene.setup.unit_system),
+        what=str(long_name),
     )
 
 
@@ -373,7 +375,7 @@ def check_turns(own: Iterable[Any]) -> None:
             )
 
 
-def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
+def _wrong_dims(name: str, column: xr.Variable, expected: tuple[str, ...]) -> str:
     rows = expected[0]
     way_out = (
         f"expected numbers with ('time', {rows!r}), and 'component' for vectors, "
@@ -388,7 +390,7 @@ def _wrong_dims(name: str, column: Column, expected: tuple[str, ...]) -> str:
         )
     elif "time" not in column.dims:
         way_out = f"add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
-    dims = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.kind!r}"
+    dims = f"{name!r} has the dimensions {column.dims} and NumPy's type {column.dtype.kind!r}"
     return f"{dims}: {way_out}"
 
 

@@ -27,8 +27,7 @@ from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
-from xcg.scene.conform import require_scene
-from xcg.scene.description import Description, describe
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, units_in
 
 
@@ -147,7 +146,7 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
     return xr.Dataset(out | {"sample_count": f["sample_count"]}, attrs=f.attrs)
 
 
-def _kernel(scene: Description, request: Request) -> Kernel:
+def _kernel(scene: Scene, request: Request) -> Kernel:
     """Return the kernel in as many dimensions as there are axes, in a cylinder all."""
     setup = scene.setup
     seen = len({*request.axes_of(setup.plane), *(request.at or {})})
@@ -160,9 +159,7 @@ def _kernel(scene: Description, request: Request) -> Kernel:
     return kernel_of(request.kernel, request.width, scene.sizes, seen)
 
 
-def translate(
-    scene: Description, request: Request
-) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
@@ -175,7 +172,7 @@ def translate(
     idle = request.changed(_WITHOUT_EFFECT)
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
-    require_scene(scene.columns, (), "coarse_grain")
+    scene.require((), "coarse_grain")
     in_xcg = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
     names = _choose(request.fields, possible_fields(scene, in_xcg))
     points = any(map(np.ndim, (request.at or {}).values()))
@@ -235,8 +232,8 @@ def lammps_mesh(
     >>> dict(f.sizes)["z"]
     5
     """
-    require_scene(ds, (), "lammps_mesh")
-    scene = describe(ds)
+    scene = Scene(ds)
+    scene.require((), "lammps_mesh")
     sizes: Mapping[str, Any] = dict.fromkeys(axes, delta)
     if isinstance(delta, Mapping):
         sizes = delta

@@ -27,8 +27,7 @@ from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, kernel_of
-from xcg.scene.conform import require_scene
-from xcg.scene.description import Description, describe
+from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
 
 _RATE = "shear_rate_tensor"
@@ -254,7 +253,7 @@ def choose(
     return list(dict.fromkeys(names))
 
 
-def plane_of(scene: Description, shear_dims: str | None) -> tuple[str, str]:
+def plane_of(scene: Scene, shear_dims: str | None) -> tuple[str, str]:
     """Plane for ``xy`` in the names, and axes for ``xyz``.
 
     Raises
@@ -278,9 +277,7 @@ def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
     return f
 
 
-def translate(
-    scene: Description, request: Request
-) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
@@ -304,7 +301,7 @@ def translate(
         raise ValueError(
             f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
         )
-    require_scene(scene.columns, (), "coarse_grain")
+    scene.require((), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
     in_xcg = replace(request, preset=None, shear_dims=None)
     chosen = {
@@ -363,7 +360,7 @@ def pysammos_mesh(
     >>> ds = xcg.datasets.simple_cubic(10)
     >>> f = ds.cg.coarse_grain(preset="pysammos", **xcg.pysammos_mesh(ds, "xz"))
     """
-    scene = describe(ds)
+    scene = Scene(ds)
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError(
             "pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first"

@@ -25,8 +25,8 @@ from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, table_of
-from xcg.scene.frame import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
+from xcg.scene.sizes import SIZES
 
 _USUAL = "; the usual choice is 0.75 mean diameters"
 _LENGTH = Kind(

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.frame import sizes_of, with_measures
+from xcg.scene.sizes import sizes_of, with_measures
 
 AXES = ("x", "y", "z")
 
