@@ -20,6 +20,7 @@ from xcg.scene.schema import COMPONENTS, Variable, units_in
 from xcg.scene.summary import Summary, rows_of_origin
 from xcg.steps.faults import SKIPPED
 
+_VERSION = version("xcg")  # found once, as it takes half a millisecond
 # attributes of a scene that hold for its results, too
 ABOUT = (
     "Conventions",
@@ -154,7 +155,7 @@ def call_of(function: str, arguments: Mapping[str, Any]) -> str:
 def provenance(ds: xr.Dataset, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {version('xcg')}: {call}"
+    line = f"{stamp} xcg {_VERSION}: {call}"
     if "history" in ds.attrs:
         line = f"{ds.attrs['history']}\n{line}"
     kept = {name: ds.attrs[name] for name in ABOUT if name in ds.attrs}
